@@ -2,7 +2,7 @@
 # make demo     installs that, then runs the whole loop at a small size into runs/demo
 # make test     installs what testing needs, too, then runs every check
 # make docs     builds the pages of the documentation into build/site
-# make study    measures every figure at full size into runs/study
+# make test-slow  runs the tests that take minutes each
 # make model    trains the models that ship with the package again
 # make population US101=FOLDER  makes the population that ships again, of CommonRoad's scenes of US-101
 # make release  builds what is published into dist: sdist, wheel, hash-pinned lock, bill of
@@ -16,7 +16,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 # Many processes with one thread each are faster than a few that compete for the cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: install demo test docs study model population release
+.PHONY: install demo test test-slow docs model population release
 
 install: $(VENV)/.installed
 
@@ -30,11 +30,11 @@ test: $(VENV)/.installed-dev
 	$(BIN)/pytest -q -n auto --dist worksteal --doctest-modules \
 	    tests behaviors sim graphrqi scenarios experiments
 
+test-slow: $(VENV)/.installed-dev
+	$(BIN)/pytest -q -m slow tests
+
 docs: $(VENV)/.installed-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
-
-study: $(VENV)/.installed
-	$(BIN)/python -m experiments.study
 
 # Libraries choose instructions and the order of sums by the make of a processor, and the last bits of
 # a result differ with them. Models are trained with those that every processor with AVX2 has: of

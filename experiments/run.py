@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -16,7 +16,6 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.data.configuration import GenerateConfig
 from experiments.rows import Row
-from scenarios.command import RunSummary
 from sim.engines import get_engine
 from sim.episode.window import DEFAULT_RADIUS_M, Window
 from sim.frames import EventKind, Frame, Tracks
@@ -39,6 +38,36 @@ COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 
 SHOWN_EVERY_S: Final = 0.2
 """Time between two updates of the live line, s of the clock on the wall."""
+
+
+@dataclass
+class RunSummary:
+    """Counts and sums over the frames of a run.
+
+    Attributes:
+        frames: how many frames there were.
+        entered: ids of the agents that are in a frame.
+        events: how often each kind of event happened.
+        distance_m: sum of speed times step over all that drive, m.
+        driving_s: time driven by all that drive, s.
+    """
+
+    frames: int = 0
+    entered: set[int] = field(default_factory=set)
+    events: Counter[EventKind] = field(default_factory=Counter)
+    distance_m: float = 0.0
+    driving_s: float = 0.0
+
+    def count(self, frames: Iterable[Frame], step_s: float) -> Iterator[Frame]:
+        """Yield the frames and count what is in them."""
+        for frame in frames:
+            self.frames += 1
+            self.entered.update(frame.ids.tolist())
+            self.events.update(event.kind for event in frame.events)
+            driving = frame.driving
+            self.distance_m += float(frame.speed[driving].sum()) * step_s
+            self.driving_s += float(driving.sum()) * step_s
+            yield frame
 
 
 @dataclass

@@ -1,15 +1,6 @@
-"""A four-way intersection where everybody stops."""
+"""``python -m scenarios.all_way_stop`` runs this scenario headless."""
 
-from __future__ import annotations
-
-import functools
-from typing import Final
-
-from scenarios.four_way_intersection import four_way_intersection
-
-all_way_stop: Final = functools.partial(four_way_intersection, control="allway_stop")
+from scenarios.entry import run_as_command
 
 if __name__ == "__main__":
-    from scenarios.command import main
-
-    raise SystemExit(main("all_way_stop"))
+    run_as_command("all_way_stop")

@@ -152,6 +152,6 @@ def random_routes(road: Road, count: int, seed: int) -> list[tuple[str, ...]]:
 
 
 if __name__ == "__main__":
-    from scenarios.command import main
+    from scenarios.entry import run_as_command
 
-    raise SystemExit(main("city"))
+    run_as_command("city")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import runpy
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,15 +33,15 @@ class ScenarioEntry:
     limits_mps: tuple[float, ...] = ()
 
     @property
-    def options(self) -> Mapping[str, inspect.Parameter]:
-        """The options that it takes, with their defaults."""
+    def options(self) -> Mapping[str, Any]:
+        """The default of each option that it takes."""
         fixed = self.function.keywords if isinstance(self.function, functools.partial) else ()
-        found: dict[str, inspect.Parameter] = {}
+        found: dict[str, Any] = {}
         for name, parameter in inspect.signature(self.function).parameters.items():
             if parameter.kind is inspect.Parameter.VAR_KEYWORD:
                 found |= _population_options()
             elif name not in fixed:
-                found[name] = parameter
+                found[name] = parameter.default
         return found
 
     def __call__(self, **options: Any) -> Scenario:
@@ -50,23 +52,28 @@ class ScenarioEntry:
         """
         options = {**self.given, **options}
         for name, value in options.items():
-            parameter = lookup(self.options, name, f"option of scenario {self.name!r},")
-            if not _fits(value, parameter.default):
-                raise InputError(
-                    f"{name}: found {value!r:.80}, expected a value like {parameter.default!r}"
-                )
+            default = lookup(self.options, name, f"option of scenario {self.name!r},")
+            if not _fits(value, default):
+                raise InputError(f"{name}: found {value!r:.80}, expected a value like {default!r}")
         return dataclasses.replace(self.function(**options), name=self.name)
 
 
-def _population_options() -> dict[str, inspect.Parameter]:
+def run_as_command(name: str) -> None:
+    """Run a scenario as ``graphrqi run NAME`` does, with the options of this process.
+
+    Args:
+        name: a key of ``SCENARIOS``.
+    """
+    sys.argv[1:1] = ["run", name]
+    runpy.run_module("experiments.cli", run_name="__main__", alter_sys=True)
+
+
+def _population_options() -> dict[str, Any]:
     """The options of every scenario, with the defaults of `Scenario`."""
     from scenarios.demand import PopulationOptions
 
-    keyword, missing = inspect.Parameter.KEYWORD_ONLY, dataclasses.MISSING
     return {
-        one.name: inspect.Parameter(
-            one.name, keyword, default=None if one.default is missing else one.default
-        )
+        one.name: None if one.default is dataclasses.MISSING else one.default
         for one in dataclasses.fields(Scenario)
         if one.name in PopulationOptions.__annotations__
     }
@@ -77,6 +84,6 @@ def _fits(value: object, default: object) -> bool:
     if isinstance(default, bool):
         return isinstance(value, bool)
     if isinstance(default, int | float):
-        whole = isinstance(default, int)
-        return isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+        number = int if isinstance(default, int) else int | float
+        return isinstance(value, number) and not isinstance(value, bool)
     return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
@@ -76,7 +77,16 @@ def four_way_intersection(
     return make_scenario("four_way_intersection", geometry, flows, population)
 
 
-if __name__ == "__main__":
-    from scenarios.command import main
+priority_intersection: Final = functools.partial(four_way_intersection, control="priority")
+"""The east-west road has priority."""
 
-    raise SystemExit(main("four_way_intersection"))
+all_way_stop: Final = functools.partial(four_way_intersection, control="allway_stop")
+"""Everybody stops."""
+
+right_before_left: Final = functools.partial(four_way_intersection, control="right_before_left")
+"""Those who come from the right go first."""
+
+if __name__ == "__main__":
+    from scenarios.entry import run_as_command
+
+    run_as_command("four_way_intersection")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
@@ -59,7 +60,10 @@ def motorway(
     return make_scenario("motorway", geometry, flows, population)
 
 
-if __name__ == "__main__":
-    from scenarios.command import main
+motorway_ramps: Final = functools.partial(motorway, ramps=True)
+"""A motorway with an on-ramp and an off-ramp: merging, weaving, leaving."""
 
-    raise SystemExit(main("motorway"))
+if __name__ == "__main__":
+    from scenarios.entry import run_as_command
+
+    run_as_command("motorway")

@@ -1,15 +1,6 @@
-"""A motorway with an on-ramp and an off-ramp: merging, weaving, leaving."""
+"""``python -m scenarios.motorway_ramps`` runs this scenario headless."""
 
-from __future__ import annotations
-
-import functools
-from typing import Final
-
-from scenarios.motorway import motorway
-
-motorway_ramps: Final = functools.partial(motorway, ramps=True)
+from scenarios.entry import run_as_command
 
 if __name__ == "__main__":
-    from scenarios.command import main
-
-    raise SystemExit(main("motorway_ramps"))
+    run_as_command("motorway_ramps")

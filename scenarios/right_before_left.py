@@ -1,15 +1,6 @@
-"""A four-way intersection where who comes from the right goes first."""
+"""``python -m scenarios.right_before_left`` runs this scenario headless."""
 
-from __future__ import annotations
-
-import functools
-from typing import Final
-
-from scenarios.four_way_intersection import four_way_intersection
-
-right_before_left: Final = functools.partial(four_way_intersection, control="right_before_left")
+from scenarios.entry import run_as_command
 
 if __name__ == "__main__":
-    from scenarios.command import main
-
-    raise SystemExit(main("right_before_left"))
+    run_as_command("right_before_left")

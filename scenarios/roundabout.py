@@ -69,6 +69,6 @@ def way_round(arm: str, places: int) -> tuple[str, ...]:
 
 
 if __name__ == "__main__":
-    from scenarios.command import main
+    from scenarios.entry import run_as_command
 
-    raise SystemExit(main("roundabout"))
+    run_as_command("roundabout")

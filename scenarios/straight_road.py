@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
@@ -86,7 +87,10 @@ def straight_road(
     return make_scenario("straight_road", geometry, flows, population)
 
 
-if __name__ == "__main__":
-    from scenarios.command import main
+two_way_road: Final = functools.partial(straight_road, two_way=True, lanes=1, crossing=False)
+"""One lane each way, where overtaking means the oncoming lane."""
 
-    raise SystemExit(main("straight_road"))
+if __name__ == "__main__":
+    from scenarios.entry import run_as_command
+
+    run_as_command("straight_road")

@@ -1,15 +1,6 @@
-"""A straight two-way road, one lane each way, where overtaking means the oncoming lane."""
+"""``python -m scenarios.two_way_road`` runs this scenario headless."""
 
-from __future__ import annotations
-
-import functools
-from typing import Final
-
-from scenarios.straight_road import straight_road
-
-two_way_road: Final = functools.partial(straight_road, two_way=True, lanes=1, crossing=False)
+from scenarios.entry import run_as_command
 
 if __name__ == "__main__":
-    from scenarios.command import main
-
-    raise SystemExit(main("two_way_road"))
+    run_as_command("two_way_road")

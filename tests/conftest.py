@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -22,7 +23,24 @@ SLOWEST = ("test_docs.py", "test_benches.py", "test_examples.py")
 """Files with tests of a minute; the others follow in their own order."""
 
 
+SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""Recordings that lie beside the checkout."""
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of recordings; a test that asks for it has the marker ``data``."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(f"no recordings in {SHARED_DATA}")
+    return SHARED_DATA
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "shared_data" in getattr(item, "fixturenames", ()):
+            item.add_marker("data")
+
     def order(item: pytest.Item) -> int:
         return SLOWEST.index(item.path.name) if item.path.name in SLOWEST else len(SLOWEST)
 

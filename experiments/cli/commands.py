@@ -18,6 +18,7 @@ from experiments.cli.adapt import adapt
 from experiments.cli.bench import BenchGroup
 from experiments.cli.calibrate import calibrate, populations
 from experiments.cli.classify import classify, evaluate
+from experiments.cli.drive import drive
 from experiments.cli.generate import generate, merge, size_of, upgrade
 from experiments.cli.input_keeping import InputKeepingCommand
 from experiments.cli.options import (
@@ -44,12 +45,13 @@ from experiments.cli.options import (
     Version,
     WindowText,
     names_of,
+    read_options,
     table_to_write,
 )
 from experiments.cli.predictors import train_predictor
 from experiments.cli.road import road
 from experiments.cli.verify import verify
-from experiments.cli.what_if import blame, what_if
+from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, say, show_notices
 
@@ -123,7 +125,6 @@ def run(
     from experiments.console.tables import show_table
     from experiments.data.configuration import read_config
     from experiments.run import read_window, run_scenario
-    from scenarios.command import read_options
 
     config = read_config(
         None, scenarios=[scenario] if scenario else None, net=net, routes=routes, episodes=1,
@@ -336,7 +337,7 @@ app.command(
     epilog="example: "
     "graphrqi what-if straight_road --at-s 30 --agent 8 --behavior timid --out what-if",
 )(what_if)
-app.command(epilog="example: graphrqi blame straight_road --flow dense --duration-s 60")(blame)
+app.command(epilog="example: graphrqi drive --policy planner --quick")(drive)
 
 
 @app.command(epilog="example: graphrqi report runs/demo runs/other --out comparison.html")

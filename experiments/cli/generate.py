@@ -20,6 +20,7 @@ from experiments.cli.options import (
     ScenarioOptions,
     Spread,
     names_of,
+    read_options,
 )
 from experiments.console.notices import say
 
@@ -84,7 +85,6 @@ def generate(
     from experiments.data.generate import generate_shards as make
     from experiments.data.shards.plan import read_part
     from experiments.data.worlds.episode import read_worlds_config
-    from scenarios.command import read_options
     from sim.store.places import place_of
 
     given = {

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from typer.models import OptionInfo
+
+from behaviors.errors import InputError
 
 
 def in_a_folder(path: Path | None) -> Path | None:
@@ -21,8 +23,6 @@ def in_a_folder(path: Path | None) -> Path | None:
     if path is None or str(path) == "-" or is_remote(path):
         return path
     if not path.parent.is_dir():
-        from behaviors.errors import InputError
-
         raise InputError(f"{path}: found no folder {path.parent}, expected one")
     return path
 
@@ -189,3 +189,41 @@ ScenarioOptions = Annotated[
 ]
 FLAGS = ("flow", "mix", "spread", "population", "duration_s")
 """Options of a scenario that commands have beside ``--set``."""
+
+
+def read_options(
+    texts: Sequence[str], flags: Collection[str]
+) -> dict[str, bool | int | float | str]:
+    """Options given as ``NAME=VALUE``: true, false, a number, or a word.
+
+    Args:
+        texts: as given on the command line, after ``--set``.
+        flags: options that have a flag of their own.
+
+    Raises:
+        InputError: if one is written otherwise, or has a flag of its own.
+
+    Examples:
+        >>> read_options(["blocks=8", "crossing=true"], ["flow"])
+        {'blocks': 8, 'crossing': True}
+    """
+    found: dict[str, bool | int | float | str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InputError(f"--set: found {text!r}, expected NAME=VALUE")
+        if name in flags:
+            raise InputError(f"--set: found {name}, expected --{name.replace('_', '-')} for it")
+        found[name] = _value(value)
+    return found
+
+
+def _value(text: str) -> bool | int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            continue
+    return text

@@ -1,4 +1,4 @@
-"""``graphrqi road``: what a map holds, lacks and has wrong, and the files to drive on it."""
+"""``graphrqi road``: what a map holds and lacks, its warnings, and the files to drive on it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def road(
     ] = None,
     json: Json = None,
 ) -> None:
-    """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
+    """Say what a map holds and lacks and what netconvert warns of; draw it; make it drivable."""
     from behaviors.errors import InputError
     from experiments.console.notices import say
     from experiments.console.tables import show_table

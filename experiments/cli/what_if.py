@@ -1,9 +1,9 @@
-"""The commands that ask what would have happened: ``what-if`` and ``blame``."""
+"""The command that asks what would have happened: ``what-if``, also about whom to blame."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,9 @@ from experiments.cli.options import (
     names_of,
 )
 
+if TYPE_CHECKING:
+    from experiments.data.configuration import GenerateConfig
+
 ScenarioName = Annotated[
     str,
     typer.Argument(
@@ -33,9 +36,11 @@ Episode = Annotated[
 
 def what_if(
     scenario: ScenarioName,
-    at_s: Annotated[float, typer.Option("--at-s", help="From when on the driver differs, s.")],
-    agent: Annotated[int, typer.Option(metavar="ID", help="The driver.")],
-    out: Annotated[Path, typer.Option(help="Folder of the dataset.")],
+    at_s: Annotated[
+        float | None, typer.Option("--at-s", help="From when on the driver differs, s.")
+    ] = None,
+    agent: Annotated[int | None, typer.Option(metavar="ID", help="The driver.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the dataset.")] = None,
     behavior: Annotated[
         list[str] | None,
         typer.Option(metavar="B", help="A behaviour to go on with; repeat for several."),
@@ -64,11 +69,22 @@ def what_if(
             help="Draw the paths over the factual ones too: .png, .pdf or .svg.",
         ),
     ] = None,
+    blame: Annotated[
+        bool,
+        typer.Option(
+            "--blame",
+            help="Instead, say whose careful driving would have prevented each collision and "
+            "near miss.",
+        ),
+    ] = False,
+    bystanders: Annotated[
+        int, typer.Option(min=0, help="Of --blame: drivers beside the two parties who are tried.")
+    ] = 4,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Drive one episode on from one instant with one driver different (Linux only)."""
-    from behaviors.errors import lookup
+    from behaviors.errors import InputError, lookup
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
     from experiments.data.configuration import read_config
@@ -79,12 +95,19 @@ def what_if(
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 
+    traffic = read_config(
+        None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
+        mix=mix, spread=spread, population=population, duration_s=duration_s,
+    )  # fmt: skip
+    if blame:
+        _show_blame(traffic, scenario, episode, bystanders, json)
+        return
+    if at_s is None or agent is None or out is None:
+        missing = "--at-s" if at_s is None else "--agent" if agent is None else "--out"
+        raise InputError(f"{missing}: found none, expected it, or --blame")
     behaviors, actions = {b.value: b for b in Behavior}, {a.value: a for a in Action}
     config = WhatIf(
-        episode=read_config(
-            None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-            mix=mix, spread=spread, population=population, duration_s=duration_s,
-        ),
+        episode=traffic,
         index=episode,
         at_s=at_s,
         agent=agent,
@@ -100,35 +123,18 @@ def what_if(
         write_paths(dataset, picture)
 
 
-def blame(
-    scenario: ScenarioName,
-    episode: Episode = 0,
-    engine: Engine = "sumo",
-    seed: Seed = 0,
-    flow: Flow = None,
-    mix: Mix = None,
-    spread: Spread = None,
-    population: PopulationName = None,
-    duration_s: DurationS = None,
-    bystanders: Annotated[
-        int, typer.Option(min=0, help="How many drivers beside the two parties are tried.")
-    ] = 4,
-    json: Json = None,
+def _show_blame(
+    config: GenerateConfig, scenario: str, episode: int, bystanders: int, json: Path | None
 ) -> None:
-    """Say whose careful driving would have prevented each collision and near miss (Linux only)."""
+    """Print a line for each incident of an episode and driver who was tried."""
     from experiments.console.tables import show_table
-    from experiments.data.configuration import read_config
     from experiments.data.episode import Task
     from experiments.scoring.blame import judge, verdict_rows
     from sim.scenario import sample_agents
 
-    config = read_config(
-        None, scenarios=[scenario], episodes=episode + 1, seed=seed, engine=engine, flow=flow,
-        mix=mix, spread=spread, population=population, duration_s=duration_s,
-    )  # fmt: skip
     made = config.scenario(scenario, episode)
     drawn = Task(config, scenario, episode).seed
-    verdicts = list(judge(made, sample_agents(made, drawn), drawn, engine, bystanders))
+    verdicts = list(judge(made, sample_agents(made, drawn), drawn, config.engine, bystanders))
     if verdicts or json is not None:
         show_table(verdict_rows(verdicts), json)
     else:

@@ -3,39 +3,79 @@
 ``import scenarios`` registers them by name and loads none of them, and
 ``gymnasium.make("scenarios:graphrqi/StraightRoad-v0")`` works anywhere. They run on highway-env's
 road and take highway-env's actions; the other drivers have the six behaviours' profiles.
-`scenarios.environments.environment.TrafficEnv` specifies observations, rewards and episodes.
-Configure an environment with ``gymnasium.make(id, config={...})`` or
-``reset(options={"config": {...}})``; unknown keys and unusable values are refused by name. The keys
-``net``, ``routes`` and ``scenario`` set any of them on another road.
+`scenarios.environments.environment.TrafficEnv` specifies observations, rewards and episodes;
+`scenarios.environments.config.TrafficConfig` lists the keys of the configuration, which
+``gymnasium.make(id, config={...})`` and ``reset(options={"config": {...}})`` take. Unknown keys and
+unusable values are refused by name. The keys ``net``, ``routes`` and ``scenario`` set any of them
+on another road.
 `scenarios.environments.parallel` makes an environment for several agents of any of them
 (PettingZoo, extra ``multi``).
 """
 
 from __future__ import annotations
 
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import gymnasium
 
-ENVIRONMENTS: Final[dict[str, str]] = {
-    "graphrqi/StraightRoad-v0": "scenarios.environments.straight_road:StraightRoadEnv",
-    "graphrqi/FourWayIntersection-v0": (
-        "scenarios.environments.four_way_intersection:FourWayIntersectionEnv"
-    ),
-    "graphrqi/TwoWayRoad-v0": "scenarios.environments.roads:TwoWayRoadEnv",
-    "graphrqi/PriorityIntersection-v0": "scenarios.environments.roads:PriorityIntersectionEnv",
-    "graphrqi/AllWayStop-v0": "scenarios.environments.roads:AllWayStopEnv",
-    "graphrqi/RightBeforeLeft-v0": "scenarios.environments.roads:RightBeforeLeftEnv",
-    "graphrqi/Motorway-v0": "scenarios.environments.roads:MotorwayEnv",
-    "graphrqi/MotorwayRamps-v0": "scenarios.environments.roads:MotorwayRampsEnv",
-    "graphrqi/Roundabout-v0": "scenarios.environments.roads:RoundaboutEnv",
-    "graphrqi/OwnRoad-v0": "scenarios.environments.roads:OwnRoadEnv",
+ENTRY_POINT: Final = "scenarios.environments.environment:TrafficEnv"
+
+_GRID: Final = Path(__file__).parents[1] / "networks" / "grid_3" / "road.net.xml"
+
+_WIDE: Final[dict[str, Any]] = {
+    "screen_width": 1000, "screen_height": 180, "centering_position": [0.3, 0.45]
+}  # fmt: skip
+_ROAD: Final = {**_WIDE, "scaling": 7.0}
+_MOTORWAY: Final = {
+    **_WIDE,
+    "scaling": 5.0,
+    "duration_s": 90.0,
+    "action": {"type": "DiscreteMetaAction", "target_speeds": [0.0, 10.0, 20.0, 25.0, 30.0, 35.0]},
 }
-"""Where each environment lives, by its id."""
+_SQUARE: Final[dict[str, Any]] = {
+    "duration_s": 90.0,
+    "screen_width": 720,
+    "screen_height": 720,
+    "scaling": 9.0,
+    "centering_position": [0.5, 0.6],
+}
+_FROM_THE_SOUTH: Final = {
+    "straight": ("south_in", "north_out"),
+    "left": ("south_in", "west_out"),
+    "right": ("south_in", "east_out"),
+}
+
+
+def _row(scenario: str, routes: Any, defaults: dict[str, Any]) -> dict[str, Any]:
+    return {"scenario_name": scenario, "routes": routes, "defaults": defaults}
+
+
+ENVIRONMENTS: Final[dict[str, dict[str, Any]]] = {
+    # 800 m of one-way road with three lanes and a zebra crossing half-way, from west to east
+    "graphrqi/StraightRoad-v0": _row("straight_road", ("east_in", "east_out"), _ROAD),
+    # 1200 m of a road with one lane each way, where others overtake on the oncoming lane
+    "graphrqi/TwoWayRoad-v0": _row("two_way_road", ("east_in", "east_out"), {"duration_s": 150.0}),
+    # intersections of four arms of 250 m; the ego vehicle comes from the south
+    "graphrqi/FourWayIntersection-v0": _row("four_way_intersection", _FROM_THE_SOUTH, _SQUARE),
+    "graphrqi/PriorityIntersection-v0": _row("priority_intersection", _FROM_THE_SOUTH, _SQUARE),
+    "graphrqi/AllWayStop-v0": _row("all_way_stop", _FROM_THE_SOUTH, _SQUARE),
+    "graphrqi/RightBeforeLeft-v0": _row("right_before_left", _FROM_THE_SOUTH, _SQUARE),
+    # 2 km of motorway with three lanes; with ramps, the ego vehicle joins it
+    "graphrqi/Motorway-v0": _row("motorway", ("before", "between", "after"), _MOTORWAY),
+    "graphrqi/MotorwayRamps-v0": _row("motorway_ramps", ("on", "between", "after"), _MOTORWAY),
+    # from the southern arm round a ring with one lane to the northern arm
+    "graphrqi/Roundabout-v0": _row(
+        "roundabout", ("south_in", "south_east", "east_north", "north_out"), _SQUARE
+    ),
+    # a grid of streets, or any road by config={"net": FILE}, along a route of the traffic's
+    "graphrqi/OwnRoad-v0": _row(str(_GRID), None, {**_SQUARE, "duration_s": 120.0}),
+}
+"""What `TrafficEnv` makes each environment of, by its id."""
 
 
 def register_environments() -> None:
     """Register every environment that is not registered yet."""
-    for name, source in ENVIRONMENTS.items():
+    for name, row in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(id=name, entry_point=source)
+            gymnasium.register(id=name, entry_point=ENTRY_POINT, kwargs=row)

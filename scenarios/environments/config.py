@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Final
 
@@ -20,7 +20,6 @@ from pydantic import (
 from behaviors.errors import InputError, lookup
 from behaviors.populations import read_population
 from behaviors.profiles import DEFAULT_SPREAD
-from behaviors.registry import own_function
 from sim.highway.ego import check_action
 from sim.invalid_fields import first_wrong_field
 
@@ -33,6 +32,12 @@ OBSERVATIONS: Final[dict[str, str]] = {
 """The observation options and what each of them contains."""
 
 
+GOALS: Final[dict[str, str]] = {
+    "straight": "the arm opposite", "left": "the arm on the left", "right": "the arm on the right"
+}  # fmt: skip
+"""Where the ego vehicle may go at an intersection."""
+
+
 def member_of(names: Mapping[str, str], what: str) -> BeforeValidator:
     """A validator that accepts the keys of ``names`` and otherwise suggests the nearest one."""
 
@@ -43,11 +48,19 @@ def member_of(names: Mapping[str, str], what: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def _check_classifier(source: object) -> object:
-    named = isinstance(source, str) and source.count(":") == 1
-    if not named and not callable(source):
-        raise InputError(f"classifier: found {source!r}, expected 'module:function' or a callable")
-    return source
+def makes_one(classifier: Callable[..., Any]) -> bool:
+    """Whether a function makes a classifier when it is called, and takes no frame."""
+    try:
+        inspect.signature(classifier).bind()
+    except TypeError:
+        return False
+    return True
+
+
+def _check_classifier(classifier: object) -> object:
+    if classifier is not None and not callable(classifier):
+        raise InputError(f"classifier: found {classifier!r}, expected a callable")
+    return classifier
 
 
 def _population_table(source: Any) -> dict[str, Any] | None:
@@ -118,14 +131,14 @@ class TrafficConfig(BaseModel):
     policy_frequency: int = Field(default=5, ge=1, le=1000)
     """Decisions per second; divides the simulation frequency."""
 
-    compiled: bool = True
-    """Whether compiled code drives the other vehicles; the result is the same to the bit."""
+    classifier: Annotated[Callable[..., Any] | None, PlainValidator(_check_classifier)] = None
+    """For the observation "posterior": takes each `Frame` and returns beliefs with ``of(ids)``, as
+    ``stream.update`` does. A function without arguments makes one for each episode, or an object
+    with such a method ``update``: ``graphrqi.stream.load_stream``."""
 
-    classifier: Annotated[str | Callable[..., Any], PlainValidator(_check_classifier)] = (
-        "graphrqi.stream:load_stream"
-    )
-    """What classifies the drivers for the observation "posterior": "module:function" of a function
-    that makes it, or a callable that takes a `Frame` and returns beliefs with ``of(ids)``."""
+    goal: Annotated[str, member_of(GOALS, "goal")] | None = None
+    """Where the ego vehicle is to go at an intersection: "straight", "left" or "right"; None for
+    straight on, and elsewhere."""
 
     screen_width: int = Field(default=600, ge=1, le=16_384)
     """Width of images, pixels."""
@@ -160,8 +173,11 @@ class TrafficConfig(BaseModel):
             )
         if self.net is not None and self.scenario is not None:
             raise InputError("scenario: found net beside it, expected one of them")
-        if isinstance(self.classifier, str) and self.observation == "posterior":
-            own_function("classifier", self.classifier)
+        if self.classifier is None and self.observation == "posterior":
+            raise InputError(
+                "classifier: found None, expected a callable for the observation 'posterior', "
+                "such as graphrqi.stream.load_stream"
+            )
         return self
 
     def values(self) -> dict[str, Any]:
@@ -169,34 +185,22 @@ class TrafficConfig(BaseModel):
         return {name: getattr(self, name) for name in type(self).model_fields}
 
 
-def read_config(model: type[TrafficConfig], given: Mapping[str, Any]) -> TrafficConfig:
+def read_config(given: Mapping[str, Any]) -> TrafficConfig:
     """Check a configuration.
 
     Args:
-        model: the keys that the environment has.
-        given: values by key; missing keys have the model's defaults.
+        given: values by key; missing keys have the defaults of `TrafficConfig`.
 
     Raises:
         InputError: if a key is unknown or a value is not usable; the message names it.
     """
     for key in given:
-        lookup(model.model_fields, str(key), "configuration key")
+        lookup(TrafficConfig.model_fields, str(key), "configuration key")
     try:
-        return model(**given)
+        return TrafficConfig(**given)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         cause = first.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
             raise cause from None
         raise InputError(first_wrong_field(error)) from None
-
-
-def describe_config(model: type[TrafficConfig], defaults: Mapping[str, Any]) -> str:
-    """Every key with its default and its meaning, as a paragraph each for a docstring."""
-    paragraphs = []
-    for name, field in model.model_fields.items():
-        meaning = " ".join((field.description or "").split())
-        paragraphs.append(
-            textwrap.fill(f"{name} ({defaults[name]!r}): {meaning}", 96, subsequent_indent="    ")
-        )
-    return "\n".join(paragraphs)

@@ -1,14 +1,16 @@
-"""What the gymnasium environments share: episodes, rewards and observations.
+"""Traffic with ego vehicles: episodes, rewards and observations of every environment.
 
-Which road and which route an environment has is in its own module beside this one.
+`TrafficEnv` is the environment for one ego vehicle; what it is made of holds for any number of
+them (`scenarios.environments.parallel`). Which road and which route an environment has is a row of
+`scenarios.environments.ENVIRONMENTS`.
 """
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, Protocol, cast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -16,9 +18,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from behaviors.registry import own_function
 from scenarios import get_scenario
-from scenarios.environments.config import TrafficConfig, describe_config, read_config
+from scenarios.environments.config import TrafficConfig, makes_one, read_config
 from scenarios.environments.observation import (
     observable_agents,
     observation_space,
@@ -27,7 +28,7 @@ from scenarios.environments.observation import (
     observe_graph,
 )
 from sim.frames import Event, EventKind, FloatArray, Frame
-from sim.geometry import separation
+from sim.geometry import Outlines, separation
 from sim.highway.demand import Demand
 from sim.highway.ego import (
     EgoEnv,
@@ -38,7 +39,6 @@ from sim.highway.ego import (
     is_on_route,
 )
 from sim.highway.engine import network_of, read_frame
-from sim.highway.fast_road import outlines_of
 from sim.highway.lanes import LaneIndex
 from sim.highway.state import agent_of
 from sim.highway.traffic import TrafficRoad
@@ -69,12 +69,15 @@ worth)."""
 BEGIN_M: Final = 3.0
 """Where on its first lane the ego vehicle begins, m."""
 
-ROOM_M: Final = 12.0
+ENTRY_ROOM_M: Final = 12.0
 """Room in front and behind that the ego vehicle needs to be set on the road, m (room to brake from
 walking pace)."""
 
 LONGEST_WAIT_S: Final = 60.0
 """The ego vehicle waits this long for room; then the vehicles in its place are removed."""
+
+Stretches = tuple[tuple[str, str], ...]
+Outcome = tuple[Observation, float, bool, bool, dict[str, Any]]
 
 
 class Belief(Protocol):
@@ -85,8 +88,39 @@ class Belief(Protocol):
         ...
 
 
+@dataclass
+class Ego:
+    """One ego vehicle of an episode.
+
+    Attributes:
+        id: its agent id.
+        route: the stretches that it drives over.
+        vehicle: highway-env's vehicle, once it is on the road.
+        entered_s: when it entered, s.
+        distance_left_m: along the lanes to the end of its route, m.
+        near: ids of those that are too near now.
+        near_misses: how often others came too near in this step.
+        rewards: the parts of the last step's reward, as in `REWARDS`.
+    """
+
+    id: int
+    route: Stretches
+    vehicle: Any = None
+    entered_s: float = 0.0
+    distance_left_m: float = 0.0
+    near: set[int] = field(default_factory=set)
+    near_misses: int = 0
+    rewards: dict[str, float] = field(default_factory=lambda: dict.fromkeys(REWARDS, 0.0))
+
+    @property
+    def has_arrived(self) -> bool:
+        """Whether it is at the end of its route."""
+        last = self.vehicle.lane_index[:2] == self.vehicle.stretches[-1]
+        return bool(last and self.distance_left_m <= 0.0)
+
+
 class TrafficEnv(EgoEnv):
-    """The specification that every environment has in common.
+    """Drive among the six behaviours; the specification of every environment.
 
     Observation: a ``Dict``. All boxes are float32 in [-1, 1]: values are divided by the unit given
     and clipped. N is ``observed``.
@@ -124,9 +158,9 @@ class TrafficEnv(EgoEnv):
     within 0.4 m); -3 for running a red light; -5 for leaving the road. ``info["rewards"]`` has the
     parts.
 
-    Episode: begins when there is room for the ego vehicle at the beginning of its route, at 0.7 of
-    the limit. Terminated by a collision, by leaving the road, or at the goal; truncated after
-    ``duration_s``.
+    Episode: begins when there is room for the ego vehicle (5 m by 2 m) at the beginning of its
+    route, at 0.7 of the limit, on the lane with most room. Terminated by a collision, by leaving
+    the road, or at the end of its route; truncated after ``duration_s``.
 
     ``info``: time_s, speed (m/s), crashed, arrived, collisions, near_misses, red_runs, rewards, and
     events: tuples (what, agent, other or -1, rule) of all events in the step. Ids are those
@@ -136,25 +170,41 @@ class TrafficEnv(EgoEnv):
     colour of their behaviour (warm: aggressive, cool: conservative), the ego vehicle white. For a
     video at the simulation's rate wrap in ``RecordVideo`` and call
     ``env.unwrapped.set_record_video_wrapper(env)``.
+
+    Args:
+        config: changes to the configuration by key; `TrafficConfig` explains the keys.
+        render_mode: None, ``"rgb_array"`` or ``"human"``.
+        scenario_name: a registered scenario, a scenario's file or a map.
+        routes: the edges that the ego vehicle drives over, or these by ``goal``; None for a route
+            of the traffic's, drawn anew for each episode.
+        defaults: keys of the configuration that have other defaults than in `TrafficConfig`.
+
+    Attributes:
+        egos: the ego vehicles on the road.
+        coming: those that are still to come.
+        agents: everybody else's `AgentSpec`, by id.
+        events: what happened in the last step.
     """
 
-    config_model: ClassVar[type[TrafficConfig]] = TrafficConfig
-    own_defaults: ClassVar[dict[str, Any]] = {}
-    scenario_name: ClassVar[str]
+    def __init__(
+        self,
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        *,
+        scenario_name: str,
+        routes: Sequence[str] | Mapping[str, Sequence[str]] | None = None,
+        defaults: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._scenario_name, self._routes = scenario_name, routes
+        self._defaults = dict(defaults or {})
+        self.egos: list[Ego] = []
+        self.coming: list[Ego] = []
+        self.events: list[Event] = []
+        super().__init__(config, render_mode)
 
-    def __init_subclass__(cls) -> None:
-        """Append the common specification and the configuration to an environment's docstring."""
-        common = inspect.cleandoc(TrafficEnv.__doc__ or "").partition("\n\n")[2]
-        keys = describe_config(cls.config_model, cls.default_config())
-        cls.__doc__ = (
-            f"{inspect.cleandoc(cls.__doc__ or '')}\n\n{common}\n\n"
-            f"Configuration (``config``), each key with its default:\n\n{keys}\n"
-        )
-
-    @classmethod
-    def default_config(cls) -> dict[str, Any]:
-        """The value of every key that is not given; the class docstring explains the keys."""
-        return {**cls.config_model().values(), **cls.own_defaults}
+    def default_config(self) -> dict[str, Any]:
+        """The value of every key that is not given."""
+        return {**TrafficConfig().values(), **self._defaults}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Take changes to the configuration.
@@ -163,7 +213,9 @@ class TrafficEnv(EgoEnv):
             InputError: if a key is unknown or a value is not usable; the message names it.
         """
         given = as_mapping("config", config)
-        checked = read_config(self.config_model, {**self.config, **given})
+        checked = read_config({**self.config, **given})
+        if checked.goal is not None and not isinstance(self._routes, Mapping):
+            raise InputError(f"goal: found {checked.goal!r}, expected None: this road has no goals")
         self.scenario = self._scenario_of(checked)
         if checked.ego_route is not None:
             network_of(self.scenario.road).stretches(checked.ego_route)
@@ -171,12 +223,12 @@ class TrafficEnv(EgoEnv):
 
     def _scenario_of(self, checked: TrafficConfig) -> Scenario:
         """The scenario of a configuration; another one's own options hold unless they are given."""
-        reference = checked.net or checked.scenario or self.scenario_name
+        reference = checked.net or checked.scenario or self._scenario_name
         options: dict[str, Any] = {
             "flow": checked.flow, "mix": checked.mix, "spread": checked.spread,
             "population": checked.population,
         }  # fmt: skip
-        if reference != self.scenario_name:
+        if reference != self._scenario_name:
             usual = TrafficConfig()
             options = {n: v for n, v in options.items() if v != getattr(usual, n)}
         if checked.routes is not None:
@@ -184,108 +236,94 @@ class TrafficEnv(EgoEnv):
         duration_s = checked.duration_s + checked.warmup_s + LONGEST_WAIT_S
         return get_scenario(reference)(**options, duration_s=duration_s)
 
-    @property
-    def elsewhere(self) -> bool:
-        """Whether the configuration names another road than the environment's own."""
-        return self.config["net"] is not None or self.config["scenario"] is not None
+    def _own_route(self) -> Stretches:
+        """The stretches of the configured route, of the environment's own, or of the traffic's."""
+        config, edges = self.config, self.config["ego_route"]
+        if edges is None and config["net"] is None and config["scenario"] is None:
+            routes = self._routes
+            edges = routes[config["goal"] or "straight"] if isinstance(routes, Mapping) else routes
+        return self._drawn_route() if edges is None else self._stretches(edges)
 
-    def _ego_route(self) -> tuple[str, ...]:
-        """The edges that the ego vehicle drives over in this episode."""
-        given = self.config["ego_route"]
-        if given is not None:
-            return tuple(given)
-        return self._drawn_route() if self.elsewhere else self._route()
-
-    def _drawn_route(self) -> tuple[str, ...]:
-        """A route of the traffic's, as often as vehicles take it."""
+    def _drawn_route(self) -> Stretches:
+        """The stretches of one of the traffic's routes, drawn as often as vehicles take it."""
         flows = [flow for flow in self.scenario.flows if not flow.walking]
         rates = np.array([flow.per_hour for flow in flows])
         weights = rates / rates.sum() if rates.sum() > 0 else None
-        return flows[int(self.np_random.choice(len(flows), p=weights))].route
+        return self._stretches(flows[int(self.np_random.choice(len(flows), p=weights))].route)
 
-    def _route(self) -> tuple[str, ...]:
-        """The edges that the ego vehicle drives over on the environment's own road."""
-        return self._drawn_route()
+    def _stretches(self, edges: Sequence[str]) -> Stretches:
+        return tuple(network_of(self.scenario.road).stretches(tuple(edges)))
 
     # Episodes --------------------------------------------------------------------------------
 
     def _reset(self) -> None:
-        config = self.config
-        traffic = config["seed"]
-        if traffic is None:
-            traffic = int(self.np_random.integers(2**31))
-        agents = self._draw_agents(traffic)
-        self._agents = {agent.id: agent for agent in agents}
-        self._classify = self._classifier()
+        seed = self.config["seed"]
+        if seed is None:
+            seed = int(self.np_random.integers(2**31))
+        drawn = self.draw_agents(seed)
+        self.agents = {agent.id: agent for agent in drawn}
         self._belief: Belief | None = None
-        self._events: list[Event] = []
-        self._near: set[int] = set()
-        self._near_misses = self._collisions = self._red_runs = 0
-        self._progress = 0.0
-        self._ego_id = max((agent.id for agent in agents), default=-1) + 1
+        self._classify = self._classifier()
+        self.dt = 1.0 / self.config["simulation_frequency"]
+        self.egos, self.coming, self.events = [], [], []
         self.controlled_vehicles = []
-        self._dt = 1.0 / config["simulation_frequency"]
-        network = network_of(self.scenario.road)
-        route = tuple(network.stretches(self._ego_route()))
-        lanes = network.lanes_towards(route[0], route[1] if len(route) > 1 else None)
-        self._place_ego_vehicle(*self._warm_up(agents, traffic, lanes), route)
         self.define_spaces()
-        self._distance_left = distance_left_m(self.road, self.vehicle)
-        self._events = []
-        self.road.locate()
+        ego = Ego(max(self.agents, default=-1) + 1, self._own_route())
+        self._enter(ego, *self.warm_up(drawn, seed, self._entry_lanes(ego)))
+        self.events = []
 
-    def _draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
-        """Everybody but the ego vehicle, in an episode whose traffic has this seed."""
+    def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
+        """Everybody but the ego vehicles, in an episode whose traffic has this seed."""
         return sample_agents(self.scenario, seed)
 
     def _classifier(self) -> Callable[[Frame], Belief] | None:
         """What classifies the drivers of this episode; None where nothing is classified."""
         if self.config["observation"] != "posterior":
             return None
-        source = self.config["classifier"]
-        if not isinstance(source, str):
-            return cast(Callable[[Frame], Belief], source)
-        made = own_function("classifier", source)()
-        classify = getattr(made, "update", made)
+        made = self.config["classifier"]
+        if makes_one(made):
+            made = made()
+        classify: Callable[[Frame], Belief] = getattr(made, "update", made)
         if not callable(classify):
             raise InputError(
-                f"classifier: found {source!r}, which makes {made!r}, "
-                "expected it to make a callable or one with 'update'"
+                f"classifier: found that it makes {made!r:.80}, "
+                "expected a callable or an object with 'update'"
             )
-        return cast(Callable[[Frame], Belief], classify)
+        return classify
 
-    def _warm_up(
+    def warm_up(
         self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
     ) -> tuple[LaneIndex, float, float]:
-        """Let the traffic drive, then until one of some lanes has room for the ego vehicle.
+        """Let the traffic drive, then until one of some lanes has room for an ego vehicle.
+
+        Args:
+            agents: everybody else.
+            seed: of the traffic.
+            lanes: those on which the ego vehicle may begin.
 
         Returns:
-            That lane, its room, m, and the speed of the next vehicle on it, m/s.
+            The lane with most room, its room, m, and the speed of the next vehicle on it, m/s.
         """
-        network = network_of(self.scenario.road)
-        self.road = TrafficRoad(network, compiled=self.config["compiled"])
-        self._demand = Demand(self.road, agents, seed)
-        for _ in range(round(self.config["warmup_s"] / self._dt)):
-            self._advance()
-        for _ in range(round(LONGEST_WAIT_S / self._dt)):
+        self.road = TrafficRoad(network_of(self.scenario.road))
+        self.demand = Demand(self.road, agents, seed)
+        for _ in range(round(self.config["warmup_s"] / self.dt)):
+            self.advance()
+        for _ in range(round(LONGEST_WAIT_S / self.dt)):
             self.road.locate()
             lane, room, speed = self._roomiest(lanes)
-            if room > ROOM_M:
+            if room > ENTRY_ROOM_M:
                 return lane, room, speed
-            self._advance()
+            self.advance()
         for vehicle in list(self.road.vehicles):
             s = self.road.distance_along(vehicle, lane)
-            if abs(s - BEGIN_M) < 2.0 * ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+            if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
                 self.road.vehicles.remove(vehicle)
         return lane, room, speed
 
-    def _place_ego_vehicle(
-        self, lane: LaneIndex, room: float, speed: float, route: tuple[tuple[str, str], ...]
-    ) -> None:
-        """Put the ego vehicle on a lane, as fast as the vehicle ahead allows."""
-        begin = 0.7 * float(self.road.network_info.lanes[lane].speed_limit)
-        begin = min(begin, speed) if room < 40.0 else begin
-        self.add_ego_vehicle(lane, BEGIN_M, begin, route, self._ego_id)
+    def _entry_lanes(self, ego: Ego) -> list[LaneIndex]:
+        """The lanes on which an ego vehicle may begin."""
+        network = network_of(self.scenario.road)
+        return network.lanes_towards(ego.route[0], ego.route[1] if len(ego.route) > 1 else None)
 
     def _roomiest(self, lanes: list[LaneIndex]) -> tuple[LaneIndex, float, float]:
         """The lane with most room at its beginning, that room, m, and the next vehicle's speed."""
@@ -300,22 +338,92 @@ class TrafficEnv(EgoEnv):
             found.append((lane, room, speed))
         return max(found, key=lambda one: one[1])
 
-    def _advance(self) -> None:
-        """Move all agents for one simulation step."""
+    def _enter(self, ego: Ego, lane: LaneIndex, room: float, speed: float) -> None:
+        """Put an ego vehicle on a lane, as fast as the vehicle ahead allows."""
+        begin = 0.7 * float(self.road.network_info.lanes[lane].speed_limit)
+        begin = min(begin, speed) if room < 40.0 else begin
+        self.add_ego_vehicle(lane, BEGIN_M, begin, ego.route, ego.id)
+        ego.vehicle, ego.entered_s = self.vehicle, self.time
+        self._came_s = self.time
+        self.road.locate()
+        ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
+        self.egos.append(ego)
+
+    def invite(self, count: int) -> None:
+        """Let more ego vehicles come, each over ``ego_route`` or a route of the traffic's."""
+        edges = self.config["ego_route"]
+        for number in range(count):
+            route = self._drawn_route() if edges is None else self._stretches(edges)
+            self.coming.append(Ego(self.egos[0].id + 1 + number, route))
+
+    def let_in(self, every_s: float) -> None:
+        """Let the next ego vehicles in that have room.
+
+        Args:
+            every_s: least time since the last one came, s.
+        """
+        for ego in list(self.coming):
+            if self.time - self._came_s < every_s - 1e-9:
+                return
+            self.road.locate()
+            lane, room, speed = self._roomiest(self._entry_lanes(ego))
+            if room > ENTRY_ROOM_M:
+                self.coming.remove(ego)
+                self._enter(ego, lane, room, speed)
+
+    def remove(self, ego: Ego) -> None:
+        """Take an ego vehicle off the road."""
+        self.egos.remove(ego)
+        self.road.vehicles.remove(ego.vehicle)
+
+    # Steps -----------------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """Move everybody for one simulation step."""
         road = self.road
-        self._demand.enter()
+        self.demand.enter()
         road.act()
-        road.step(self._dt)
+        road.step(self.dt)
         if self._classify is not None:
             frame = read_frame(road)
-            self._events += frame.events
+            self.events += frame.events
             self._belief = self._classify(frame)
         else:
-            self._events += road.take_events()
+            self.events += road.take_events()
 
-    def step(
-        self, action: int | NDArray[Any]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def wait(self) -> None:
+        """Let the traffic drive for one simulation step without ego vehicles."""
+        self.advance()
+        self.steps += 1
+        self.time += self.dt
+
+    def drive(self, actions: Mapping[int, Any]) -> None:
+        """Drive on for one policy step.
+
+        Args:
+            actions: of the action space, by the ego vehicle's id; one without an action does what
+                it did before.
+        """
+        frames = self.config["simulation_frequency"] // self.config["policy_frequency"]
+        self.events = []
+        before_m = [ego.distance_left_m for ego in self.egos]
+        for ego in self.egos:
+            ego.near_misses = 0
+            if ego.id in actions:
+                self.action_type.controlled_vehicle = ego.vehicle
+                self.action_type.act(actions[ego.id])
+        for frame in range(frames):
+            self.advance()
+            self.steps += 1
+            self.watch()
+            if frame < frames - 1:
+                self._automatic_rendering()
+        self.enable_auto_render = False
+        self.time += frames * self.dt
+        for ego, before in zip(self.egos, before_m, strict=True):
+            self._judge(ego, before, frames)
+
+    def step(self, action: int | NDArray[Any]) -> Outcome:
         """Drive on for one policy step.
 
         Args:
@@ -330,59 +438,14 @@ class TrafficEnv(EgoEnv):
         """
         if not self._begun:
             raise InputError("step: found no episode, expected reset before the first step")
-        config = self.config
-        if not config["manual_control"]:
-            action = self._checked(action)
-        frames = config["simulation_frequency"] // config["policy_frequency"]
-        self._events, self._near_misses = [], 0
-        before = self._distance_left
-        for frame in range(frames):
-            if frame == 0 and not config["manual_control"]:
-                self.action_type.act(action)
-            self._advance()
-            self.steps += 1
-            self._watch()
-            if frame < frames - 1:
-                self._automatic_rendering()
-        self.enable_auto_render = False
-        self.time += frames * self._dt
-        parts = self._judge(action, before, frames)
+        ego = self.egos[0]
+        by_keyboard = self.config["manual_control"]
+        self.drive({} if by_keyboard else {ego.id: self.checked(action)})
         if self.render_mode == "human":
             self.render()
-        return self._outcome(parts)
+        return self.outcome(ego)
 
-    def _watch(self) -> None:
-        """Look at the frame that has just been simulated."""
-        self.road.locate()
-        self._note_near()
-
-    def _note_near(self) -> None:
-        """Count those that have come near since the last frame."""
-        near = self._near_ids()
-        self._near_misses += len(near - self._near)  # once each time somebody comes near
-        self._near = near
-
-    def _judge(self, action: int | NDArray[Any], before: float, frames: int) -> dict[str, float]:
-        """The parts of the reward for a policy step that began with so much of the way left."""
-        if is_on_route(self.road, self.vehicle):
-            self._distance_left = distance_left_m(self.road, self.vehicle)
-        mine = [e for e in self._events if self._ego_id in (e.agent, e.other)]
-        self._collisions = sum(e.kind is EventKind.COLLISION for e in mine)
-        self._red_runs = sum(e.kind is EventKind.RED_RUN and e.agent == self._ego_id for e in mine)
-        limit = float(self.vehicle.lane.speed_limit)
-        reachable_m = limit * frames * self._dt
-        self._progress = float(np.clip((before - self._distance_left) / reachable_m, 0.0, 1.0))
-        return self._rewards(action)
-
-    def _outcome(
-        self, parts: Mapping[str, float]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """What `step` returns, from the parts of the reward."""
-        reward = sum(REWARDS[name] * value for name, value in parts.items())
-        ended, cut = self._is_terminated(), self._is_truncated()
-        return self._observe(), float(reward), ended, cut, self._info(parts)
-
-    def _checked(self, action: object) -> Any:
+    def checked(self, action: object) -> Any:
         """An action as the action space has it: a whole number, or an array of its shape.
 
         Raises:
@@ -393,56 +456,67 @@ class TrafficEnv(EgoEnv):
             if numbers.size != 1 or not np.isin(numbers, np.arange(space.n)).all():
                 raise InputError(f"action: found {action!r:.60}, expected 0 to {space.n - 1}")
             return int(numbers.reshape(())[()])
-        if isinstance(space, spaces.Box) and (
-            numbers.dtype.kind not in "biuf"
-            or numbers.size != np.prod(space.shape)
-            or not np.isfinite(numbers).all()
-        ):
+        usable = numbers.dtype.kind in "biuf" and numbers.size == np.prod(space.shape or ())
+        if not usable or not np.isfinite(numbers).all():
             raise InputError(
                 f"action: found {action!r:.60}, expected finite numbers of shape {space.shape}"
             )
-        return numbers.reshape(space.shape) if isinstance(space, spaces.Box) else action
+        return numbers.reshape(space.shape)
 
-    def _rewards(self, action: int | NDArray[Any]) -> dict[str, float]:
-        return {
-            "progress": self._progress,
-            "collision": float(self._collisions),
-            "near_miss": float(self._near_misses),
-            "red_run": float(self._red_runs),
-            "off_road": float(is_off_road(self.road, self.vehicle)),
+    def watch(self) -> None:
+        """Look at the step that has just been simulated: who has come too near?"""
+        self.road.locate()
+        for ego in self.egos:
+            near = self._near_ids(ego.vehicle)
+            ego.near_misses += len(near - ego.near)  # once each time somebody comes near
+            ego.near = near
+
+    def _judge(self, ego: Ego, before_m: float, frames: int) -> None:
+        """The parts of the reward for a policy step that began with so much of the way left."""
+        if is_on_route(self.road, ego.vehicle):
+            ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
+        mine = [e for e in self.events if ego.id in (e.agent, e.other)]
+        red_runs = sum(e.kind is EventKind.RED_RUN and e.agent == ego.id for e in mine)
+        reachable_m = float(ego.vehicle.lane.speed_limit) * frames * self.dt
+        progress = np.clip((before_m - ego.distance_left_m) / reachable_m, 0.0, 1.0)
+        ego.rewards = {
+            "progress": float(progress),
+            "collision": float(sum(e.kind is EventKind.COLLISION for e in mine)),
+            "near_miss": float(ego.near_misses),
+            "red_run": float(red_runs),
+            "off_road": float(is_off_road(self.road, ego.vehicle)),
         }
 
-    def _is_terminated(self) -> bool:
-        ego = self.vehicle
-        return bool(ego.crashed or is_off_road(self.road, ego) or self._arrived())
+    def outcome(self, ego: Ego) -> Outcome:
+        """What became of an ego vehicle in the last step, as `step` returns it."""
+        reward = sum(REWARDS[name] * value for name, value in ego.rewards.items())
+        ended = ego.vehicle.crashed or ego.rewards["off_road"] > 0 or ego.has_arrived
+        cut = self.time - ego.entered_s >= self.config["duration_s"] - 1e-9
+        return self.observe(ego), float(reward), bool(ended), bool(cut), self.info(ego)
 
-    def _is_truncated(self) -> bool:
-        return bool(self.time >= self.config["duration_s"] - 1e-9)
+    def _info(self) -> dict[str, Any]:
+        return self.info(self.egos[0])
 
-    def _arrived(self) -> bool:
-        last = self.vehicle.lane_index[:2] == self.vehicle.stretches[-1]
-        return bool(last and self._distance_left <= 0.0)
-
-    def _info(self, rewards: Mapping[str, float] | None = None) -> dict[str, Any]:
+    def info(self, ego: Ego) -> dict[str, Any]:
+        """The figures of an ego vehicle's last step."""
         return {
-            "time_s": float(self.time),
-            "speed": float(self.vehicle.speed),
-            "crashed": bool(self.vehicle.crashed),
-            "arrived": self._arrived(),
-            "collisions": int(self._collisions),
-            "near_misses": int(self._near_misses),
-            "red_runs": int(self._red_runs),
-            "rewards": dict(rewards or {name: 0.0 for name in REWARDS}),
+            "time_s": float(self.time - ego.entered_s),
+            "speed": float(ego.vehicle.speed),
+            "crashed": bool(ego.vehicle.crashed),
+            "arrived": ego.has_arrived,
+            "collisions": int(ego.rewards["collision"]),
+            "near_misses": int(ego.rewards["near_miss"]),
+            "red_runs": int(ego.rewards["red_run"]),
+            "rewards": dict(ego.rewards),
             "events": tuple(
                 (str(e.kind), e.agent, -1 if e.other is None else e.other, e.rule)
-                for e in self._events
+                for e in self.events
             ),
         }
 
-    def _near_ids(self) -> set[int]:
-        """Ids of those that the ego vehicle is about to hit or passes too near."""
-        ego, road = self.vehicle, self.road
-        near = set()
+    def _near_ids(self, ego: Any) -> set[int]:
+        """Ids of those that an ego vehicle is about to hit or passes too near."""
+        road, near = self.road, set[int]()
         lead = road.neighbours(ego, ego.lane_index)
         closing = ego.speed - lead.front_speed
         if lead.front is not None and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
@@ -454,7 +528,7 @@ class TrafficEnv(EgoEnv):
             if one is not ego and float(np.hypot(*(one.position - ego.position))) < NEARBY_M
         ]  # fmt: skip
         if others:
-            gaps = separation(outlines_of([ego] * len(others)), outlines_of(others))
+            gaps = separation(_outlines([ego] * len(others)), _outlines(others))
             near |= {agent_of(others[i]) for i in np.flatnonzero(gaps < NEAR_MISS_M)}
         return near
 
@@ -464,15 +538,19 @@ class TrafficEnv(EgoEnv):
         return observation_space(self.config["observation"], self.config["observed"])
 
     def _observe(self) -> Observation:
+        return self.observe(self.egos[0])
+
+    def observe(self, ego: Ego) -> Observation:
+        """What an ego vehicle observes now."""
         self.road.locate()
-        ego, observed = self.vehicle, self.config["observed"]
-        others = observable_agents(self.road, ego)[:observed]
+        vehicle, observed = ego.vehicle, self.config["observed"]
+        others = observable_agents(self.road, vehicle)[:observed]
         found: Observation = {
-            "ego": observe_ego(self.road, ego, self._distance_left),
-            "agents": observe_agents(ego, others, self._behaviors(others), observed),
+            "ego": observe_ego(self.road, vehicle, ego.distance_left_m),
+            "agents": observe_agents(vehicle, others, self._behaviors(others), observed),
         }
         if self.config["observation"] == "graph":
-            found |= observe_graph(ego, others, observed)
+            found |= observe_graph(vehicle, others, observed)
         return found
 
     def _behaviors(self, others: list[Any]) -> FloatArray | None:
@@ -481,7 +559,7 @@ class TrafficEnv(EgoEnv):
         found = np.zeros((len(others), len(BEHAVIORS)))
         if option == "behavior":
             for row, other in enumerate(others):
-                drawn = self._agents.get(agent_of(other))  # another ego vehicle is not drawn
+                drawn = self.agents.get(agent_of(other))  # another ego vehicle is not drawn
                 if drawn is not None and drawn.behavior is not None:
                     found[row, drawn.behavior.code] = 1.0
             return found
@@ -494,3 +572,12 @@ class TrafficEnv(EgoEnv):
             ids = np.array([agent_of(one) for one in others], dtype=np.int64)
             found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
         return found
+
+
+def _outlines(everyone: Sequence[Any]) -> Outlines:
+    """The outlines of highway-env's vehicles, in its axes."""
+    position, heading, length, width = (
+        np.array([getattr(one, name) for one in everyone])
+        for name in ("position", "heading", "LENGTH", "WIDTH")
+    )
+    return Outlines.of(position, heading, length, width)

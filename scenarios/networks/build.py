@@ -150,7 +150,7 @@ def run_program(
     *,
     what: str | None = None,
     within_s: float | None = None,
-) -> None:
+) -> list[str]:
     """Run netconvert or netgenerate in a folder; the net appears whole or not at all.
 
     Args:
@@ -159,6 +159,9 @@ def run_program(
         net: the net that it is to make.
         what: what messages call the sources; None for the folder's name.
         within_s: it is stopped after this time, s; None for never.
+
+    Returns:
+        What the program warned of.
 
     Raises:
         InputError: if the program refuses, or takes too long.
@@ -178,6 +181,8 @@ def run_program(
             raise InputError(f"{what}: {name} refused the sources: {_reason(done.stderr)}")
         text = _without_header(made.read_text(encoding="utf-8"))
         write_whole(net, text.encode("utf-8"))
+    warnings = [line for line in done.stderr.splitlines() if line.startswith("Warning: ")]
+    return [line[len("Warning: ") :] for line in warnings if "SUMO_HOME" not in line]
 
 
 def _reason(stderr: str) -> str:

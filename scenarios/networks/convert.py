@@ -12,7 +12,6 @@ import hashlib
 import math
 import re
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +20,7 @@ from scenarios.networks.build import NET, cache_folder, find_program, run_progra
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.road.net import read_road
-from sim.store.atomic import temporary_folder
+from sim.store.atomic import temporary_folder, write_whole
 from sim.xml_tree import DECLARED, read_bytes
 
 MAX_MAP_BYTES: Final = 2**28
@@ -42,7 +41,7 @@ KINDS: Final[dict[str, str]] = {
 """The kinds of maps that can be driven on, and what they are called."""
 
 _COMMON: Final = (
-    "--no-turnarounds", "true", "--no-warnings", "true", "--offset.disable-normalization", "false",
+    "--no-turnarounds", "true", "--offset.disable-normalization", "false",
     "--tls.default-type", "static",
 )  # fmt: skip
 OPTIONS: Final[dict[str, tuple[str, ...]]] = {
@@ -56,7 +55,7 @@ OPTIONS: Final[dict[str, tuple[str, ...]]] = {
     "opendrive": (
         *_COMMON, "--opendrive.curve-resolution", "2", "--junctions.limit-turn-speed", "5.5",
     ),
-    "sumo": ("--no-warnings", "true", "--no-internal-links", "false"),
+    "sumo": ("--no-internal-links", "false"),
     "lanes": (*_COMMON, "--junctions.limit-turn-speed", "5.5", "--geometry.remove", "false"),
 }  # fmt: skip
 """netconvert's options for each kind of map (after SUMO's own guide for OpenStreetMap): signals
@@ -67,11 +66,21 @@ MOST_GAP_M: Final = 1.0
 """Lanes that a way joins without a path are at most this far apart, m (less than a vehicle moves in
 a step)."""
 
-_READ_BY_NETCONVERT: Final[dict[str, tuple[str, str]]] = {
+_READ_BY_NETCONVERT: Final[dict[str, tuple[str, ...]]] = {
     "openstreetmap": ("--osm-files", "map.osm"),
     "opendrive": ("--opendrive-files", "map.xodr"),
+    "sumo": ("--sumo-net-file", "map.net.xml"),
 }
 """Kinds of maps that netconvert reads itself: its option for them, and a file's name."""
+
+_PLAIN_FILES: Final = (
+    "--node-files", "map.nod.xml", "--edge-files", "map.edg.xml",
+    "--connection-files", "map.con.xml",
+)  # fmt: skip
+"""netconvert's options for the files of `scenarios.networks.lanes`."""
+
+WARNINGS: Final = "warnings.txt"
+"""The file beside a net that holds what netconvert warned of, line by line."""
 
 _ROOT: Final = re.compile(
     rb"\A(?:\xef\xbb\xbf)?\s*(?:(?:<\?.*?\?>|<!--.*?-->)\s*)*<([A-Za-z_][\w.:-]*)", re.DOTALL
@@ -137,6 +146,9 @@ def name_of(path: Path) -> str:
 def drivable_net(path: Path) -> Path:
     """The SUMO net of a map: the file itself if it is one, else one made now or before.
 
+    A SUMO net without paths over its junctions gets them if netconvert is there; without paths,
+    vehicles would jump over the junctions.
+
     Args:
         path: a map.
 
@@ -148,31 +160,61 @@ def drivable_net(path: Path) -> Path:
     """
     content = _content(path)
     kind = _kind_of(path, content)
-    if kind == "sumo":
-        return _with_junction_paths(path, content)
-    if kind in _READ_BY_NETCONVERT:
-        what, make = [kind, *OPTIONS[kind]], partial(_imported, path, content, kind)
-    else:
-        what, make = [kind, "oncoming lanes apart", *OPTIONS["lanes"]], partial(_from_lanes, path)
-    return kept_net(what, content, make)
-
-
-def _with_junction_paths(path: Path, content: bytes) -> Path:
-    """A SUMO net as it is; one without paths over its junctions with paths, if netconvert is there.
-
-    Without paths, vehicles would jump over the junctions.
-    """
-    if b'function="internal"' in content or not _jumps(read_road(path)):
+    if kind == "sumo" and (
+        b'function="internal"' in content or not _jumps(read_road(path)) or not has_program()
+    ):
         return path
+    return _made_net(path, content, kind)
+
+
+def warnings_of(path: Path) -> tuple[str, ...]:
+    """What netconvert warns of when it makes a net of a map; nothing where it is missing.
+
+    Args:
+        path: a map.
+
+    Raises:
+        InputError: if the map is broken or netconvert refuses it.
+    """
+    if not has_program():
+        return ()
+    content = _content(path)
+    warnings = _made_net(path, content, _kind_of(path, content)).with_name(WARNINGS)
+    return tuple(warnings.read_text(encoding="utf-8").splitlines()) if warnings.is_file() else ()
+
+
+def _made_net(path: Path, content: bytes, kind: str) -> Path:
+    """The net that netconvert makes of a map, kept for the next time."""
+    inputs = _READ_BY_NETCONVERT.get(kind, _PLAIN_FILES)
+    options = OPTIONS[kind if kind in OPTIONS else "lanes"]
+
+    def make(net: Path) -> None:
+        files = {inputs[1]: content} if kind in OPTIONS else _plain_files(path)
+        command = [find_program("netconvert"), *inputs, *options]
+        with temporary_folder("map") as scratch:
+            for name, data in files.items():
+                (scratch / name).write_bytes(data)
+            warnings = run_program(command, scratch, net, what=str(path), within_s=LONGEST_S)
+        write_whole(net.with_name(WARNINGS), "\n".join(warnings).encode("utf-8"))
+
+    return kept_net([kind, "oncoming lanes apart", *options], content, make)
+
+
+def _plain_files(path: Path) -> dict[str, bytes]:
+    """The lanes of a map that the project reads itself, as netconvert takes them."""
+    from scenarios.networks.lanes import plain_files
+
+    texts = plain_files(read_road_file(path))
+    return {name: text.encode("utf-8") for name, text in texts.items()}
+
+
+def has_program() -> bool:
+    """Whether netconvert is there."""
     try:
         find_program("netconvert")
     except InputError:
-        return path
-
-    def make(net: Path) -> None:
-        _convert(path, {"map.net.xml": content}, ["-s", "map.net.xml", *OPTIONS["sumo"]], net)
-
-    return kept_net(["sumo", *OPTIONS["sumo"]], content, make)
+        return False
+    return True
 
 
 def _jumps(road: Road) -> bool:
@@ -198,28 +240,3 @@ def kept_net(what: list[str], content: bytes, make: Callable[[Path], None]) -> P
         net.parent.mkdir(parents=True, exist_ok=True)
         make(net)
     return net
-
-
-def _imported(path: Path, content: bytes, kind: str, net: Path) -> None:
-    """A net of what netconvert reads itself."""
-    option, file = _READ_BY_NETCONVERT[kind]
-    _convert(path, {file: content}, [option, file, *OPTIONS[kind]], net)
-
-
-def _from_lanes(path: Path, net: Path) -> None:
-    """A net of a map that the project reads itself, lane by lane."""
-    from scenarios.networks.lanes import plain_files
-
-    files = {name: text.encode("utf-8") for name, text in plain_files(read_road_file(path)).items()}
-    inputs = ["--node-files", "map.nod.xml", "--edge-files", "map.edg.xml"]
-    inputs += ["--connection-files", "map.con.xml"]
-    _convert(path, files, [*inputs, *OPTIONS["lanes"]], net)
-
-
-def _convert(path: Path, files: dict[str, bytes], options: list[str], net: Path) -> None:
-    """Run netconvert over files in a folder of their own; the net appears whole or not at all."""
-    program = find_program("netconvert")
-    with temporary_folder("map") as scratch:
-        for name, data in files.items():
-            (scratch / name).write_bytes(data)
-        run_program([program, *options], scratch, net, what=str(path), within_s=LONGEST_S)

@@ -32,17 +32,13 @@ def network_of(road: Road) -> HighwayNetwork:
     return build_network(road)
 
 
-def run(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = True
-) -> Iterator[Frame]:
+def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
     """Drive a scenario in highway-env; drivers follow by IDM.
 
     Args:
         scenario: the road, the duration and the step.
         agents: who travels, as drawn by `sim.scenario.sample_agents`.
         seed: of the drivers' random numbers; the same seed gives the same frames to the bit.
-        compiled: decide for all drivers and move them at once in compiled code: quicker, and the
-            same to the bit as one vehicle object after the other (see `sim.highway.kernels`).
 
     Yields:
         Frames from time ``step_s`` to ``duration_s``; without agents that found no room.
@@ -50,18 +46,16 @@ def run(
     Raises:
         InputError: if the agents, the seed or the road are not usable.
     """
-    return _run(scenario, agents, seed, "IDM", compiled)
+    return _run(scenario, agents, seed, "IDM")
 
 
-def run_krauss(
-    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, *, compiled: bool = True
-) -> Iterator[Frame]:
+def run_krauss(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
     """Drive a scenario in highway-env; drivers follow by Krauss's law. See `run`.
 
     The drivers have the same profiles as in `run` and follow by another law, so that a model
     trained on both depends less on either law. Lane changes are weighed by IDM in both.
     """
-    return _run(scenario, agents, seed, "Krauss", compiled)
+    return _run(scenario, agents, seed, "Krauss")
 
 
 def _run(
@@ -69,13 +63,12 @@ def _run(
     agents: Sequence[AgentSpec],
     seed: int,
     law: CarFollowing,
-    compiled: bool,
 ) -> Iterator[Frame]:
     if not 0 <= seed < 2**31:
         raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
     if len({a.id for a in agents}) != len(agents):
         raise InputError("agents: found an id twice, expected unique ids")
-    road = TrafficRoad(network_of(scenario.road), compiled=compiled)
+    road = TrafficRoad(network_of(scenario.road))
     demand = Demand(road, agents, seed, law)
     return _frames(scenario, road, demand)
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from highway_env.road.road import Road
@@ -18,10 +19,11 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from sim.frames import Event, EventKind, Signal
+from sim.geometry import Outlines
 from sim.highway import driving
 from sim.highway.lane_places import OnLanes, distances_along, find_on_lanes
 from sim.highway.lanes import LaneIndex
-from sim.highway.network import HighwayNetwork, is_wrong_side
+from sim.highway.network import HighwayNetwork
 from sim.highway.vehicle import Neighbours, ProfileVehicle
 from sim.highway.walkers import Walker
 
@@ -160,14 +162,6 @@ class RoadState(Road):  # type: ignore[misc]
         then = self.next_stretch(vehicle, lane[:2])
         return None if then is None else self.network_info.onward.get((lane, then))
 
-    def lanes_allowed(self, vehicle: Vehicle) -> list[LaneIndex]:
-        """The lanes beside the present one from which a vehicle's way goes on."""
-        lane = vehicle.lane_index
-        if self.network_info.info[lane].connector or is_wrong_side(lane):
-            return []
-        towards = self.network_info.lanes_towards(lane[:2], self.next_stretch(vehicle, lane[:2]))
-        return [one for one in towards if abs(one[2] - lane[2]) == 1]
-
     # Places ----------------------------------------------------------------------------------
 
     def locate(self) -> None:
@@ -267,3 +261,13 @@ class RoadState(Road):  # type: ignore[misc]
 def agent_of(one: Vehicle | Walker) -> int:
     """An agent's id; -1 for one that has none, such as the ego vehicle of an environment."""
     return int(getattr(one, "agent", -1))
+
+
+def outlines_of(everyone: Sequence[Any]) -> Outlines:
+    """The outlines of highway-env's vehicles and objects, in its axes."""
+    heading = np.array([one.heading for one in everyone])
+    return Outlines(
+        centre=np.array([one.position for one in everyone]),
+        forward=np.stack([np.cos(heading), np.sin(heading)], axis=1),
+        half=np.array([(one.LENGTH / 2, one.WIDTH / 2) for one in everyone]),
+    )

@@ -10,7 +10,6 @@ from sim.frames import EventKind
 from sim.highway.kernels.traffic import CompiledTraffic
 from sim.highway.network import HighwayNetwork
 from sim.highway.rules.collisions import Pair, find_cause, touching_pairs
-from sim.highway.rules.commands import give_commands
 from sim.highway.rules.crossings import may_walk
 from sim.highway.rules.wrong_way import record_wrong_way
 from sim.highway.state import RoadState, agent_of
@@ -27,21 +26,18 @@ class TrafficRoad(RoadState):
 
     Args:
         network: the road in highway-env's terms.
-        compiled: decide for all drivers and move them at once in compiled code (see
-            `sim.highway.kernels`). The result is the same to the bit.
     """
 
-    def __init__(self, network: HighwayNetwork, *, compiled: bool = False) -> None:
+    def __init__(self, network: HighwayNetwork) -> None:
         super().__init__(network)
         self._touching: set[Pair] = set()
-        self._compiled = CompiledTraffic(self) if compiled else None
+        self._compiled = CompiledTraffic(self)
 
     def copied(self) -> TrafficRoad:
         """A copy of the traffic on the same lanes; neither road changes with the other."""
         network = self.network_info
         fixed: list[object] = [network, network.net, *network.lanes.values()]
-        if self._compiled is not None:
-            fixed.append(self._compiled.tables)
+        fixed.append(self._compiled.tables)
         for vehicle in self.vehicles:
             if isinstance(vehicle, ProfileVehicle):
                 fixed += [vehicle.driver, vehicle.parameters]
@@ -53,20 +49,11 @@ class TrafficRoad(RoadState):
     def act(self) -> None:
         """Let everybody decide."""
         self.locate()
-        if self._compiled is not None:
-            self._compiled.act()
-            return
-        give_commands(self)
-        for vehicle in self.vehicles:
-            vehicle.act()
+        self._compiled.act()
 
     def step(self, dt: float) -> None:
         """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
-        if self._compiled is not None:
-            self._compiled.step(dt)
-        else:
-            for vehicle in self.vehicles:
-                vehicle.step(dt)
+        self._compiled.step(dt)
         self.time_s += dt
         for walker in self.walkers:
             walker.step(dt, walks=may_walk(self, walker, dt))
@@ -98,7 +85,6 @@ class TrafficRoad(RoadState):
         """Remove vehicles that have arrived, and those that crashed long ago."""
         stuck = record_wrong_way(self) if self.network_info.wrong_side else []
         staying = []
-        at_end = None if self._compiled is None else self._compiled.at_end
         for vehicle in self.vehicles:
             if not isinstance(vehicle, ProfileVehicle):
                 staying.append(vehicle)
@@ -106,7 +92,7 @@ class TrafficRoad(RoadState):
                 self.add_event(EventKind.REMOVAL, vehicle.agent, rule="stuck on the wrong side")
             elif self.time_s - vehicle.crashed_at > CLEAR_AFTER_S:
                 self.add_event(EventKind.REMOVAL, vehicle.agent, rule="crashed")
-            elif (at_end is not None and id(vehicle) not in at_end) or not self._arrived(vehicle):
+            elif id(vehicle) not in self._compiled.at_end or not self._arrived(vehicle):
                 staying.append(vehicle)
         self.vehicles = staying
         walking = []

@@ -2,8 +2,8 @@
 
 Drivers follow by IDM or by Krauss's law, from bumper to bumper and not held to the speed limit, and
 change lanes by MOBIL. `sim.highway.rules` works out what the rules of the road demand (stop lines,
-crossings, junctions) and gives it to each driver as `DriverCommands`. A vehicle also drives on
-highway-env's own `Road`, where no rules apply.
+crossings, junctions) and gives it to each driver as `DriverCommands`. `sim.highway.kernels` decides
+for all drivers at once and moves them.
 
 Differs from highway-env: others see a decided lane change from the next step on, so that no
 decision depends on the order in which vehicles act; vehicles do not drive backwards.
@@ -26,7 +26,7 @@ from behaviors.labels import Behavior
 from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.highway import driving
-from sim.highway.lanes import LaneIndex, PolylineLane
+from sim.highway.lanes import LaneIndex
 from sim.highway.network import is_wrong_side
 from sim.scenario import CarFollowing
 
@@ -214,99 +214,12 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         schedule.stop_at = schedule.next(now, profile.stop_rate_per_min)
         schedule.wrong_way_at = schedule.next(now, profile.wrong_way_rate_per_min)
 
-    @classmethod
-    def create_from(cls, vehicle: Vehicle) -> ProfileVehicle:
-        """A copy with the same state, driver and route.
-
-        Raises:
-            TypeError: if the other vehicle has no profile.
-        """
-        if not isinstance(vehicle, ProfileVehicle):
-            raise TypeError(f"found a {type(vehicle).__name__}, expected a ProfileVehicle")
-        made = cls(
-            vehicle.road,
-            vehicle.position,
-            vehicle.heading,
-            vehicle.speed,
-            driver=vehicle.driver,
-            kind=vehicle.kind,
-            length=vehicle.LENGTH,
-            width=vehicle.WIDTH,
-            agent=vehicle.agent,
-            lane_index=vehicle.lane_index,
-            stretches=vehicle.stretches,
-        )
-        made.target_lane_index = made.wanted_lane_index = vehicle.target_lane_index
-        made.timer, made.clock = vehicle.timer, vehicle.clock
-        return made
-
-    def randomize_behavior(self) -> None:
-        """Do nothing: the driver's profile was drawn before the vehicle was made."""
-
     @property
     def desired_speed(self) -> float:
         """The speed wanted on a free road here, m/s."""
-        return min(self._desired_here(self.parameters), self.commands.speed_cap)
-
-    def _desired_here(self, parameters: FloatArray) -> float:
-        """The speed that a driver wants under the limit of this vehicle's lane, m/s."""
-        wanted = parameters[driving.SPEED_FACTOR] * float(self.lane.speed_limit)
-        return float(min(wanted, parameters[driving.TOP_SPEED]))
-
-    def neighbours(self, lane_index: LaneIndex) -> Neighbours:
-        """The vehicles ahead and behind on a lane; across junctions on the engine's own road."""
-        search = getattr(self.road, "neighbours", None)
-        if search is not None:
-            found: Neighbours = search(self, lane_index)
-            return found
-        front, rear = self.road.neighbour_vehicles(self, lane_index)
-        lane = self.road.network.get_lane(lane_index)
-        here = lane.local_coordinates(self.position)[0]
-        seen = Neighbours(front=front, rear=rear)
-        for other, ahead in ((front, True), (rear, False)):
-            if other is None:
-                continue
-            s = lane.local_coordinates(other.position)[0]
-            gap = abs(s - here) - (self.LENGTH + other.LENGTH) / 2
-            speed = other.speed * math.cos(other.heading - lane.heading_at(s))
-            if ahead:
-                seen.front_gap, seen.front_speed = gap, speed
-            else:
-                seen.rear_gap, seen.rear_speed = gap, speed
-        return seen
-
-    def act(self, action: dict[str, float] | str | None = None) -> None:
-        """Choose a lane, steering and acceleration; ``action`` is not used."""
-        if self.crashed:
-            Vehicle.act(
-                self, {"steering": 0.0, "acceleration": -self.parameters[driving.COMFORT_DECEL]}
-            )
-            return
-        here = self.neighbours(self.lane_index)
-        self.wanted_lane_index = self._choose_lane(here)
-        Vehicle.act(
-            self,
-            {
-                "steering": self.steering_control(self.wanted_lane_index),
-                "acceleration": self._accelerate(here),
-            },
-        )
-
-    def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds."""
-        self.target_lane_index = self.wanted_lane_index
-        self.clock += dt
-        super().step(dt)
-        if self.speed < 0.0:
-            self.speed = 0.0
-        self.update_standing()
-
-    def update_standing(self) -> None:
-        """Record since when the vehicle has stood."""
-        if self.speed > driving.STANDING_MPS:
-            self.standing_since = math.inf
-        elif self.standing_since == math.inf:
-            self.standing_since = self.clock
+        wanted = self.parameters[driving.SPEED_FACTOR] * float(self.lane.speed_limit)
+        wanted = min(wanted, float(self.parameters[driving.TOP_SPEED]))
+        return float(min(wanted, self.commands.speed_cap))
 
     def on_state_update(self) -> None:
         """Update the lane that the vehicle is on: the nearer of the present and the target one."""
@@ -327,17 +240,6 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
                 self.lane_index, self.lane = then, network.get_lane(then)
                 self.target_lane_index = self.wanted_lane_index = then
 
-    def steering_control(self, target_lane_index: LaneIndex) -> float:
-        """The steering angle that leads to a lane and along it, rad."""
-        lane = self.road.network.get_lane(target_lane_index)
-        s, lateral = lane.local_coordinates(self.position)
-        heading, curvature = lane.heading_at(s), 0.0
-        if isinstance(lane, PolylineLane):
-            curvature = lane.curvature_at(s)
-        return float(
-            driving.steer(lateral, heading, curvature, self.heading, self.speed, self.LENGTH)
-        )
-
     def wants_stop(self) -> bool:
         """Whether the driver stops for no reason now; schedules such stops."""
         schedule = self.schedule
@@ -357,61 +259,6 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
         """Draw when the driver next begins to look for a vehicle to cut in front of."""
         self.schedule.cut_in_at = self.schedule.next(self.clock, self.profile.cut_in_rate_per_min)
 
-    def _accelerate(self, here: Neighbours) -> float:
-        parameters, speed, desired = self.parameters, self.speed, self.desired_speed
-        accel = driving.follow(parameters, speed, desired, here.front_gap, here.front_speed)
-        if self.wanted_lane_index != self.lane_index:
-            there = self.neighbours(self.wanted_lane_index)
-            wanted = driving.follow(parameters, speed, desired, there.front_gap, there.front_speed)
-            accel = min(accel, wanted)
-        if self.commands.stop_gap < math.inf:
-            accel = min(accel, driving.approach(parameters, speed, self.commands.stop_gap))
-        if self.wants_stop():
-            accel = min(accel, -float(parameters[driving.COMFORT_DECEL]))
-        accel, self.go_at = driving.start_up(parameters, speed, accel, self.clock, self.go_at)
-        if self.driver.law == "Krauss":
-            chance = float(self.schedule.rng.random())
-            accel -= driving.dawdling(self.parameters, self.speed, chance)
-        return float(accel)
-
-    def _choose_lane(self, here: Neighbours) -> LaneIndex:
-        if self.commands.forced_lane is not None:
-            return self.commands.forced_lane
-        if self.lane_index != self.target_lane_index:
-            return self.go_on_changing()
-        if self.timer <= self.LANE_CHANGE_DELAY:
-            return self.lane_index
-        self.timer = 0.0
-        if self.speed < CHANGE_LEAST_SPEED_MPS or not self.commands.changes:
-            return self.lane_index
-        cutting_in = self.wants_cut_in()
-        best, most = self.lane_index, 0.0
-        for side in self.side_lanes():
-            there = self.neighbours(side)
-            if cutting_in and driving.may_cut_in(
-                self.parameters,
-                self.speed,
-                there.front_gap,
-                there.front_speed,
-                there.rear_gap,
-                there.rear_speed,
-            ):
-                self.schedule_cut_in()
-                return side
-            gain = self._incentive(here, there)
-            if gain > most:
-                best, most = side, gain
-        return best
-
-    def side_lanes(self) -> list[LaneIndex]:
-        """The lanes to the left and to the right that lead where it wants to go."""
-        allowed = getattr(self.road, "lanes_allowed", None)
-        if allowed is None:
-            sides: list[LaneIndex] = self.road.network.side_lanes(self.lane_index)
-            return sides
-        found: list[LaneIndex] = allowed(self)
-        return found
-
     def go_on_changing(self) -> LaneIndex:
         """The target lane, or the present one if a vehicle just ahead changes to the same lane."""
         if self.wrong_way or is_wrong_side(self.target_lane_index):
@@ -428,27 +275,6 @@ class ProfileVehicle(IDMVehicle):  # type: ignore[misc]
                 if ahead > 0.0 and gap < self.parameters[driving.CHANGE_GAP] + self.speed * 0.5:
                     return self.lane_index
         return self.target_lane_index
-
-    def _incentive(self, here: Neighbours, there: Neighbours) -> float:
-        return driving.change_incentive(
-            self.parameters,
-            self.speed,
-            self.desired_speed,
-            driving.Leader(here.front_gap, here.front_speed),
-            driving.Leader(there.front_gap, there.front_speed),
-            self._follower(here),
-            self._follower(there),
-        )
-
-    def _follower(self, lane: Neighbours) -> driving.Follower:
-        parameters = parameters_of(lane.rear)
-        return driving.Follower(
-            parameters,
-            lane.rear_speed,
-            0.0 if lane.rear is None else self._desired_here(parameters),
-            float(lane.rear_gap),
-            float(lane.rear_gap + self.LENGTH + lane.front_gap),
-        )
 
 
 def parameters_of(vehicle: Vehicle | None) -> FloatArray:

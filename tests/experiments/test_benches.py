@@ -17,7 +17,6 @@ from experiments.cli.commands import main
 from experiments.report.sections import LAYOUTS
 from experiments.rows import FIGURE, Row, read_rows, tidy_row
 from experiments.scoring import evaluation
-from experiments.study import run_study
 
 
 @pytest.mark.parametrize("name", BENCHES)
@@ -109,22 +108,3 @@ def test_rows_are_kept_after_every_part() -> None:
     counts: list[int] = []
     rows = ECHO.run(on_rows=lambda rows: counts.append(len(rows)))
     assert counts == [1, 2] == list(range(1, len(rows) + 1))
-
-
-def test_a_study_goes_on_where_it_was_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    measured: list[str] = []
-
-    def run(self: Bench[object], settings: object) -> list[Row]:
-        measured.append(self.name)
-        return [tidy_row({"bench": self.name}, "m", 1.0, None, None, 1)]
-
-    monkeypatch.setattr(Bench, "run", run)
-    monkeypatch.delenv("GRAPHRQI_DATA", raising=False)
-    (tmp_path / "generate.json").write_text("[]")
-    files = run_study(tmp_path)
-    possible = {name for name in BENCHES if not BENCHES[name].needs}
-    assert {f.stem for f in files} == possible
-    assert sorted(measured) == sorted(possible - {"generate"})
-    assert all(f.is_file() for f in files)

@@ -6,68 +6,15 @@ import sys
 
 import pytest
 
-from behaviors.labels import Behavior
-from experiments.benches.blame import rows_of
 from experiments.data.configuration import GenerateConfig
 from experiments.data.episode import Task
-from experiments.scoring.blame import Verdict, agreements, judge, verdict_rows
+from experiments.scoring.blame import judge, verdict_rows
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
-from sim.frames import Event, EventKind, Tracks
+from sim.frames import EventKind, Tracks
 from sim.scenario import sample_agents
-
-CRASH = Event(EventKind.COLLISION, 20.0, 4, 7, "followed too closely")
-NEAR = Event(EventKind.NEAR_MISS, 30.0, 5, 6)
-
-
-def verdict(event: Event, agent: int, role: str, prevents: bool | None, placebo: bool | None):
-    return Verdict(event, agent, role, Behavior.RECKLESS, prevents, placebo)
-
-
-def test_agreement_counts_where_exactly_one_party_prevents() -> None:
-    crash, near = agreements(
-        [
-            verdict(CRASH, 4, "agent", False, False),
-            verdict(CRASH, 7, "other", True, False),
-            verdict(CRASH, 9, "bystander", True, True),
-            verdict(NEAR, 5, "agent", True, True),
-            verdict(NEAR, 6, "other", True, False),
-        ]
-    )
-    assert crash.agrees is False
-    assert crash.preventable
-    assert crash.by_bystander
-    assert crash.lucky == pytest.approx(1 / 3)
-    assert near.agrees is None  # both do
-    assert not near.by_bystander
-
-
-def test_who_could_not_be_tried_decides_nothing() -> None:
-    (told,) = agreements(
-        [verdict(CRASH, 4, "agent", None, None), verdict(CRASH, 7, "other", True, False)]
-    )
-    assert told.agrees is None
-    assert told.by_blamed is None
-    assert told.preventable
-
-
-def test_rows_are_shares_over_incidents() -> None:
-    episodes = [
-        agreements(
-            [verdict(CRASH, 4, "agent", True, False), verdict(CRASH, 7, "other", False, True)]
-        ),
-        agreements([verdict(CRASH, 4, "agent", False, False)]),
-        [],
-    ]
-    value = {row["metric"]: row["value"] for row in rows_of("here", EventKind.COLLISION, episodes)}
-    assert value["incidents"] == 2
-    assert value["by_blamed"] == value["preventable"] == 0.5
-    assert value["agreement"] == 1.0
-    assert value["luck"] == 0.25
-    assert rows_of("here", EventKind.NEAR_MISS, episodes)[0]["value"] == 0
-    assert len(rows_of("here", EventKind.NEAR_MISS, episodes)) == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")

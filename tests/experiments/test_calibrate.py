@@ -12,10 +12,8 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.populations import NUMBERS, read_population
-from experiments.benches.calibration import behind_rows
 from experiments.calibration import SCHEMA, write_calibration, write_shipped
 from experiments.scoring.calibration import population_rows
-from graphrqi.calibrate.drives import Stretch
 from graphrqi.calibrate.laws import Law
 from sim.store.lock import FILLING, LOCK
 from tests.experiments.shared import call, content
@@ -50,24 +48,6 @@ def test_the_population_that_ships_can_be_made_again(tmp_path: Path) -> None:
     assert made.source.startswith("3 drives on US-101")
     ships = read_population("us101")
     assert ships.source == made.source.replace("3 drives", f"{ships.drivers:,} drives")
-
-
-def test_known_drivers_behind_recorded_leaders_are_found_again() -> None:
-    """Behind leaders that brake and accelerate, from recordings that tremble or do not."""
-    rng = np.random.default_rng(3)
-    time_s = np.arange(0.0, 40.0, 0.1)
-    drivers = []
-    for i in range(24):
-        rear = 40.0 + 12.0 * time_s + 18.0 * np.sin(0.35 * time_s + i)
-        level = np.interp(time_s, time_s[::9], rng.normal(0.0, 0.1, time_s[::9].size))
-        drivers.append([Stretch(time_s, rear - 25.0 + level * (i % 2), rear)])
-    rows = list(behind_rows("road", drivers, 0))
-    of = {(row["number"], row["noise"], row["metric"]): float(row["value"]) for row in rows}
-    for number in ("time_headway_s", "max_accel_mps2"):
-        for noise in ("", "close"):
-            told, true = (of[number, noise, metric] for metric in ("told", "true"))
-            assert told == pytest.approx(true, rel=0.35)
-    assert {row["n"] for row in rows} == {24}
 
 
 def test_a_recording_is_calibrated_into_a_folder(tmp_path: Path) -> None:

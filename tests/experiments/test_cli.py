@@ -126,7 +126,7 @@ def test_list_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     names = {(row["what"], row["name"]) for row in rows}
     assert code == 0
     about = {(row["what"], row["name"]): row["about"] for row in rows}
-    assert about["bench", "highway"] == BENCHES["highway"].summary
+    assert about["bench", "loop"] == BENCHES["loop"].summary
     assert about["engine", "sumo-idm"].startswith("Drive a scenario in SUMO; drivers follow by IDM")
     assert [key for key, said in about.items() if not said] == []
     assert {("scenario", "straight_road"), ("engine", "sumo"), ("solver", "graphrqi")} <= names

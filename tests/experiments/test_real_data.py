@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import re
 import zipfile
 from collections.abc import Callable
@@ -363,25 +362,17 @@ def test_argo_labels(tmp_path):
 
 # --- the recordings themselves ------------------------------------------------------------------
 
-DATA = os.environ.get("GRAPHRQI_DATA", "")
-with_data = pytest.mark.skipif(
-    not (Path(DATA) / "traf").is_dir() or not DATA,
-    reason="GRAPHRQI_DATA names no folder with traf",
-)
 
-
-@with_data
-def test_traf_labels_are_as_many_as_known():
-    found = read_traf(Path(DATA) / "traf", ("majority",), jobs=1)
+def test_traf_labels_are_as_many_as_known(shared_data: Path):
+    found = read_traf(shared_data / "traf", ("majority",), jobs=1)
     codes = np.concatenate([video.codes for video in found])
     assert np.bincount(codes, minlength=6).tolist() == [53, 13, 52, 266, 2, 6]
-    strict = read_traf(Path(DATA) / "traf", ("majority",), "strict", jobs=1)
+    strict = read_traf(shared_data / "traf", ("majority",), "strict", jobs=1)
     assert sum(video.codes.size for video in strict) < codes.size
 
 
-@with_data
-def test_traf_annotators_agree_as_far_as_known():
-    sheets = {s.annotator: s for s in sheets_of(Path(DATA) / "traf" / "annotations", 8)}
+def test_traf_annotators_agree_as_far_as_known(shared_data: Path):
+    sheets = {s.annotator: s for s in sheets_of(shared_data / "traf" / "annotations", 8)}
     both = sorted(set(sheets["c"].traits) & set(sheets["u"].traits))
     kappa = cohen_kappa_score(
         [style_of(sheets["c"].traits[i]) for i in both],
@@ -390,9 +381,8 @@ def test_traf_annotators_agree_as_far_as_known():
     assert kappa == pytest.approx(0.33, abs=0.01)
 
 
-@with_data
-def test_argo_cars_are_parked_once_ego_motion_is_undone():
-    path = Path(DATA) / "argo" / "argo1_tracks.csv"
+def test_argo_cars_are_parked_once_ego_motion_is_undone(shared_data: Path):
+    path = shared_data / "argo" / "argo1_tracks.csv"
     tracks = next(iter(argo.read(path))).tracks
     seen = [np.flatnonzero(row) for row in tracks.valid]
     moved = [

@@ -5,7 +5,10 @@ A small bench with wide bounds: a behaviour that loses one of its traits fails h
 
 from __future__ import annotations
 
+import json
+import runpy
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -100,3 +103,10 @@ def test_conservative_drivers_hardly_ever_cause_a_collision(
 ) -> None:
     caused = [shown[road, "collisions_caused", name] for road in DRIVEN for name in CONSERVATIVE]
     assert sum(caused) <= 3  # of some 350 such drivers
+
+
+def test_the_page_has_the_rows_of_the_bench() -> None:
+    script = runpy.run_path(
+        str(Path(__file__).resolve().parents[2] / "docs" / "behaviors_table.py")
+    )
+    assert script["table"](json.loads(script["ROWS"].read_text())) in script["PAGE"].read_text()

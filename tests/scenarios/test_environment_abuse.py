@@ -6,7 +6,6 @@ import copy
 import os
 import pickle
 import signal
-import threading
 from typing import Any
 
 import gymnasium
@@ -100,16 +99,6 @@ def test_a_configuration_is_refused_or_drives(data: st.DataObject, key: str, val
     environment.close()
 
 
-@ABUSE
-@given(odd, st.sampled_from([None, {}, {"config": {}}, {"config": None}, "x", {"no": 1}]))
-def test_after_a_refused_reset_another_one_works(seed: Any, options: Any) -> None:
-    environment = make()
-    refused(environment.reset, seed=seed, options=options)
-    environment.reset(seed=1)
-    usable(environment, environment.step(environment.action_space.sample()))
-    environment.close()
-
-
 def test_calls_out_of_order_are_refused_or_harmless() -> None:
     environment = make()
     with pytest.raises(InputError, match="step: found no episode, expected reset before"):
@@ -129,20 +118,6 @@ def test_copies_of_an_environment_go_on_alike(again: Any) -> None:
     other = again(environment)
     for action in (0, 1, 2):
         assert alike([environment.step(action)], [other.step(action)])
-
-
-def test_environments_in_two_threads_drive_as_one_alone() -> None:
-    wanted = run(make())
-    found: dict[int, list[Any]] = {}
-    threads = [
-        threading.Thread(target=lambda i=i: found.setdefault(i, run(make()))) for i in range(2)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(LONGEST_S)
-    assert sorted(found) == [0, 1]
-    assert all(alike(one, wanted) for one in found.values())
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")

@@ -1,15 +1,13 @@
 """Every environment with every option keeps the contracts of gymnasium, stable-baselines3 and
 PettingZoo.
 
-By default some of the settings are checked, each with another environment; set GRAPHRQI_SLOW=1 to
-check all of them with all environments.
+By default some of the settings are checked, each with another environment; the marker `slow` has
+all of them with all environments.
 """
 
 from __future__ import annotations
 
-import os
 import warnings
-from importlib import import_module
 from pathlib import Path
 
 import gymnasium
@@ -18,7 +16,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from behaviors import BEHAVIORS
+from graphrqi.stream import load_stream
 from scenarios import ENVIRONMENTS
+from scenarios.environments.config import TrafficConfig
 from scenarios.networks.build import NET
 
 IDS = tuple(ENVIRONMENTS)
@@ -76,7 +76,7 @@ VALUES = {
     "policy_frequency": [{"policy_frequency": 1}],
     "classifier": [
         BELIEVED,
-        {"observation": "posterior", "classifier": "graphrqi.stream:load_stream"},
+        {"observation": "posterior", "classifier": load_stream},
     ],
     "screen_width": [{"screen_width": 64, **DRAWN}],
     "screen_height": [{"screen_height": 64, **DRAWN}],
@@ -87,25 +87,24 @@ VALUES = {
     "manual_control": [{"manual_control": True}],
     "real_time_rendering": [{"real_time_rendering": True, **DRAWN}],
     "goal": [{"goal": "left"}, {"goal": "right"}],
-    "compiled": [{"compiled": False}, {"compiled": True, "flow": "dense"}],
 }
 """Settings to check, by the option that they are about; all of them have a default."""
 
 
-def options_of(name: str) -> tuple[str, ...]:
-    """The options that an environment has."""
-    module, made = ENVIRONMENTS[name].split(":")
-    return tuple(getattr(import_module(module), made).config_model.model_fields)
+def has_goals(name: str) -> bool:
+    """Whether an environment takes the option ``goal``."""
+    return isinstance(ENVIRONMENTS[name]["routes"], dict)
 
 
 GRID = [
     pytest.param(name, option, number, id=f"{name.split('/')[1]}-{option}-{number}")
     for name in IDS
     for option, settings in VALUES.items()
-    if option in options_of(name)
+    if option != "goal" or has_goals(name)
     for number in range(len(settings))
 ]
 SAMPLE = GRID[:: len(GRID) // 12]
+OTHERS = [pytest.param(*one, marks=pytest.mark.slow) for one in GRID if one not in SAMPLE]
 """Every so many: one of each environment or so, each with another option."""
 
 
@@ -122,12 +121,10 @@ def files(tmp_path):
 
 
 def test_every_option_of_every_environment_is_checked():
-    assert {option for name in IDS for option in options_of(name)} == VALUES.keys()
+    assert TrafficConfig.model_fields.keys() == VALUES.keys()
 
 
-@pytest.mark.parametrize(
-    ("name", "option", "number"), GRID if "GRAPHRQI_SLOW" in os.environ else SAMPLE
-)
+@pytest.mark.parametrize(("name", "option", "number"), [*SAMPLE, *OTHERS])
 def test_keeps_every_contract(name, option, number, files, monkeypatch):
     config = {**QUICK, **VALUES[option][number]}
     config = {k: files.get(v, v) if isinstance(v, str) else v for k, v in config.items()}

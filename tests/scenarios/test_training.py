@@ -1,9 +1,8 @@
-"""Slow checks: agents can be trained on the environments. Set GRAPHRQI_SLOW=1 to run them."""
+"""Slow checks: agents can be trained on the environments."""
 
 from __future__ import annotations
 
 import math
-import os
 
 import gymnasium
 import numpy as np
@@ -11,9 +10,7 @@ import pytest
 
 from scenarios import ENVIRONMENTS
 
-pytestmark = pytest.mark.skipif(
-    "GRAPHRQI_SLOW" not in os.environ, reason="takes minutes; set GRAPHRQI_SLOW=1 to run it"
-)
+pytestmark = pytest.mark.slow
 
 EPISODES = 100
 """Episodes that a policy is judged by; the same traffic before and after training."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -272,15 +271,12 @@ def test_altered_maps_are_read_or_refused(
         assert (graph.successors < len(road.lanes)).all()
 
 
-def test_the_real_map(tmp_path: Path) -> None:
-    home = os.environ.get("GRAPHRQI_DATA")
-    if not home:
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
+def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:
     from experiments.data.exchange import export_dataset, import_recordings
     from experiments.data.verify import find_flaws
     from sim.store.dataset import open_dataset
 
-    import_recordings(Path(home) / "argoverse2", tmp_path / "data", quiet=True)
+    import_recordings(shared_data / "argoverse2", tmp_path / "data", quiet=True)
     dataset = open_dataset(tmp_path / "data")
     assert find_flaws(dataset) == []
     (entry,) = dataset.episodes()

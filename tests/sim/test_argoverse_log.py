@@ -6,7 +6,6 @@ import contextlib
 import gzip
 import io
 import json
-import os
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +18,6 @@ from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
 from behaviors import InputError
-from experiments.benches.hostile.scenes import feather_bytes, sensor_log
 from experiments.data.exchange import import_recordings
 from sim.formats import formats_in, left_out_files, read_recordings, recognise
 from sim.formats.argoverse import feather as guard
@@ -29,6 +27,7 @@ from sim.formats.common.recording import Recording
 from sim.frames import KINDS
 from sim.road.files import read_road_file
 from sim.store.dataset import open_dataset
+from tests.sim.scenes import feather_bytes, sensor_log
 
 POSES = "city_SE3_egovehicle.feather"
 
@@ -184,10 +183,9 @@ def test_a_log_as_the_official_package_reads_it(tmp_path: Path) -> None:
     assert seen == tracks.valid.sum() - len(tracks.time_s)  # all but the recording car
 
 
-@pytest.mark.skipif("GRAPHRQI_DATA" not in os.environ, reason="GRAPHRQI_DATA is not set")
-def test_a_real_scenario_seen_from_its_recording_car(tmp_path: Path) -> None:
+def test_a_real_scenario_seen_from_its_recording_car(tmp_path: Path, shared_data: Path) -> None:
     """A real motion forecasting scenario, written as a log, is read as the scenario is."""
-    source = Path(os.environ["GRAPHRQI_DATA"]) / "argoverse2"
+    source = shared_data / "argoverse2"
     assert left_out_files(source, ["argoverse2"]) == []  # its map is no recording
     (scenario,) = read_recordings(source)
     tracks = scenario.tracks
@@ -224,7 +222,7 @@ def test_a_sweep_that_is_missing_leaves_a_gap(tmp_path: Path) -> None:
     np.testing.assert_allclose(tracks.time_s, [0.0, 0.2, 0.3], atol=1e-4)
 
 
-def test_no_traffic_but_the_recording_car(tmp_path: Path) -> None:
+def test_no_traffic_but_the_recording_car(tmp_path: Path, shared_data: Path) -> None:
     boxes = table("annotations.feather")
     cones = with_column("annotations.feather", "category", pa.array(["BOLLARD"] * len(boxes)))
     recording = only(put(tmp_path, annotations=cones))

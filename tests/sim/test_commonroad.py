@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.benches.hostile.scenes import COMMONROAD
 from experiments.data.exchange import import_recordings
 from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
@@ -23,6 +22,7 @@ from sim.road.files import read_road_file
 from sim.road.lane_graph import LaneGraph
 from sim.road.maps.stored import encode_road, read_stored
 from sim.store.dataset import open_dataset
+from tests.sim.scenes import COMMONROAD
 
 
 def read(folder: Path, text: str = COMMONROAD) -> Recording:
@@ -173,11 +173,8 @@ def test_import_keeps_the_map(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["us101", "lankershim", "peachtree"])
-def test_real_scenarios(place: str) -> None:
-    home = os.environ.get("GRAPHRQI_DATA")
-    if not home:
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
-    files = sorted((Path(home) / "real" / f"ngsim_{place}").glob("*.gz"))[::7]
+def test_real_scenarios(place: str, shared_data: Path) -> None:
+    files = sorted((shared_data / "real" / f"ngsim_{place}").glob("*.gz"))[::7]
     for file in files:
         (recording,) = read_recordings(file)
         road, tracks = recording.road, recording.tracks

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import gzip
 import math
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError
-from experiments.benches.hostile.scenes import (
+from scenarios import SCENARIOS
+from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
+from sim.formats.argoverse.forecasting2 import SCHEMA
+from sim.formats.common.recording import hold_heading, motion
+from sim.frames import KINDS, AgentKind, Tracks
+from sim.road.maps.argoverse2 import offset_line
+from tests.sim.scenes import (
     COMMONROAD,
     KITTI_CALIB,
     KITTI_LABELS,
@@ -27,12 +32,6 @@ from experiments.benches.hostile.scenes import (
     sensor_log,
     waymo_record,
 )
-from scenarios import SCENARIOS
-from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise, sumo_fcd
-from sim.formats.argoverse.forecasting2 import SCHEMA
-from sim.formats.common.recording import hold_heading, motion
-from sim.frames import KINDS, AgentKind, Tracks
-from sim.road.maps.argoverse2 import offset_line
 
 FOOT = 0.3048
 
@@ -630,17 +629,16 @@ def test_episodes_too_short_or_at_another_rate_are_refused(tmp_path: Path) -> No
 # --- real recordings ----------------------------------------------------------------------------
 
 
-def test_the_real_argoverse2_scenario_comes_in_to_the_last_digit(tmp_path: Path) -> None:
-    home = os.environ.get("GRAPHRQI_DATA")
-    if not home:
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
+def test_the_real_argoverse2_scenario_comes_in_to_the_last_digit(
+    tmp_path: Path, shared_data: Path
+) -> None:
     from experiments.data.exchange import import_recordings
     from sim.store.dataset import open_dataset
 
-    import_recordings(Path(home) / "argoverse2", tmp_path / "data", quiet=True)
+    import_recordings(shared_data / "argoverse2", tmp_path / "data", quiet=True)
     dataset = open_dataset(tmp_path / "data")
     tracks = dataset.read(dataset.episodes()[0]).tracks
-    source = next((Path(home) / "argoverse2").rglob("scenario_*.parquet"))
+    source = next((shared_data / "argoverse2").rglob("scenario_*.parquet"))
     frames = list(tracks.frames())
     compared = 0
     for r in pq.read_table(source).to_pylist():

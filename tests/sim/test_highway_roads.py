@@ -1,4 +1,4 @@
-"""The network made from a road, the quicker road, and the compiled step."""
+"""The network made from a road, and where vehicles are on it."""
 
 from __future__ import annotations
 
@@ -7,22 +7,18 @@ import dataclasses
 import numpy as np
 import pytest
 from highway_env.road.lane import lane_from_config
-from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.behavior import IDMVehicle
-from highway_env.vehicle.objects import Obstacle
+from highway_env.road.road import RoadNetwork
 
 from behaviors import PROFILES, Behavior, InputError
 from scenarios import SCENARIOS
 from sim.highway.conflicts import CONFLICT_M, SAMPLE_M
-from sim.highway.engine import network_of, run, run_krauss
-from sim.highway.fast_road import FastRoad
+from sim.highway.engine import network_of
 from sim.highway.lane_places import ALIGNED, distances_along, find_on_lanes, lane_lines
 from sim.highway.lanes import PolylineLane
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
 from sim.highway.walkers import find_footway
 from sim.road import Road as SumoRoad
-from sim.scenario import sample_agents
 
 FOUR_WAY = ("south_in>", "north_out<")
 
@@ -215,54 +211,6 @@ def test_footways_use_crossings_only_where_they_have_to():
         find_footway(road, ("nowhere",))
 
 
-# The quicker road ----------------------------------------------------------------------------
-
-
-def crowd(kind: type[Road], cars: int, spacing: float, seed: int) -> Road:
-    net = RoadNetwork.straight_road_network(4, speed_limit=30)
-    road = kind(net, np_random=np.random.RandomState(seed))
-    rng = np.random.default_rng(seed)
-    for i in range(cars):
-        lane = net.get_lane(("0", "1", i % 4))
-        s = 20 + (i // 4) * spacing + rng.uniform(0, spacing / 2)
-        vehicle = IDMVehicle(road, lane.position(s, rng.uniform(-1, 1)), speed=rng.uniform(5, 28))
-        vehicle.target_speed = rng.uniform(10, 35)
-        road.vehicles.append(vehicle)
-    road.objects.append(Obstacle(road, net.get_lane(("0", "1", 1)).position(300.0, 0.0)))
-    return road
-
-
-@pytest.mark.parametrize(("spacing", "seed"), [(25.0, 0), (9.0, 1), (6.5, 2)])
-def test_the_quicker_road_is_the_stock_road_to_the_bit_even_in_pile_ups(spacing, seed):
-    roads = [crowd(kind, 40, spacing, seed) for kind in (Road, FastRoad)]
-    crashed = 0
-    for _ in range(75):
-        for road in roads:
-            road.act()
-            road.step(1 / 15)
-        states = [
-            [(*v.position, v.heading, v.speed, v.crashed, v.lane_index) for v in road.vehicles]
-            for road in roads
-        ]
-        assert states[0] == states[1]
-        crashed = sum(v.crashed for v in roads[0].vehicles)
-    assert crashed or spacing > 10.0
-
-
-def test_cars_side_by_side_are_decided_by_the_stock_search():
-    for kind in (Road, FastRoad):
-        road = crowd(kind, 0, 20.0, 0)
-        net = road.network
-        for lane in range(4):
-            vehicle = IDMVehicle(road, net.get_lane(("0", "1", lane)).position(50.0, 0.0), speed=20)
-            road.vehicles.append(vehicle)
-        twin = IDMVehicle(road, net.get_lane(("0", "1", 0)).position(50.0, 1.0), speed=20)
-        road.vehicles.append(twin)
-        road.act()
-        found = road.neighbour_vehicles(road.vehicles[1], ("0", "1", 0))
-        assert found == Road.neighbour_vehicles(road, road.vehicles[1], ("0", "1", 0))
-
-
 @pytest.mark.parametrize("name", ["four_way_intersection", "two_way_road", "roundabout"])
 def test_the_closest_lane_is_the_one_that_the_stock_search_finds(name):
     net = network(name).net
@@ -274,36 +222,11 @@ def test_the_closest_lane_is_the_one_that_the_stock_search_finds(name):
         assert found == RoadNetwork.get_closest_lane_index(net, place, heading)
 
 
-# The compiled step ---------------------------------------------------------------------------
+# Profiles ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "seconds", "seed", "drive"),
-    [
-        ("straight_road", 25.0, 3, run),
-        ("four_way_intersection", 45.0, 4, run),
-        ("all_way_stop", 25.0, 5, run),
-        ("two_way_road", 30.0, 6, run),
-        ("roundabout", 20.0, 7, run_krauss),
-        ("motorway_ramps", 10.0, 8, run),
-    ],
-)
-def test_compiled_drivers_do_the_same_as_one_vehicle_after_the_other(name, seconds, seed, drive):
-    scenario = SCENARIOS[name](duration_s=seconds, flow="dense")
-    agents = sample_agents(scenario, seed)
-    engines = [drive(scenario, agents, seed, compiled=compiled) for compiled in (False, True)]
-    seen = 0
-    for one, other in zip(*engines, strict=True):
-        seen += len(one)
-        for field in ("ids", "xy", "heading", "speed", "signals"):
-            np.testing.assert_array_equal(getattr(one, field), getattr(other, field), field)
-        assert one.events == other.events
-    assert seen > 200
-
-
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_new_profile_is_heeded_at_the_next_step(compiled):
-    road = TrafficRoad(network("straight_road"), compiled=compiled)
+def test_a_new_profile_is_heeded_at_the_next_step():
+    road = TrafficRoad(network("straight_road"))
     lane = road.network_info.lanes["east_in<", "east_out>", 1]
     vehicle = ProfileVehicle(
         road, lane.position(50.0, 0.0), 0.0, 9.0, driver=Driver(PROFILES[Behavior.CAREFUL]),
@@ -319,36 +242,3 @@ def test_a_new_profile_is_heeded_at_the_next_step(compiled):
     road.act()
     road.step(0.1)
     assert vehicle.action["acceleration"] < 0
-
-
-def test_copies_keep_their_driver():
-    road = TrafficRoad(network("straight_road"))
-    lane = road.network_info.lanes["east_in<", "east_out>", 1]
-    vehicle = ProfileVehicle(
-        road, lane.position(50.0, 0.0), 0.0, 9.0, length=6.0, agent=7,
-        driver=Driver(PROFILES[Behavior.RECKLESS], Behavior.RECKLESS),
-    )  # fmt: skip
-    vehicle.randomize_behavior()
-    copy = ProfileVehicle.create_from(vehicle)
-    assert copy.profile == vehicle.profile == PROFILES[Behavior.RECKLESS]
-    assert (copy.LENGTH, copy.agent, copy.behavior) == (6.0, 7, Behavior.RECKLESS)
-    assert copy.diagonal == pytest.approx(np.hypot(6.0, 1.8))
-    with pytest.raises(TypeError, match="IDMVehicle"):
-        ProfileVehicle.create_from(IDMVehicle(road, [0.0, 0.0]))
-
-
-def test_vehicles_drive_on_highway_envs_own_road_too():
-    net = RoadNetwork.straight_road_network(3, speed_limit=20)
-    road = Road(net, np_random=np.random.RandomState(0))
-    for i in range(6):
-        place = net.get_lane(("0", "1", i % 3)).position(20.0 + 15 * i, 0.0)
-        road.vehicles.append(
-            ProfileVehicle(
-                road, place, 0.0, 12.0, driver=Driver(PROFILES[list(Behavior)[i]], seed=i)
-            )
-        )
-    for _ in range(100):
-        road.act()
-        road.step(0.1)
-    assert not any(vehicle.crashed for vehicle in road.vehicles)
-    assert all(vehicle.position[0] > 60.0 for vehicle in road.vehicles)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.benches.hostile.scenes import KITTI_CALIB, KITTI_LABELS, KITTI_OXTS
 from sim.formats import left_out_files, read_recordings, recognise
 from sim.frames import KINDS, AgentKind
+from tests.sim.scenes import KITTI_CALIB, KITTI_LABELS, KITTI_OXTS
 
 
 def sequence(folder: Path, **changed: str) -> Path:
@@ -71,11 +70,8 @@ def test_without_poses_the_motion_cannot_be_undone(tmp_path: Path) -> None:
         list(read_recordings(path))
 
 
-def test_parked_cars_stand_in_real_sequences() -> None:
-    home = os.environ.get("GRAPHRQI_DATA")
-    if not home:
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
-    (recording,) = read_recordings(Path(home) / "real" / "kitti" / "label" / "0007.txt.gz")
+def test_parked_cars_stand_in_real_sequences(shared_data: Path) -> None:
+    (recording,) = read_recordings(shared_data / "real" / "kitti" / "label" / "0007.txt.gz")
     tracks = recording.tracks
     ego = tracks.xy[tracks.names.index("ego")]
     assert np.hypot(*np.diff(ego, axis=0).T).sum() > 400

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -137,17 +136,14 @@ def test_the_map_is_found_by_the_folders_name(tmp_path: Path) -> None:
     assert recording.road.name == "place"
 
 
-def test_real_maps_lie_under_their_recordings() -> None:
-    home = os.environ.get("GRAPHRQI_DATA")
-    if not home:
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
-    folder = Path(home) / "real" / "fzi_karlsruhe" / "k729_2022-03-16"
+def test_real_maps_lie_under_their_recordings(shared_data: Path) -> None:
+    folder = shared_data / "real" / "fzi_karlsruhe" / "k729_2022-03-16"
     shares = []
     for recording in read_recordings(folder, "interaction"):
         assert isinstance(recording.road, Road)
         shares.append(map_fit(recording.road, recording.tracks).share)
     assert np.median(shares) > 0.95
-    assert read_road_file(Path(home) / "real/fzi_karlsruhe/maps/k733_2018-05-02.osm").lanes
+    assert read_road_file(shared_data / "real/fzi_karlsruhe/maps/k733_2018-05-02.osm").lanes
 
 
 def test_many_lanelets_in_one_place_are_refused_soon(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -156,11 +155,8 @@ def test_a_wrong_step_is_found_and_said(road: Road) -> None:
     np.testing.assert_allclose(np.median(kmh.speed), np.median(tracks.speed), rtol=0.05)
 
 
-def test_real_recordings_fit_their_maps_and_no_others() -> None:
-    home = os.environ.get("GRAPHRQI_DATA")
-    if not home:
-        pytest.skip("GRAPHRQI_DATA is not set: no recordings to read")
-    real = Path(home) / "real"
+def test_real_recordings_fit_their_maps_and_no_others(shared_data: Path) -> None:
+    real = shared_data / "real"
     found = {}
     for place in ("ngsim_us101/NGSIM-US101__NGSIM_US101_7", "ngsim_lankershim/*2_4_T-1"):
         (file,) = real.glob(f"{place}.xml.gz")

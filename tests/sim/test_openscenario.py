@@ -1,6 +1,6 @@
 """Episodes as OpenSCENARIO with OpenDRIVE: read back by other code than wrote them.
 
-Set GRAPHRQI_ASAM to an environment with ASAM's checkers to run these, too (docs/check_asam.py).
+An environment `.venv-asam` with ASAM's checkers runs these, too (docs/check_asam.py).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import functools
 import importlib.util
 import itertools
 import math
-import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -231,12 +230,15 @@ def test_without_the_library_one_line_says_what_to_install(tmp_path, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif("GRAPHRQI_ASAM" not in os.environ, reason="GRAPHRQI_ASAM is not set")
+@pytest.mark.asam
 def test_asams_own_checkers_find_no_error(written):
     *_, scenario = written
-    program = Path(__file__).parents[2] / "docs" / "check_asam.py"
+    root = Path(__file__).parents[2]
+    checkers, program = root / ".venv-asam", root / "docs" / "check_asam.py"
+    if not checkers.is_dir():
+        pytest.skip(f"no checkers in {checkers}")
     done = subprocess.run(
-        [sys.executable, str(program), os.environ["GRAPHRQI_ASAM"], str(scenario.parent)],
+        [sys.executable, str(program), str(checkers), str(scenario.parent)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

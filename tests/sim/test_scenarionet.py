@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.benches.hostile.scenes import scenarionet_scene
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.formats import get_writer, read_recordings, recognise
@@ -21,6 +20,7 @@ from sim.formats.scenarionet.plain_pickle import NotPlainError, Opaque, loads
 from sim.frames import KINDS, AgentKind, Signal, Tracks
 from sim.road import Road
 from sim.scenario import sample_agents
+from tests.sim.scenes import scenarionet_scene
 
 
 def read(path: Path, content: Any) -> Recording:

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.benches.hostile.scenes import waymo_message, waymo_record
 from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
 from sim.formats.waymo.tfrecord import write_record
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
+from tests.sim.scenes import waymo_message, waymo_record
 
 Value = int | float | bytes
 

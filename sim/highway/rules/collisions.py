@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from sim.compiled import in_place
 from sim.geometry import Outlines
-from sim.highway.fast_road import outlines_of
 from sim.highway.rules.junctions import right_of_way_rank
-from sim.highway.state import RoadState
+from sim.highway.state import RoadState, outlines_of
 from sim.highway.walkers import Walker
 
 FloatArray = NDArray[np.float64]

@@ -14,6 +14,7 @@ from typing import Any, Final
 from behaviors.errors import InputError
 from sim.road import Road
 from sim.sumo.control import lane_change_mode
+from sim.sumo.control.approaches import drivable
 
 ACTION_S: Final = 4.0
 """How long an action lasts, s (a lane change takes 2.5 s)."""
@@ -62,9 +63,7 @@ class Acting:
     def __init__(self, sumo: Any, road: Road) -> None:
         self._sumo = sumo
         self._lanes = {lane.id: lane for lane in road.lanes if not lane.internal}
-        self._drivable = frozenset(
-            (lane.edge, lane.index) for lane in road.lanes if not lane.walking
-        )
+        self._drivable = drivable(road)
         self._until_s: dict[str, float] = {}
 
     def begin(self, name: str, action: Action, time_s: float) -> None:

@@ -48,3 +48,8 @@ def approaches(road: Road) -> dict[tuple[str, str], Approach]:
         )
         for edges, ways in links.items()
     }
+
+
+def drivable(road: Road) -> frozenset[tuple[str, int]]:
+    """Edge and index of every lane on which vehicles may drive."""
+    return frozenset((lane.edge, lane.index) for lane in road.lanes if not lane.walking)

@@ -52,18 +52,13 @@ class Clearing(Controller[_YieldingDriver]):
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], period_s: float) -> None:
-        self._length = {lane.id: lane.length_m for lane in road.lanes if not lane.internal}
-        self._edge = {lane.id: lane.edge for lane in road.lanes if not lane.internal}
         self._foes = _foes(road)
         self._period_s = period_s
-        super().__init__(
-            sumo,
-            (
-                _YieldingDriver(agent, 6)
-                for agent in agents
-                if self._foes and agent.profile is not None and agent.profile.yield_probability > 0
-            ),
-        )
+        super().__init__(sumo, road, agents)
+
+    def _driver(self, agent: AgentSpec, profile: Profile) -> _YieldingDriver | None:
+        yields = self._foes and profile.yield_probability > 0
+        return _YieldingDriver(agent, 6) if yields else None
 
     def step(self, time_s: float) -> None:
         """Hold drivers back before the line, or let them go.
@@ -75,17 +70,18 @@ class Clearing(Controller[_YieldingDriver]):
         for name, driver in self._present:
             if time_s < driver.next_check_s:
                 continue
-            lane = sumo.vehicle_getLaneID(name)
-            edge = self._edge.get(lane, "")
-            foes = self._foes.get((lane, driver.following.get(edge, "")))
-            if foes is None or not self._yields(driver, edge):
+            lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+            edge = "" if lane is None else lane.edge
+            ahead = ("" if lane is None else lane.id, driver.following.get(edge, ""))
+            foes = self._foes.get(ahead)
+            if lane is None or foes is None or not self._yields(driver, edge):
                 last = edge == driver.agent.route[-1]
                 driver.next_check_s = math.inf if last else time_s + ELSEWHERE_S
                 self._go(name, driver)
                 continue
             profile = driver.profile
             brake, speed = profile.comfort_decel_mps2, sumo.vehicle_getSpeed(name)
-            away_m = self._length[lane] - sumo.vehicle_getLanePosition(name)
+            away_m = lane.length_m - sumo.vehicle_getLanePosition(name)
             needs_m = speed * speed / (2.0 * brake)
             if not driver.waits:
                 spare_m = away_m - needs_m - 2 * BEFORE_LINE_M - 2 * speed * self._period_s

@@ -38,9 +38,6 @@ class Controls:
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
-        self._road = road
-        self._agents = {agent.id: agent for agent in agents}
-        self._step_s = step_s
         self._step = 0
         self._vehicles: Sequence[str] = ()
         self._every = max(2, round(DRIVERS_ACT_S / step_s))
@@ -107,12 +104,11 @@ class Controls:
         self._vehicles = ()  # the controllers are given the vehicles again at the next step
 
     def _change_driver(self, name: str, agent: AgentSpec, time_s: float) -> None:
+        """Let a driver go on with another profile."""
         assert agent.profile is not None
         sumo = self._sumo
-        self._agents[agent.id] = agent
-        fresh = Controls(sumo, self._road, tuple(self._agents.values()), self._step_s)
-        for controller, other in zip(self._of_drivers, fresh._of_drivers, strict=True):
-            controller.replace(name, other, time_s)
+        for controller in self._of_drivers:
+            controller.change(agent, time_s)
         sumo.vehicle_setType(name, alternative_name(agent))
         sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn anew
         sumo.vehicle_setSpeed(name, -1.0)

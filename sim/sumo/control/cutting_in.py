@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
+from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.approaches import approaches
+from sim.sumo.control.approaches import approaches, drivable
 from sim.sumo.control.drivers import Controller, RandomTimeDriver
 from sim.sumo.control.lane_change_mode import COLLISIONS_ONLY, ORDINARY
 
@@ -28,13 +28,13 @@ AASHTO)."""
 SMALLEST_GAP_M: Final = 1.0
 """Smallest gap ahead and behind, m."""
 
-SLOWEST_MPS: Final = 4.0
+SLOWEST_CUT_IN_MPS: Final = 4.0
 """Drivers slower than this do not cut in, m/s."""
 
 MANOEUVRE_S: Final = 4.0
 """For how long the lane change is commanded, s; it takes 2.5 s."""
 
-ROOM_M: Final = 0.3
+SPARE_M: Final = 0.3
 """The victim keeps at least this much beyond its standstill gap, else SUMO delays the change."""
 
 TOUCHING_S: Final = 0.6
@@ -57,7 +57,7 @@ FALLING_BACK_MPS: Final = 2.5
 FALLING_BACK_S: Final = 6.0
 """Longest time to fall back before a cut-in, s."""
 
-CLEAR_M: Final = 30.0
+JUNCTION_M: Final = 30.0
 """No cut-in starts closer to a junction, m."""
 
 _NEIGHBOURS: Final[dict[int, tuple[int, int]]] = {1: (0b000, 0b010), -1: (0b001, 0b011)}
@@ -69,40 +69,20 @@ class _CuttingInDriver(RandomTimeDriver):
     until_s: float = -1.0
     paced: bool = False
     falls_back: bool = False
-    following: Mapping[str, str] = field(init=False)
-
-    def __post_init__(self) -> None:
-        RandomTimeDriver.__post_init__(self)
-        self.following = dict(itertools.pairwise(self.agent.route))
 
 
 class CuttingIn(Controller[_CuttingInDriver]):
-    """Makes drivers cut in as often as their profiles say, where the gaps allow it.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents; drivers whose profiles have no cut-ins are left alone.
-    """
+    """Makes drivers cut in as often as their profiles say, where the gaps allow it."""
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
         self._approaches = approaches(road)
-        self._lanes = {lane.id: lane for lane in road.lanes if not lane.internal}
-        self._length = {lane.id: lane.length_m for lane in road.lanes}
-        self._drivable = frozenset(
-            (lane.edge, lane.index) for lane in road.lanes if not lane.walking
-        )
-        wide = {edge for edge, index in self._drivable if (edge, index + 1) in self._drivable}
-        super().__init__(
-            sumo,
-            (
-                _CuttingInDriver(agent, 2, agent.profile.cut_in_rate_per_min)
-                for agent in agents
-                if agent.profile is not None
-                and agent.profile.cut_in_rate_per_min > 0
-                and wide.intersection(agent.route)
-            ),
-        )
+        self._drivable = drivable(road)
+        self._wide = {edge for edge, i in self._drivable if (edge, i + 1) in self._drivable}
+        super().__init__(sumo, road, agents)
+
+    def _driver(self, agent: AgentSpec, profile: Profile) -> _CuttingInDriver | None:
+        rate, can = profile.cut_in_rate_per_min, not self._wide.isdisjoint(agent.route)
+        return _CuttingInDriver(agent, 2, rate) if rate > 0 and can else None
 
     def step(self, time_s: float) -> None:
         """Begin and end cut-ins.
@@ -135,9 +115,9 @@ class CuttingIn(Controller[_CuttingInDriver]):
         driver.falls_back = False
         speed = sumo.vehicle_getSpeed(name)
         lane = self._lanes.get(sumo.vehicle_getLaneID(name))
-        if lane is None or speed < SLOWEST_MPS:
+        if lane is None or speed < SLOWEST_CUT_IN_MPS:
             return False
-        if self._length[lane.id] - sumo.vehicle_getLanePosition(name) < CLEAR_M:
+        if lane.length_m - sumo.vehicle_getLanePosition(name) < JUNCTION_M:
             return False
         onward = self._approaches.get((lane.edge, driver.following.get(lane.edge, "")))
         for side in (1, -1):
@@ -172,13 +152,13 @@ class CuttingIn(Controller[_CuttingInDriver]):
             faster = speed - theirs
             left = gap + faster * (MATCHING_S if faster > 0 else TOUCHING_S)
             braking = min(faster, 0.0) ** 2 / (2 * max(gap - SMALLEST_GAP_M, 0.01))
-            if net_gap < ROOM_M or left < SMALLEST_GAP_M or braking > HARDEST_BRAKING_MPS2:
+            if net_gap < SPARE_M or left < SMALLEST_GAP_M or braking > HARDEST_BRAKING_MPS2:
                 return 0.0, False
             if left <= LARGEST_HEADWAY_S * theirs:
-                return float(max(theirs, SLOWEST_MPS)), True
+                return float(max(theirs, SLOWEST_CUT_IN_MPS)), True
             falling = theirs - FALLING_BACK_MPS
             far = left - LARGEST_HEADWAY_S * theirs
-            if falling > SLOWEST_MPS and far < FALLING_BACK_S * FALLING_BACK_MPS:
+            if falling > SLOWEST_CUT_IN_MPS and far < FALLING_BACK_S * FALLING_BACK_MPS:
                 return float(falling), False
         return 0.0, False
 

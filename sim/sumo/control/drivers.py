@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from behaviors.profiles import Profile
+from sim.road import Road
 from sim.scenario import AgentSpec
 
 
@@ -21,15 +23,18 @@ class Driver:
         agent: the driver's drawn numbers.
         stream: number of the driver's random stream for this controller.
         rng: that stream.
+        following: by edge of its route, the one that follows.
     """
 
     agent: AgentSpec
     stream: int
     rng: np.random.Generator = field(init=False)
+    following: Mapping[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin the random stream."""
+        """Begin the random stream and read the route."""
         self.rng = np.random.default_rng((self.agent.seed, self.stream))
+        self.following = dict(itertools.pairwise(self.agent.route))
 
     @property
     def profile(self) -> Profile:
@@ -45,17 +50,10 @@ class RouteDriver(Driver):
     Attributes:
         edge: the last edge on which something was decided.
         next_check_s: when to look at the driver again, s.
-        following: by edge, the one that follows.
     """
 
     edge: str = ""
     next_check_s: float = 0.0
-    following: Mapping[str, str] = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Read the route."""
-        Driver.__post_init__(self)
-        self.following = dict(itertools.pairwise(self.agent.route))
 
 
 @dataclass(slots=True)
@@ -83,39 +81,52 @@ class RandomTimeDriver(Driver):
 D = TypeVar("D", bound=Driver)
 
 
-class Controller(Generic[D]):
+class Controller(ABC, Generic[D]):
     """Steers some drivers of a running simulation.
 
     Args:
         sumo: libsumo's C module.
-        drivers: those that it steers.
+        road: the road.
+        agents: all agents; those that the controller does not concern are left alone.
 
     Attributes:
+        _lanes: the lanes for vehicles outside junctions, by id.
         _present: name and driver of those that are on the road, in SUMO's order.
     """
 
-    def __init__(self, sumo: Any, drivers: Iterable[D]) -> None:
+    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
         self._sumo = sumo
-        self._drivers = {str(driver.agent.id): driver for driver in drivers}
+        self._lanes = {
+            lane.id: lane for lane in road.lanes if not lane.internal and not lane.walking
+        }
+        self._drivers: dict[str, D] = {}
+        for agent in agents:
+            driver = None if agent.profile is None else self._driver(agent, agent.profile)
+            if driver is not None:
+                self._drivers[str(agent.id)] = driver
         self._present: list[tuple[str, D]] = []
+
+    @abstractmethod
+    def _driver(self, agent: AgentSpec, profile: Profile) -> D | None:
+        """What the controller keeps of a driver; None for one that it leaves alone."""
 
     def set_vehicles(self, vehicles: Sequence[str]) -> None:
         """Take the names of the vehicles on the road, whenever they change."""
         self._present = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]
 
-    def replace(self, name: str, fresh: Controller[D], time_s: float) -> None:
-        """Take over what another controller of the same kind does with one driver.
+    def change(self, agent: AgentSpec, time_s: float) -> None:
+        """Begin anew with a driver who has changed.
 
         The caller sets the vehicle's speed and modes back to SUMO's own, so that nothing that this
         controller has begun with the driver goes on.
 
         Args:
-            name: the vehicle.
-            fresh: a controller that was made for agents among whom this driver has changed.
+            agent: the driver as it is now.
             time_s: simulated time, s; a driver who acts at random times pauses from now on.
         """
+        name = str(agent.id)
         self._drivers.pop(name, None)
-        driver = fresh._drivers.get(name)
+        driver = None if agent.profile is None else self._driver(agent, agent.profile)
         if driver is None:
             return
         if isinstance(driver, RandomTimeDriver):

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import Approach, approaches
@@ -23,10 +24,10 @@ ORDINARY: Final = 31
 IGNORE_RED: Final = ORDINARY & ~16
 """Ignores red lights, but not vehicles that are already in the way."""
 
-SIGHT_M: Final = 45.0
+DECIDES_M: Final = 45.0
 """How far before a junction a driver decides, m (about three seconds at 50 km/h)."""
 
-FASTEST: Final = 2.5
+FASTEST_LIMITS: Final = 2.5
 """An upper bound of speeds, in limits, for when a driver can be near a junction at the earliest
 (reckless drivers want 1.6 limits at most)."""
 
@@ -42,21 +43,21 @@ class _RuleBreaker(RouteDriver):
 
 
 class Obedience(Controller[_RuleBreaker]):
-    """Lets drivers break the rules as often as their profiles say.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents; drivers that break no rule are left alone.
-    """
+    """Lets drivers break the rules as often as their profiles say."""
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
         self._approaches = approaches(road)
-        self._length = {lane.id: lane.length_m for lane in road.lanes}
-        self._edge = {lane.id: lane.edge for lane in road.lanes if not lane.internal}
         self._crossings = frozenset(c.id for c in road.crossings)
-        self._fastest_mps = FASTEST * max(lane.speed_limit_mps for lane in road.lanes)
-        super().__init__(sumo, (_RuleBreaker(agent, 1) for agent in agents if breaks_rules(agent)))
+        self._fastest_mps = FASTEST_LIMITS * max(lane.speed_limit_mps for lane in road.lanes)
+        super().__init__(sumo, road, agents)
+
+    def _driver(self, agent: AgentSpec, profile: Profile) -> _RuleBreaker | None:
+        breaks = max(
+            profile.red_run_probability,
+            profile.stop_roll_probability,
+            1.0 - profile.yield_probability,
+        )
+        return _RuleBreaker(agent, 1) if breaks > 0 else None
 
     def step(self, time_s: float, persons: Sequence[str]) -> None:
         """Decide and set the speed modes for the next simulation step.
@@ -70,15 +71,17 @@ class Obedience(Controller[_RuleBreaker]):
         for name, driver in self._present:
             if time_s < driver.next_check_s:
                 continue
-            lane = sumo.vehicle_getLaneID(name)
-            edge = self._edge.get(lane, "")
+            lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+            edge = "" if lane is None else lane.edge
             if edge and edge != driver.edge:
                 self._enter(driver, edge)
             ahead = self._approaches.get((driver.edge, driver.following.get(driver.edge, "")))
             mode = ORDINARY
             if not driver.near:
-                away_m = self._length[lane] - sumo.vehicle_getLanePosition(name) if edge else 0.0
-                away_m = away_m if ahead is None else away_m - SIGHT_M
+                away_m = 0.0
+                if lane is not None:
+                    away_m = lane.length_m - sumo.vehicle_getLanePosition(name)
+                away_m = away_m if ahead is None else away_m - DECIDES_M
                 driver.near = ahead is not None and away_m <= 0
                 last = edge == driver.agent.route[-1]
                 driver.next_check_s = (
@@ -130,13 +133,3 @@ class Obedience(Controller[_RuleBreaker]):
                 if onward in self._crossings:
                     found.add(onward)
         return frozenset(found)
-
-
-def breaks_rules(agent: AgentSpec) -> bool:
-    """Whether an agent's profile ever breaks a rule at a junction or crossing."""
-    profile = agent.profile
-    return profile is not None and (
-        profile.red_run_probability > 0
-        or profile.stop_roll_probability > 0
-        or profile.yield_probability < 1
-    )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
-from sim.road import Road
+from behaviors.profiles import Profile
 from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Controller, RandomTimeDriver
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
@@ -22,7 +21,7 @@ SLOW_FACTOR: Final = 0.4
 PAUSE_S: Final = 20.0
 """Shortest pause between two such stops, s (with shorter ones the road jams)."""
 
-CLEAR_M: Final = 50.0
+FREE_AHEAD_M: Final = 50.0
 """A driver stops only if no leader, junction or crossing is this near, m: a stop is unprovoked."""
 
 IN_LANE_M: Final = 0.1
@@ -40,26 +39,11 @@ class _StoppingDriver(RandomTimeDriver):
 
 
 class Stopping(Controller[_StoppingDriver]):
-    """Makes drivers slow down or stop unprovoked as often as their profiles say.
+    """Makes drivers slow down or stop unprovoked as often as their profiles say."""
 
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents; drivers whose profiles have no such stops are left alone.
-    """
-
-    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
-        super().__init__(
-            sumo,
-            (
-                _StoppingDriver(agent, 3, agent.profile.stop_rate_per_min)
-                for agent in agents
-                if agent.profile is not None and agent.profile.stop_rate_per_min > 0
-            ),
-        )
-        self._length = {
-            lane.id: lane.length_m for lane in road.lanes if not lane.internal and not lane.walking
-        }
+    def _driver(self, agent: AgentSpec, profile: Profile) -> _StoppingDriver | None:
+        rate = profile.stop_rate_per_min
+        return _StoppingDriver(agent, 3, rate) if rate > 0 else None
 
     def step(self, time_s: float) -> None:
         """Begin, hold and end unprovoked stops.
@@ -77,9 +61,7 @@ class Stopping(Controller[_StoppingDriver]):
                 driver.target_mps = 0.0 if stop else SLOW_FACTOR * sumo.vehicle_getSpeed(name)
                 driver.release_s = -1.0
                 sumo.vehicle_setSpeed(name, driver.target_mps)
-                sumo.vehicle_setLaneChangeMode(
-                    name, NOTHING
-                )  # so that it does not stop between lanes
+                sumo.vehicle_setLaneChangeMode(name, NOTHING)  # it must not stop between lanes
 
     def _hold(self, name: str, driver: _StoppingDriver, time_s: float) -> None:
         sumo = self._sumo
@@ -95,12 +77,12 @@ class Stopping(Controller[_StoppingDriver]):
     def _free(self, name: str) -> bool:
         """Whether there is nothing ahead that would provoke slowing down."""
         sumo = self._sumo
-        length = self._length.get(sumo.vehicle_getLaneID(name))
-        if length is None or sumo.vehicle_getSpeed(name) < SLOWEST_MPS:
+        lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+        if lane is None or sumo.vehicle_getSpeed(name) < SLOWEST_MPS:
             return False
-        if length - sumo.vehicle_getLanePosition(name) < CLEAR_M:
+        if lane.length_m - sumo.vehicle_getLanePosition(name) < FREE_AHEAD_M:
             return False
         if abs(sumo.vehicle_getLateralLanePosition(name)) > IN_LANE_M:
             return False
-        leader = sumo.vehicle_getLeader(name, CLEAR_M)
-        return leader is None or not leader[0] or leader[1] > CLEAR_M
+        leader = sumo.vehicle_getLeader(name, FREE_AHEAD_M)
+        return leader is None or not leader[0] or leader[1] > FREE_AHEAD_M

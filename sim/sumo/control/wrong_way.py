@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.drivers import Controller, RandomTimeDriver
 from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
 from sim.sumo.vehicle_types import VEHICLE_CLASS
 
-SIGHT_M: Final = 250.0
+ONCOMING_CLEAR_M: Final = 250.0
 """The oncoming lane must be clear this far to start, m (with less, vehicles come to stand face to
 face)."""
 
@@ -45,7 +46,7 @@ STAND_S: Final = 5.0
 """A vehicle that stands this long on the wrong side is removed, s; otherwise the road stays
 blocked."""
 
-CLEAR_M: Final = 60.0
+LANE_END_M: Final = 60.0
 """No overtaking starts closer to the end of the lane, m."""
 
 PASSING_CLASS: Final = "custom1"
@@ -71,27 +72,25 @@ class WrongWay(Controller[_OvertakingDriver]):
         sumo: libsumo's C module.
         road: the road; nothing happens on roads without opposite lanes.
         agents: all agents; drivers whose profiles have no such overtaking are left alone.
+
+    Attributes:
+        removed: ids of the agents that the last step removed.
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
-        self._lanes = {lane.id: lane for lane in road.lanes if not lane.walking}
+        self._every_lane = {lane.id: lane for lane in road.lanes if not lane.walking}
         self._passable = frozenset(lane.id for lane in road.lanes if lane.opposite)
-        self._closed = False
         self._oncoming_lanes = self._passable | {lane.id for lane in road.lanes if lane.internal}
+        self._agents = agents
+        self._closed = False
         self.removed: list[int] = []
-        super().__init__(
-            sumo,
-            (
-                _OvertakingDriver(
-                    agent,
-                    4,
-                    agent.profile.wrong_way_rate_per_min,
-                    self._oncoming_names(agent.route, agents),
-                )
-                for agent in (agents if self._passable else ())
-                if agent.profile is not None and agent.profile.wrong_way_rate_per_min > 0
-            ),
-        )
+        super().__init__(sumo, road, agents)
+
+    def _driver(self, agent: AgentSpec, profile: Profile) -> _OvertakingDriver | None:
+        rate = profile.wrong_way_rate_per_min
+        if not self._passable or rate <= 0:
+            return None
+        return _OvertakingDriver(agent, 4, rate, self._oncoming_names(agent.route))
 
     def step(self, time_s: float, vehicles: Sequence[str]) -> None:
         """Begin and end overtaking, and remove vehicles that block the wrong side.
@@ -114,7 +113,7 @@ class WrongWay(Controller[_OvertakingDriver]):
             elif time_s >= driver.next_s:
                 leader = self._opportunity(name, driver, left)
                 if leader:
-                    lane = self._lanes[self._sumo.vehicle_getLaneID(name)]
+                    lane = self._every_lane[self._sumo.vehicle_getLaneID(name)]
                     self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
                     self._sumo.vehicle_setVehicleClass(name, PASSING_CLASS)
                     self._sumo.vehicle_changeLane(name, lane.index + 1, 3.0)
@@ -127,20 +126,20 @@ class WrongWay(Controller[_OvertakingDriver]):
         driver = self._drivers.get(name)
         return driver is not None and driver.since_s >= 0
 
-    def _oncoming_names(self, route: Sequence[str], agents: Sequence[AgentSpec]) -> frozenset[str]:
+    def _oncoming_names(self, route: Sequence[str]) -> frozenset[str]:
         """Names of the agents whose routes use the opposite lanes of a route."""
         edges = {
-            self._lanes[lane.opposite].edge
-            for lane in self._lanes.values()
+            self._every_lane[lane.opposite].edge
+            for lane in self._every_lane.values()
             if lane.opposite and lane.edge in route
         }
-        return frozenset(str(a.id) for a in agents if edges & set(a.route))
+        return frozenset(str(a.id) for a in self._agents if edges & set(a.route))
 
     def _close_other_lanes(self) -> None:
         """Close all lanes but the leftmost ones to overtaking vehicles."""
         self._closed = True
-        edges = {self._lanes[lane].edge for lane in self._passable}
-        for lane in self._lanes.values():
+        edges = {self._every_lane[lane].edge for lane in self._passable}
+        for lane in self._every_lane.values():
             if lane.edge in edges and lane.id not in self._passable:
                 closed = (*self._sumo.lane_getDisallowed(lane.id), PASSING_CLASS)
                 self._sumo.lane_setDisallowed(lane.id, closed)
@@ -148,10 +147,10 @@ class WrongWay(Controller[_OvertakingDriver]):
     def _opportunity(self, name: str, driver: _OvertakingDriver, vehicles: Sequence[str]) -> str:
         """Name of the slower leader if it can be overtaken now, otherwise an empty text."""
         sumo = self._sumo
-        lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+        lane = self._every_lane.get(sumo.vehicle_getLaneID(name))
         if lane is None or lane.id not in self._passable or lane.internal:
             return ""
-        if lane.length_m - sumo.vehicle_getLanePosition(name) < CLEAR_M:
+        if lane.length_m - sumo.vehicle_getLanePosition(name) < LANE_END_M:
             return ""
         leader = sumo.vehicle_getLeader(name, LEADER_M)
         if not leader or not leader[0] or leader[1] > LEADER_M:
@@ -160,7 +159,7 @@ class WrongWay(Controller[_OvertakingDriver]):
         if sumo.vehicle_getSpeed(leader[0]) > desired - SLOWER_MPS:
             return ""
         distance, meeting = self._oncoming(name, driver, vehicles)
-        return str(leader[0]) if distance > SIGHT_M and meeting > START_S else ""
+        return str(leader[0]) if distance > ONCOMING_CLEAR_M and meeting > START_S else ""
 
     def _follow_up(
         self, name: str, driver: _OvertakingDriver, time_s: float, vehicles: Sequence[str]
@@ -194,7 +193,7 @@ class WrongWay(Controller[_OvertakingDriver]):
     def _on_wrong_side(self, name: str) -> bool:
         """Whether a vehicle is on a lane of the opposite direction."""
         sumo = self._sumo
-        lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+        lane = self._every_lane.get(sumo.vehicle_getLaneID(name))
         if lane is None:
             return False
         (x0, y0), (x1, y1) = lane.centerline[0], lane.centerline[-1]

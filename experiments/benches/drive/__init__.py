@@ -1,1 +1,0 @@
-"""The licence test: how a policy drives among drivers of every kind."""

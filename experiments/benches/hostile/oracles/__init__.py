@@ -1,1 +1,0 @@
-"""Slow independent readers, which share no code with ours."""

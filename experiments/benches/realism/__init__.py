@@ -1,1 +1,0 @@
-"""Realism: how much simulated traffic looks like the recorded traffic that it starts from."""

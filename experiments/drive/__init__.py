@@ -1,0 +1,1 @@
+"""The licence test: how a policy drives in every scenario among drivers of every kind."""

@@ -1,0 +1,195 @@
+"""An episode of the licence test: a policy drives in a scenario among a crowd, and is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from experiments.drive.crowds import CROWDS, Crowd
+from experiments.drive.policies import PLANNER, POLICIES, get_policy
+from scenarios.environments import ENVIRONMENTS
+from scenarios.environments.environment import Ego, TrafficEnv
+from sim.episode.incidents import incidents
+from sim.episode.rows import TrajectoryRows
+from sim.frames import EventKind, FloatArray, Frame, Tracks
+from sim.highway.ego import Observation, distance_left_m, is_off_road
+from sim.highway.engine import read_frame
+from sim.road import Road
+from sim.scenario import AgentSpec
+
+FORWARD_MPS2: Final = (-4.05, 2.40)
+"""Comfortable braking and acceleration, m/s2 (nuPlan's bounds, from human drivers: Karnchanachari
+et al. 2024, ICRA)."""
+
+SIDEWAYS_MPS2: Final = 4.89
+"""Comfortable sideways acceleration, m/s2 (the same)."""
+
+RULES: Final = (
+    EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED, EventKind.WRONG_WAY,
+)  # fmt: skip
+"""What counts as a rule broken."""
+
+WEIGHTS: Final[dict[str, float]] = {"progress": 5.0, "calm": 5.0, "lawful": 4.0, "comfort": 2.0}
+"""What the score weighs (nuPlan's weights of progress, time to collision, speed limit and comfort;
+here rules broken stand for the limit)."""
+
+METRICS: Final = (
+    "score", "collisions", "collisions_caused", "near_misses", "rules_broken", "off_road",
+    "uncomfortable_share", "rms_jerk_mps3", "progress", "arrived", "minutes",
+)  # fmt: skip
+"""What is measured of an episode; all are counts or shares but for the jerk and the minutes."""
+
+
+_GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
+
+ROADS: Final[dict[str, dict[str, Any]]] = {
+    **{row["scenario_name"]: row for row in ENVIRONMENTS.values() if row is not _GRID},
+    "city": {**_GRID, "scenario_name": "city"},
+}
+"""What `TrafficEnv` makes the environment of each scenario of."""
+
+
+class _Among(TrafficEnv):
+    """The environment of a scenario whose other drivers are a crowd; it keeps every frame."""
+
+    def __init__(self, scenario: str, crowd: Crowd, config: Mapping[str, Any]) -> None:
+        self._crowd = crowd
+        self.looks = True
+        self.on_frame: Callable[[Frame], object] | None = None
+        self.frames: list[Frame] = []
+        self.truth: Mapping[int, int] = {}
+        super().__init__(config, **ROADS[scenario])
+
+    @property
+    def ego_id(self) -> int:
+        """Agent id of the vehicle that is driven."""
+        return self.egos[0].id
+
+    def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
+        """Everybody but the ego vehicle: the crowd."""
+        agents = tuple(self._crowd.changed(agent) for agent in super().draw_agents(seed))
+        self.truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
+        self.frames = []
+        return agents
+
+    def advance(self) -> None:
+        """Move everybody for one simulation step, keep the frame and show it to the policy."""
+        known = len(self.events)
+        super().advance()
+        self.frames.append(read_frame(self.road, tuple(self.events[known:])))
+        if self.on_frame is not None:
+            self.on_frame(self.frames[-1])
+
+    def watch(self) -> None:
+        """Do nothing: near misses are counted afterwards, in what was driven."""
+
+    def observe(self, ego: Ego) -> Observation:
+        """What the policy observes; nothing for one that does not look."""
+        return super().observe(ego) if self.looks else {}
+
+
+def drive(
+    scenario: str, crowd: str, policy: str, seed: int, config: Mapping[str, Any]
+) -> dict[str, float]:
+    """Drive one episode; with one seed, traffic departs alike for every policy and crowd.
+
+    Args:
+        scenario: a key of `ROADS`.
+        crowd: a key of `CROWDS`.
+        policy: as in `get_policy`.
+        seed: of the traffic.
+        config: of the environment.
+
+    Returns:
+        The `METRICS`.
+
+    Raises:
+        InputError: if the policy or a part of the configuration is not usable.
+    """
+    make, changes = get_policy(policy)
+    others = CROWDS[crowd]
+    drawn = {"seed": seed, "mix": others.mix, "population": others.population}
+    env = _Among(scenario, others, {**drawn, **config, **changes})
+    env.looks = policy not in {*POLICIES, PLANNER}  # ours see frames
+    act = make(env)
+    observation, _ = env.reset(seed=seed)
+    begun = len(env.frames)
+    left_m, limit = env.egos[0].distance_left_m, float(env.vehicle.lane.speed_limit)
+    ended = cut = False
+    while not (ended or cut):
+        observation, _, ended, cut, info = env.step(act(observation))
+    driven = Tracks.from_frames(env.frames[begun:])
+    gone_m = left_m - min(distance_left_m(env.road, env.vehicle), left_m)
+    reachable_m = min(left_m, limit * float(env.config["duration_s"]))
+    found = {
+        "off_road": float(is_off_road(env.road, env.vehicle) and not info["arrived"]),
+        "progress": 1.0 if info["arrived"] else float(np.clip(gone_m / reachable_m, 0.0, 1.0)),
+        "arrived": float(info["arrived"]),
+        "minutes": float(info["time_s"]) / 60.0,
+        **_events(driven, env.scenario.road, env.ego_id),
+        **_comfort(driven, env.ego_id),
+    }
+    env.close()
+    return {"score": score(found), **found}
+
+
+def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
+    """Collisions, near misses and rules broken of the ego vehicle."""
+    found = incidents(TrajectoryRows.of(driven), road) if driven.time_s.size > 1 else ()
+    mine = [event for event in found if ego_id in (event.agent, event.other)]
+    collisions = [event for event in mine if event.kind is EventKind.COLLISION]
+    return {
+        "collisions": float(len(collisions)),
+        "collisions_caused": float(sum(event.agent == ego_id for event in collisions)),
+        "near_misses": float(sum(event.kind is EventKind.NEAR_MISS for event in mine)),
+        "rules_broken": float(sum(e.kind in RULES and e.agent == ego_id for e in mine)),
+    }
+
+
+def _comfort(driven: Tracks, ego_id: int) -> dict[str, float]:
+    """How much of the time the ride is uncomfortable, and the root mean square of the jerk."""
+    row = int(np.searchsorted(driven.ids, ego_id))
+    seen = driven.valid[row]
+    speed, heading = driven.speed[row, seen], np.unwrap(driven.heading[row, seen])
+    if speed.size < 4:
+        return {"uncomfortable_share": 0.0, "rms_jerk_mps3": 0.0}
+    forward = _smooth(np.diff(speed)) / driven.step_s
+    sideways = speed[1:] * _smooth(np.diff(heading)) / driven.step_s
+    bad = (forward < FORWARD_MPS2[0]) | (forward > FORWARD_MPS2[1])
+    bad |= np.abs(sideways) > SIDEWAYS_MPS2
+    jerk = np.diff(forward) / driven.step_s
+    return {
+        "uncomfortable_share": float(bad.mean()),
+        "rms_jerk_mps3": math.sqrt(float((jerk**2).mean())),
+    }
+
+
+def _smooth(values: FloatArray) -> FloatArray:
+    """The mean of three neighbours, so that a single step's jump is no acceleration."""
+    return np.convolve(np.pad(values, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
+
+
+def score(figures: Mapping[str, float]) -> float:
+    """One number for an episode, 0 to 1, in the manner of nuPlan's closed-loop score.
+
+    A collision that the vehicle caused, or leaving the road, makes it 0. Otherwise it is the mean
+    of progress, having no near miss, breaking no rule, and comfort, by `WEIGHTS`.
+
+    Examples:
+        >>> calm = {"collisions_caused": 0, "off_road": 0, "progress": 1.0, "near_misses": 0,
+        ...         "rules_broken": 0, "uncomfortable_share": 0.0}
+        >>> score(calm), score({**calm, "near_misses": 2}), score({**calm, "collisions_caused": 1})
+        (1.0, 0.6875, 0.0)
+    """
+    if figures["collisions_caused"] or figures["off_road"]:
+        return 0.0
+    parts = {
+        "progress": figures["progress"],
+        "calm": float(not figures["near_misses"]),
+        "lawful": float(not figures["rules_broken"]),
+        "comfort": 1.0 - figures["uncomfortable_share"],
+    }
+    return sum(WEIGHTS[name] * part for name, part in parts.items()) / sum(WEIGHTS.values())

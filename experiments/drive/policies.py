@@ -1,0 +1,216 @@
+"""Who drives the ego vehicle: our policies by name, or ``module:function`` of the user's own.
+
+A policy is made for one environment, before its first episode: ``make(env)`` returns a function
+that takes an observation and returns an action. The attribute ``config`` of ``make``, if it has
+one, changes the environment's configuration: ``{"action": {"type": "ContinuousAction"}}``. A
+trained network is loaded inside ``make``, by the library that wrote it: no file of a policy is
+opened here.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.driver_models import krauss_safe_speed
+from behaviors.errors import InputError, lookup
+from behaviors.labels import BEHAVIORS
+from behaviors.registry import own_function
+from experiments.drive.planner import ACT_S, Plan, plan
+from graphrqi.methods import Model
+from graphrqi.model_files import load_model
+from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.scene.scene import make_scene
+from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
+from sim.episode.buffer import FrameBuffer
+from sim.episode.observables import leaders
+from sim.frames import FloatArray, Frame
+from sim.road import Road
+
+Act = Callable[[Mapping[str, Any]], Any]
+"""From an observation to an action."""
+
+LOOK_AHEAD_M, LOOK_AHEAD_S = 8.0, 1.2
+"""The steering looks at the centre line this far ahead (Coulter 1992's pure pursuit; the lengths
+are ours: a lane change takes some 3 s)."""
+
+MOST_ACCEL_MPS2: Final = 8.0
+"""The planned vehicle's accelerator and brake reach this, m/s2."""
+
+EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (as
+hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
+
+
+class DrivenEnv(Protocol):
+    """What a policy may use of its environment, beside what gymnasium gives."""
+
+    scenario: Any
+    time: float
+    ego_id: int
+    truth: Mapping[int, int]
+    on_frame: Callable[[Frame], object] | None
+
+
+def do_nothing(env: DrivenEnv) -> Act:
+    """Keep speed and lane, whatever happens."""
+    return lambda observation: 1
+
+
+def idm_mobil(env: DrivenEnv) -> Act:
+    """highway-env's own driver: IDM and MOBIL, no signals, no pedestrians."""
+    return lambda observation: 0
+
+
+@functools.lru_cache(maxsize=2)
+def _model(name: str) -> Model:
+    """A classifier, read once."""
+    return load_model(name)
+
+
+class Planner:
+    """Our planner at the wheel, which knows nothing, beliefs or the truth of the other drivers.
+
+    Args:
+        knows: "nothing", "beliefs" or "truth".
+        env: what is driven; every frame of it is seen.
+        model: the classifier that the beliefs come from.
+    """
+
+    def __init__(self, knows: str, env: DrivenEnv, model: str = DEFAULT_MODEL) -> None:
+        self._knows, self._env, self._model = knows, env, model
+        self._frame: Frame | None = None
+        env.on_frame = self._see
+
+    def _see(self, frame: Frame) -> None:
+        """Remember and classify a frame; one from before the last begins a new episode."""
+        if self._frame is None or frame.time_s <= self._frame.time_s:
+            self._buffer = FrameBuffer(HISTORY_STEPS)
+            classifies = self._knows == "beliefs"
+            self._stream = BehaviorStream(_model(self._model)) if classifies else None
+            self._plan: Plan | None = None
+            self._next_s = 0.0
+        self._frame = frame
+        self._buffer.push(frame)
+        if self._stream is not None:
+            self._stream.push(frame)
+
+    def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+        """(2,) acceleration and steering for highway-env's ``ContinuousAction``."""
+        frame, ego_id = self._frame, self._env.ego_id
+        action = np.zeros(2, dtype=np.float32)
+        if frame is None or ego_id not in frame.ids:
+            return action
+        me = int(np.flatnonzero(frame.ids == ego_id)[0])
+        road: Road = self._env.scenario.road
+        if self._env.time >= self._next_s - 1e-6:
+            scene = make_scene(self._buffer.tracks(), road)
+            ego = int(np.searchsorted(scene.ids, ego_id))
+            if scene.on_path[ego]:
+                self._plan = plan(scene, ego, self._beliefs(frame), default_table())
+            self._next_s = self._env.time + ACT_S
+        if self._plan is None:
+            return action
+        turn = steering(
+            self._plan.centre, frame.xy[me], float(frame.heading[me]), float(frame.speed[me]),
+            float(frame.length[me]),
+        )  # fmt: skip
+        action[0] = min(self._plan.accel, safe_accel(frame, road, me)) / MOST_ACCEL_MPS2
+        action[1] = -turn / (math.pi / 4)  # highway-env's y points to the right
+        return np.clip(action, -1.0, 1.0)
+
+    def _beliefs(self, frame: Frame) -> FloatArray:
+        """(n, 6) what is known of everybody in a frame."""
+        if self._stream is not None:
+            return self._stream.posterior().of(frame.ids)
+        known = np.full((frame.ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+        if self._knows == "truth":
+            for row, agent in enumerate(frame.ids.tolist()):
+                if agent in self._env.truth:
+                    known[row] = np.eye(len(BEHAVIORS))[self._env.truth[agent]]
+        return known
+
+
+def steering(
+    centre: FloatArray, xy: FloatArray, heading: float, speed: float, length: float
+) -> float:
+    """The front wheels' angle that leads onto a centre line, rad, positive to the left.
+
+    Pure pursuit: a circle through a point on the line ahead, driven by highway-env's bicycle.
+
+    Args:
+        centre: (H, 2) the line, m.
+        xy: (2,) where the vehicle is, m.
+        heading: rad.
+        speed: m/s.
+        length: of the vehicle, m.
+    """
+    away = np.hypot(*(centre - xy).T)
+    ahead = np.flatnonzero(away >= max(LOOK_AHEAD_M, LOOK_AHEAD_S * speed))
+    ahead = ahead[ahead > int(away.argmin())]
+    goal = centre[ahead[0] if ahead.size else -1] - xy
+    angle = math.atan2(goal[1], goal[0]) - heading
+    curvature = 2.0 * math.sin(angle) / max(float(np.hypot(*goal)), 1.0)
+    slip = math.asin(max(-0.7, min(0.7, curvature * length / 2.0)))
+    return math.atan(2.0 * math.tan(slip))
+
+
+def safe_accel(frame: Frame, road: Road, me: int) -> float:
+    """The most at which row ``me`` can still stop behind a leader who brakes to a stop, m/s2.
+
+    It is the emergency brake of every planner, as beliefs may be wrong. The safe speed is Krauss's.
+    """
+    every, gaps = leaders(frame, road)
+    leader, speed = int(every[me]), float(frame.speed[me])
+    if leader < 0:
+        return math.inf
+    room = max(float(gaps[me]) - EMERGENCY_GAP_M, 0.0)
+    safe = krauss_safe_speed(room, float(frame.speed[leader]), EMERGENCY_S, EMERGENCY_DECEL_MPS2)
+    return (safe - speed) / EMERGENCY_S
+
+
+STEERED: Final[dict[str, Any]] = {
+    "action": {
+        "type": "ContinuousAction", "acceleration_range": [-MOST_ACCEL_MPS2, MOST_ACCEL_MPS2]
+    },
+    "policy_frequency": 10,
+}  # fmt: skip
+"""How the planner steers."""
+
+BLIND: Final = "planner-blind"
+"""The planner that knows nothing of the other drivers; what knowledge gains is counted from it."""
+
+POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
+    "do-nothing": (do_nothing, {}),
+    "idm-mobil": (idm_mobil, {"action": {"type": "StockDriver"}}),
+    BLIND: (functools.partial(Planner, "nothing"), STEERED),
+    "planner-told": (functools.partial(Planner, "beliefs"), STEERED),
+    "planner-true": (functools.partial(Planner, "truth"), STEERED),
+}
+"""Our policies, with what each changes in an environment's configuration."""
+
+PLANNER: Final = "planner"
+"""Short for the planner with the classifier's beliefs."""
+
+
+def get_policy(name: str) -> tuple[Callable[..., Act], dict[str, Any]]:
+    """A policy and its environment's configuration.
+
+    Args:
+        name: a key of `POLICIES`, "planner", or "module:function" that can be imported from here.
+
+    Raises:
+        InputError: if there is none.
+    """
+    if ":" not in name:
+        return lookup(POLICIES, "planner-told" if name == PLANNER else name, "policy")
+    make = own_function("policy", name)
+    config = getattr(make, "config", {})
+    if not isinstance(config, Mapping):
+        raise InputError(f"policy: found {name}.config {config!r}, expected a mapping")
+    return make, dict(config)

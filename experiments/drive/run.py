@@ -1,0 +1,105 @@
+"""Drives every policy in every scenario among every crowd, seed by seed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from behaviors.errors import InputError, lookup
+from experiments.data.parallel import all_in_parallel
+from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED
+from experiments.drive.episode import METRICS, ROADS, drive
+from experiments.drive.figures import figure_rows
+from experiments.drive.policies import POLICIES, get_policy
+from experiments.rows import Cell, Row
+
+
+@dataclass(frozen=True, slots=True)
+class LicenceTest:
+    """Who is tested where, among whom and how often.
+
+    Attributes:
+        policies: names, "planner", or "module:function" of one's own.
+        scenarios: keys of `ROADS`.
+        crowds: keys of `CROWDS`.
+        episodes: of each policy in each scenario and crowd.
+        seed: of the first episode; the planner was tuned on other ones.
+        flow: of the traffic.
+        duration_s: longest time that an episode takes, s.
+        warmup_s: how long the traffic drives before, s.
+    """
+
+    policies: tuple[str, ...] = tuple(POLICIES)
+    scenarios: tuple[str, ...] = tuple(ROADS)
+    crowds: tuple[str, ...] = tuple(CROWDS)
+    episodes: int = 20
+    seed: int = 700_000
+    flow: str = "medium"
+    duration_s: float = 60.0
+    warmup_s: float = 20.0
+
+
+QUICK = LicenceTest(
+    scenarios=("straight_road", "right_before_left"), crowds=(MIXED, HOMOGENEOUS), episodes=2,
+    duration_s=20.0, warmup_s=10.0,
+)  # fmt: skip
+"""A test of some minutes, which shows what there is to see."""
+
+
+def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[Row]]:
+    """Drive everything.
+
+    Args:
+        test: what to drive.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Yields:
+        The rows of each scenario; then those over all of them ("all"), if there are several.
+
+    Raises:
+        InputError: if a scenario, crowd or policy is not known.
+    """
+    for name in test.scenarios:
+        lookup(ROADS, name, "scenario")
+    for name in test.crowds:
+        lookup(CROWDS, name, "crowd")
+    for name in test.policies:
+        get_policy(name)
+    if test.episodes < 1:
+        raise InputError(f"episodes: found {test.episodes}, expected at least 1")
+    config = {"flow": test.flow, "duration_s": test.duration_s, "warmup_s": test.warmup_s}
+    shape = (1, test.episodes, len(test.crowds), len(test.policies), len(METRICS))
+    tables = []
+    for scenario in test.scenarios:
+        arguments = [
+            (scenario, crowd, policy, seed, config)
+            for seed in range(test.seed, test.seed + test.episodes)
+            for crowd in test.crowds
+            for policy in test.policies
+        ]
+        found = all_in_parallel(drive, arguments, jobs, f"driving in {scenario}: episodes", quiet)
+        tables.append(np.array([[one[m] for m in METRICS] for one in found]).reshape(shape))
+        yield figure_rows(scenario, test.crowds, test.policies, tables[-1])
+    if len(tables) > 1:
+        yield figure_rows("all", test.crowds, test.policies, np.concatenate(tables))
+
+
+SHOWN = ("score", "rank", "collisions_caused", "near_misses", "rules_broken", "progress")
+"""The figures of the table for people; the rows have all of them."""
+
+
+def short_table(rows: Sequence[Row]) -> list[Row]:
+    """A line for each policy and crowd, over all scenarios that were driven in."""
+    last = rows[-1]["scenario"]
+    lines: dict[tuple[Cell, Cell], dict[str, Cell]] = {}
+    for row in rows:
+        if row["scenario"] == last and row["metric"] in SHOWN:
+            keys = (row["crowd"], row["policy"])
+            line = lines.setdefault(keys, {"crowd": keys[0], "policy": keys[1]})
+            line[str(row["metric"])] = row["value"]
+            if row["metric"] == "score" and row["low"] is not None:
+                line["low"], line["high"] = row["low"], row["high"]
+    return list(lines.values())
