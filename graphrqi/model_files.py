@@ -22,9 +22,9 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, restore_classifier
-from graphrqi.other_traffic import OtherTraffic
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import METHODS, Method, Model
+from graphrqi.other_traffic import OtherTraffic
 from graphrqi.spectrum import SOLVERS
 from sim.invalid_fields import first_wrong_field
 from sim.store.atomic import whole_folder

@@ -25,6 +25,7 @@ from graphrqi.classify.checks import part_of, saved
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import (
     LEAST_LEFT_OVER_M,
+    LEFT_OVER,
     SCENE_NAMES,
     UNKNOWN_SCENE,
     RelativeObserver,
@@ -88,6 +89,15 @@ _DRIVERS, _HEADWAY, SECONDS, COURSES = map(
     SCENE_NAMES.index, ("drivers", "mean headway", "seconds", "mean weaving")
 )
 
+_OF_PEOPLE: Final = [
+    SCENE_NAMES.index(name)
+    for name in (
+        "noise", "mean weaving", "mean unrest", "deviation of weaving", "deviation of unrest",
+        *(f"{name} over noise" for name in LEFT_OVER),
+    )
+]  # fmt: skip
+"""Numbers of a scene that tell recorded people from simulations."""
+
 _LEARNED: Final = ("noisy", "other")
 """Attributes of `OtherTraffic` that have arrays."""
 
@@ -142,7 +152,7 @@ class OtherTraffic:
             (n, 6) probabilities.
         """
         network = self.network(traffic)
-        return self._held_back(network.alone(network.described(relative)), relative)
+        return self._held_back(network.alone(network.described(relative)), relative, traffic)
 
     def among(
         self,
@@ -175,7 +185,7 @@ class OtherTraffic:
             beside = self._beside_others(described, relative, seen, time_s, place)
             style = (1.0 - compared) * aggressive_share(found) + compared * beside
             found = restyled(found, style, AGGRESSIVE)
-        return self._held_back(found, relative)
+        return self._held_back(found, relative, traffic)
 
     def _beside_others(
         self,
@@ -199,21 +209,26 @@ class OtherTraffic:
         """A place of which nothing is known yet."""
         return KnownPlace(PlaceDrivers(self.network(traffic).width), PlaceDrivers(1))
 
-    def _novelty(self, scenes: FloatArray) -> FloatArray:
-        """(n,) how far scenes lie outside the training's range: 0 within, 1 far beyond."""
+    def _novelty(self, scenes: FloatArray, traffic: Traffic) -> FloatArray:
+        """(n,) how far scenes lie outside the training's range: 0 within, 1 far beyond.
+
+        Noise and restlessness, in which people differ from simulations, do not count for them.
+        """
         length = self.high - self.low
         outside = np.maximum(np.maximum(self.low - scenes, scenes - self.high), 0.0)
+        if traffic == "recorded":
+            outside[:, _OF_PEOPLE] = 0.0
         far = (outside / np.where(length > 0.0, length, 1.0)).max(axis=1, initial=0.0)
         return np.asarray(np.minimum(far / FARTHEST, 1.0))
 
-    def _held_back(self, found: FloatArray, relative: FloatArray) -> FloatArray:
+    def _held_back(self, found: FloatArray, relative: FloatArray, traffic: Traffic) -> FloatArray:
         """(n, 6) probabilities that go towards equal chances in scenes of which little is known.
 
         They lie outside the training's range, or were hardly watched.
         """
         scenes = scene_of(relative)
         watched = _ramp(np.expm1(scenes[:, SECONDS]), GLIMPSED_S, WATCHED_S)
-        known = ((1.0 - self._novelty(scenes)) * watched)[:, None]
+        known = ((1.0 - self._novelty(scenes, traffic)) * watched)[:, None]
         return np.asarray(known * found + (1.0 - known) / len(BEHAVIORS))
 
     def arrays(self) -> dict[str, NDArray[Any]]:

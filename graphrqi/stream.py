@@ -196,4 +196,6 @@ def load_stream(
         from graphrqi.calibrate.live import LiveNumbers
 
         numbers = LiveNumbers(population)
-    return BehaviorStream(load_model(name_or_folder), window=window, numbers=numbers, traffic=traffic)
+    return BehaviorStream(
+        load_model(name_or_folder), window=window, numbers=numbers, traffic=traffic
+    )

@@ -33,7 +33,6 @@ def episode_samples(
     number: int,
     method: str,
     solver: str,
-    elsewhere: bool,
     windows_s: Sequence[float],
     every_s: float,
     per_moment: int | None,
@@ -41,7 +40,7 @@ def episode_samples(
 ) -> Samples | str:
     """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
     tracks = measured(open_dataset(folder).read(entry))
-    observer = make_observer(method, solver, elsewhere)
+    observer = make_observer(method, solver)
     try:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
     except NoSamplesError as reason:
@@ -63,7 +62,6 @@ def gather(
     *,
     scenario: str | None = None,
     solver: str = "graphrqi",
-    elsewhere: bool = False,
     windows_s: Sequence[float] = (OBSERVED_S,),
     every_s: float = 1.0,
     per_moment: int | None = None,
@@ -81,7 +79,6 @@ def gather(
         method: whose observer to use.
         scenario: only this one; None for all.
         solver: a key of ``SOLVERS``.
-        elsewhere: whether to add the relative features that answer on foreign traffic.
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
         per_moment: how many lengths to draw per driver and moment; None for all.
@@ -102,7 +99,7 @@ def gather(
         numbered = {e.id: first + i for i, e in enumerate(dataset.manifest.episodes)}
         first += len(numbered)
         arguments += [
-            (dataset.path, e, numbered[e.id], method, solver, elsewhere, tuple(windows_s), every_s,
+            (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
              per_moment, seed)
             for e in dataset.episodes(split, scenario)
         ]  # fmt: skip

@@ -56,7 +56,6 @@ def score_model(
         "test",
         model.method.name,
         solver=model.solver,
-        elsewhere=model.elsewhere is not None,
         jobs=jobs,
         quiet=quiet,
     )

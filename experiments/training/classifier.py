@@ -13,7 +13,7 @@ from experiments.console.notices import LOGGER
 from experiments.data.windows import OBSERVED_S, gather
 from experiments.scoring.evaluation import answers_of, evaluation_rows
 from experiments.scoring.models import Scored, majority_of, score_model
-from experiments.training.elsewhere import train_on_worlds
+from experiments.training.other_traffic import train_on_worlds
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import check_model_folder, save_model
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
@@ -27,7 +27,7 @@ TRAINING_PER_MOMENT: Final = 1
 """Window lengths drawn for each driver and moment in training."""
 
 BOTH: Final = "graphrqi-plus"
-"""The method whose models learn what is home and how to answer elsewhere."""
+"""The method whose models have networks for other traffic."""
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
 """Speed limits of the training data, episode by episode. A third of the training episodes have
@@ -49,8 +49,8 @@ def train_model(
 
     Args:
         datasets: with train, validation and (for the card) test episodes. If some are random
-            worlds and others are not, a model of the method ``BOTH`` learns to answer elsewhere
-            from the worlds; any other model learns from all of them alike.
+            worlds and others are not, a model of the method ``BOTH`` learns to answer
+            in other traffic from the worlds; any other model learns from all of them alike.
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
         per_moment: window lengths drawn for each driver and moment.
@@ -65,9 +65,9 @@ def train_model(
     chosen = METHODS[method]
     worlds = [d for d in datasets if "worlds" in d.header.configuration]
     home = [d for d in datasets if d not in worlds]
-    elsewhere = None
+    other = None
     if chosen.name == BOTH and home and worlds:
-        elsewhere = train_on_worlds(home, worlds, seed, jobs, quiet)
+        other = train_on_worlds(home, worlds, seed, jobs, quiet)
         datasets = home
     options: dict[str, Any] = {
         "solver": solver,
@@ -84,7 +84,7 @@ def train_model(
         with _skipping_empty():
             validation = gather(datasets, "validation", chosen.name, **options)
     model = train(chosen.name, training, validation, solver, seed)
-    model = dataclasses.replace(model, elsewhere=elsewhere)
+    model = dataclasses.replace(model, other=other)
     if any(dataset.episodes("test") for dataset in datasets):
         with _skipping_empty():
             scored = score_model(datasets, model, majority_of(training), jobs=jobs, quiet=quiet)

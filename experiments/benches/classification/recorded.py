@@ -124,7 +124,7 @@ def last_beliefs(
 
     NaN where it gives no answer. ``is_scene`` is that of `graphrqi.stream.BehaviorStream`.
     """
-    stream = BehaviorStream(model, is_scene=is_scene)
+    stream = BehaviorStream(model, is_scene=is_scene, traffic="recorded")
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
     leaving: dict[int, list[int]] = {}
     for row in np.flatnonzero(tracks.valid.any(axis=1) & (tracks.kind != PEDESTRIAN)).tolist():
