@@ -19,10 +19,9 @@ from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
-from experiments.training.elsewhere import train_on_worlds
+from experiments.training.other_traffic import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
-from experiments.training.recorded_scenes import OPEN_DATA
 from experiments.training.roads import generate_roads
 from graphrqi.model_files import MODELS, load_model, save_model
 from graphrqi.portable_torch import leave_onednn_out
@@ -59,31 +58,22 @@ CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
 
 
-ELSEWHERE_HOME: Final[dict[str, dict[str, Any]]] = {
+NETWORK_EPISODES: Final[dict[str, dict[str, Any]]] = {
     "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
     "light": {"episodes": 20, "flow": "light"},
     "dense": {"episodes": 20, "flow": "dense"},
     "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
 }
-"""Home traffic that the classifier learns to tell from elsewhere: options of `GenerateConfig`."""
+"""Simulated traffic that the networks for other traffic learn from: options of `GenerateConfig`."""
 
-ELSEWHERE_HOME_SEED, ELSEWHERE_HOME_S = 2023, 150.0
-"""Seed of this home traffic, and the length of its episodes, s."""
+NETWORK_SEED, NETWORK_S = 2023, 150.0
+"""Seed of this traffic, and the length of its episodes, s."""
 
-ELSEWHERE_ROADS: Final[dict[str, Any]] = {
-    "scenarios": (
-        "two_way_road", "priority_intersection", "all_way_stop", "right_before_left", "roundabout"
-    ),
-    "episodes": 20,
-    "limits_mps": TRAINING_LIMITS_MPS,
-}  # fmt: skip
-"""Home traffic on other roads, which the gate is to take for home: there the classifier of home
-traffic is right as often as what is learned from worlds, or oftener."""
+WORLDS_EPISODES: Final = {7000: 700, 31000: 1500, 52000: 2000}
+"""Random worlds that the networks for other traffic learn from, by their seed."""
 
-ELSEWHERE_WORLDS: Final = {7000: 700, 31000: 1500, 52000: 2000}
-"""Random worlds that the classifier learns from, by their seed: at the end of a life, styles in
-unseen worlds are right for .885 of the drivers after learning from 700, for .908 after 2,200, and
-for .914 after 4,200."""
+OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
+"""Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
 
 
 def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
@@ -117,37 +107,35 @@ def worlds_of(count: int, seed: int) -> GenerateConfig:
     return GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=count, seed=seed)
 
 
-def learn_elsewhere(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
-    """Generate home traffic and random worlds, and teach the classifier to answer elsewhere.
+def train_networks(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
+    """Generate simulated traffic and random worlds, and train the networks for other traffic.
 
     Args:
         work: folder for the data.
         quiet: whether to show no progress.
         jobs: processes; None for one per core.
     """
-    home = []
-    for name, options in {**ELSEWHERE_HOME, "roads": ELSEWHERE_ROADS}.items():
-        home.append(work / f"elsewhere-{name}")
+    simulated = []
+    for name, options in NETWORK_EPISODES.items():
+        simulated.append(work / f"networks-{name}")
         config = GenerateConfig(
             **{"scenarios": SCENARIOS, **options},
-            seed=ELSEWHERE_HOME_SEED,
-            duration_s=ELSEWHERE_HOME_S,
+            seed=NETWORK_SEED,
+            duration_s=NETWORK_S,
         )
-        generate(config, home[-1], jobs, quiet)
-    *home, roads = home
+        generate(config, simulated[-1], jobs, quiet)
     worlds = []
-    for seed, count in ELSEWHERE_WORLDS.items():
-        worlds.append(work / f"elsewhere-worlds-{seed}")
+    for seed, count in WORLDS_EPISODES.items():
+        worlds.append(work / f"networks-worlds-{seed}")
         generate(worlds_of(count, seed), worlds[-1], jobs, quiet)
     model = load_model(BEST_METHOD)
     learned = train_on_worlds(
-        [open_dataset(folder) for folder in home],
+        [open_dataset(folder) for folder in simulated],
         [open_dataset(folder) for folder in worlds],
         jobs=jobs,
         quiet=quiet,
-        roads=[open_dataset(roads)],
     )
-    save_model(dataclasses.replace(model, elsewhere=learned), MODELS / BEST_METHOD)
+    save_model(dataclasses.replace(model, other=learned), MODELS / BEST_METHOD)
 
 
 def build_models(work: Path, quiet: bool = False) -> None:
@@ -160,7 +148,7 @@ def build_models(work: Path, quiet: bool = False) -> None:
         quiet: whether to show no progress.
     """
     train_classifier(work, quiet)
-    learn_elsewhere(work, quiet)
+    train_networks(work, quiet)
     data = work / "predictor"
     config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
     generate(config, data, None, quiet)

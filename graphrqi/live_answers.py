@@ -1,8 +1,9 @@
 """What a model says about the drivers present, frame by frame.
 
-Home's classifier answers anew in every frame, on motion over fractions of a second. What is known
-of traffic elsewhere changes only when smoothed motion is measured, some times a second: those
-answers are kept in between. A classifier that the gate takes for impossible is not asked.
+In simulated traffic the model's own classifier answers anew in every frame, on motion over
+fractions of a second. Where positions are noisy, and in all other traffic, the networks of
+`graphrqi.other_traffic` answer. What they see changes only when smoothed motion is measured, some
+times a second: their answers are kept in between.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, UNSEEN, Elsewhere
 from graphrqi.features.kinematics import align
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import Model, make_observer
+from graphrqi.other_traffic import FINEST_S, OtherTraffic, Traffic
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -27,42 +28,55 @@ class LiveAnswers:
     Args:
         model: which answers.
         min_seconds: time observed after which a driver is classified, s.
+        traffic: where the positions come from.
     """
 
-    def __init__(self, model: Model, min_seconds: float) -> None:
-        self._model, self._min_seconds = model, min_seconds
-        self._own = make_observer(model.method.name, model.solver)
-        self._away = None if model.elsewhere is None else _Away(model.elsewhere)
+    def __init__(self, model: Model, min_seconds: float, traffic: Traffic = "simulated") -> None:
+        self._model, self._min_seconds, self._traffic = model, min_seconds, traffic
+        self._network = None
+        if model.other is not None:
+            self._network = _NetworkAnswers(model.other, traffic)
+        self._own = None
+        if self._network is None or traffic == "simulated":
+            self._own = make_observer(model.method.name, model.solver)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        self._own.update(time_s, ids, xy, drives)
-        if self._away is not None:
-            self._away.observer.update(time_s, ids, xy, drives)
+        if self._own is not None:
+            self._own.update(time_s, ids, xy, drives)
+        if self._network is not None:
+            self._network.observer.update(time_s, ids, xy, drives)
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether simulated traffic is seen with more noise than the classifier learned from."""
+        return (
+            self._traffic == "simulated"
+            and self._network is not None
+            and (self._network.observer.is_noisy or self._network.observer.frame_s < FINEST_S)
+        )
 
     def now(self) -> tuple[IntArray, FloatArray, float]:
         """The drivers that are present and were observed long enough.
 
         Returns:
-            Their (n,) ascending ids, (n, 6) probabilities, and how foreign the traffic is.
+            Their (n,) ascending ids, (n, 6) probabilities, and the domain of the traffic: 0
+            simulated here, 1 other traffic that the model has a network for.
         """
-        if self._away is None:
-            ids, found, domain = *self._at_home(), 0.0
+        domain = 0.0
+        if self._network is None or (self._traffic == "simulated" and not self.is_noisy):
+            ids, found = self._own_answers()
         else:
-            kinds = self._away.kinds()
-            if kinds[HOME] > 0.0:
-                ids, at_home = self._at_home()
-                found = kinds[HOME] * at_home + self._away.answers(ids)
-            else:
-                ids = self._away.ready(self._min_seconds)
-                found = self._away.answers(ids)
-            domain = min(float(kinds[FOREIGN] + kinds[RECORDED]), 1.0)
+            ids = self._network.ready(self._min_seconds)
+            found = self._network.answers(ids)
+            domain = 0.0 if self._traffic == "simulated" else 1.0
         if self._model.adaptation is not None:
             found = self._model.adaptation.applied(found)
         return ids, found, domain if ids.size else 0.0
 
-    def _at_home(self) -> tuple[IntArray, FloatArray]:
+    def _own_answers(self) -> tuple[IntArray, FloatArray]:
         """Ids of the drivers that are ready, and what the model's own classifier answers."""
+        assert self._own is not None
         seen = self._own.observation()
         ready = seen.seconds >= self._min_seconds - 1e-6
         if not ready.any():
@@ -72,45 +86,27 @@ class LiveAnswers:
         return seen.ids[ready], found[ready]
 
 
-class _Away:
-    """What is known of traffic elsewhere, as of the last moment that was measured."""
+class _NetworkAnswers:
+    """The answers of a network, as of the last moment that was measured."""
 
-    def __init__(self, elsewhere: Elsewhere) -> None:
+    def __init__(self, other: OtherTraffic, traffic: Traffic) -> None:
         self.observer = RelativeObserver()
-        self._elsewhere = elsewhere
+        self._other, self._traffic = other, traffic
+        self._place = other.empty_place(traffic)
         self._asked_s = float("nan")
-        self._place = elsewhere.empty_place()
-        self._kinds = UNSEEN
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._known: FloatArray = np.empty((0, len(BEHAVIORS)))
 
-    def _refresh(self) -> None:
-        """Ask again if something was measured since the last time."""
-        if self.observer.measured_s == self._asked_s:
-            return
-        self._asked_s = self.observer.measured_s
-        one = self.observer.measured(most=1)
-        self._kinds = UNSEEN
-        if one.ids.size:
-            described = self.observer.features(one.seconds, one.sums, one.instant)
-            self._kinds = self._elsewhere.kinds(described)[0]
-        self._ids, self._known = one.ids[:0], np.empty((0, len(BEHAVIORS)))
-        if self._kinds[HOME] < 1.0:
+    def answers(self, ids: IntArray) -> FloatArray:
+        """(n, 6) probabilities; equal chances for drivers of which nothing was measured yet."""
+        if self.observer.measured_s != self._asked_s:
+            self._asked_s = self.observer.measured_s
             seen, features = self.observer.described()
             self._ids = seen.ids
-            self._known = self._elsewhere.answers_among(
-                features, self._kinds, seen, self._asked_s, self._place
+            self._known = self._other.among(
+                features, self._traffic, seen, self._asked_s, self._place
             )
-
-    def kinds(self) -> FloatArray:
-        """(4,) probability of each kind of traffic."""
-        self._refresh()
-        return self._kinds
-
-    def answers(self, ids: IntArray) -> FloatArray:
-        """(n, 6) probabilities times that of the kinds of traffic that are not as at home."""
-        self._refresh()
-        out = np.full((ids.size, len(BEHAVIORS)), (1.0 - self._kinds[HOME]) / len(BEHAVIORS))
+        out = np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
         into, source = align(self._ids, ids)
         out[into] = self._known[source]
         return out

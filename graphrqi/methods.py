@@ -18,11 +18,9 @@ from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
 from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.elsewhere import FOREIGN, HOME, RECORDED, Elsewhere
 from graphrqi.features.baseline import BaselineObserver
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.embedding import EmbeddingObserver
-from graphrqi.features.home_and_relative import HomeAndRelativeObserver
 from graphrqi.features.observer import Observer
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.features.spectrum_observers import (
@@ -31,6 +29,7 @@ from graphrqi.features.spectrum_observers import (
     SpectrumObserver,
 )
 from graphrqi.features.trajectory import TrajectoryObserver
+from graphrqi.other_traffic import OtherTraffic, Traffic
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
 
@@ -155,8 +154,8 @@ class Model:
         classifier: the trained classifier.
         shares: share of each behaviour among the training windows; they sum to 1.
         card: training data and scores, as JSON values.
-        elsewhere: how it answers in traffic unlike that of its training; None if it takes all
-            traffic for the same.
+        other: how it answers in traffic unlike that of its classifier's training; None if it takes
+            all traffic for the same.
         adaptation: what is done to the answers at the place that the model was adapted to; None if
             it was not.
     """
@@ -166,62 +165,50 @@ class Model:
     classifier: Classifier
     shares: tuple[float, ...]
     card: Mapping[str, Any]
-    elsewhere: Elsewhere | None = None
+    other: OtherTraffic | None = None
     adaptation: Adaptation | None = None
 
-    def observer(self) -> Observer:
-        """A fresh observer of the kind the model answers on."""
-        return make_observer(self.method.name, self.solver, self.elsewhere is not None)
-
-    def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, 6) probabilities of feature vectors (n, F) of its `observer`."""
-        return self.answer(features)[0]
-
-    def answer(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Probabilities, and how foreign the traffic is.
+    def observer(self, traffic: Traffic = "simulated") -> Observer:
+        """A fresh observer of the kind the model answers on.
 
         Args:
-            features: (n, F) of its `observer`.
+            traffic: where the positions come from.
+        """
+        if traffic == "simulated" or self.other is None:
+            return make_observer(self.method.name, self.solver)
+        return RelativeObserver()
+
+    def posterior(self, features: FloatArray, traffic: Traffic = "simulated") -> FloatArray:
+        """Probabilities of the behaviours of drivers, one by one.
+
+        Args:
+            features: (n, F) of its `observer` for this traffic.
+            traffic: where the positions come from.
 
         Returns:
-            (n, 6) probabilities of the behaviours, and (n,) 0 at home to 1 elsewhere; 0 from a
-            model that takes all traffic for the same.
+            (n, 6) probabilities.
 
         Raises:
-            InputError: if they are those of another observer.
+            InputError: if they are features of another observer.
         """
-        expected = len(self.observer().feature_names)
+        expected = len(self.observer(traffic).feature_names)
         if features.shape[1] != expected:
             raise InputError(f"features: found {features.shape[1]} columns, expected {expected}")
-        if self.elsewhere is None:
-            found, foreign = self.classifier.posterior(features), np.zeros(len(features))
+        if traffic == "simulated" or self.other is None:
+            found = self.classifier.posterior(features)
         else:
-            home, relative = self._parts(features)
-            kinds = self.elsewhere.kinds(relative)
-            found = self.elsewhere.answers(relative, kinds)
-            foreign = np.minimum(kinds[:, FOREIGN] + kinds[:, RECORDED], 1.0)
-            asked = kinds[:, HOME] > 0.0
-            if asked.any():
-                at_home = self.classifier.posterior(np.ascontiguousarray(home[asked]))
-                found[asked] += kinds[asked, HOME, None] * at_home
-        return (found if self.adaptation is None else self.adaptation.applied(found)), foreign
-
-    def _parts(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The features of the method, and the relative ones."""
-        relative = len(RelativeObserver.feature_names)
-        return features[:, :-relative], features[:, -relative:]
+            found = self.other.alone(features, traffic)
+        return found if self.adaptation is None else self.adaptation.applied(found)
 
 
-def make_observer(method: str, solver: str = "graphrqi", elsewhere: bool = False) -> Observer:
+def make_observer(method: str, solver: str = "graphrqi") -> Observer:
     """A fresh observer.
 
     Args:
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
-        elsewhere: whether it also gives the relative features that answer on foreign traffic.
     """
-    own = METHODS[method].observer(solver)
-    return HomeAndRelativeObserver(own) if elsewhere else own
+    return METHODS[method].observer(solver)
 
 
 def train(

@@ -1,6 +1,6 @@
 """Model folders: ``model.json`` and ``weights.safetensors``.
 
-What a model knows of foreign traffic lies in the folder ``elsewhere`` within: ``elsewhere.json``
+What a model knows of other traffic lies in the folder ``other_traffic`` within: ``networks.json``
 and another ``weights.safetensors``; what it learned at a place, in ``adaptation.json``.
 """
 
@@ -22,9 +22,9 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, restore_classifier
-from graphrqi.elsewhere import Elsewhere
 from graphrqi.features.relative.observer import RelativeObserver
 from graphrqi.methods import METHODS, Method, Model
+from graphrqi.other_traffic import OtherTraffic
 from graphrqi.spectrum import SOLVERS
 from sim.files import whole_folder
 from sim.invalid_fields import first_wrong_field
@@ -45,7 +45,7 @@ _OTHER_VERSION: Final = (
     "found those of another version, expected this version's; train the model again"
 )
 
-ELSEWHERE: Final = "elsewhere"
+OTHER_TRAFFIC: Final = "other_traffic"
 """Folder, within a model's, of what it knows of foreign traffic."""
 
 ADAPTATION: Final = "adaptation.json"
@@ -109,7 +109,7 @@ def check_model_folder(folder: Path) -> None:
 def save_model(model: Model, folder: Path) -> None:
     """Write a model folder.
 
-    A model that is already there is replaced, with what it had learned for traffic elsewhere and
+    A model that is already there is replaced, with what it had learned for other traffic and
     its adaptation; other files in its folder are kept.
 
     Raises:
@@ -135,11 +135,11 @@ def save_model(model: Model, folder: Path) -> None:
             f"{folder / 'model.json'}: card: found what JSON cannot hold ({error}), "
             "expected finite numbers, texts, lists and tables"
         ) from None
-    with whole_folder(folder, outdated=(ELSEWHERE, ADAPTATION)) as partial:
+    with whole_folder(folder, outdated=(OTHER_TRAFFIC, ADAPTATION)) as partial:
         (partial / "model.json").write_text(written)
         (partial / "weights.safetensors").write_bytes(save(arrays))
-        if model.elsewhere is not None:
-            _save_elsewhere(model.elsewhere, partial / ELSEWHERE)
+        if model.other is not None:
+            _save_other_traffic(model.other, partial / OTHER_TRAFFIC)
         if model.adaptation is not None:
             adapted = _AdaptationFile(
                 scale=model.adaptation.scale, offset=tuple(model.adaptation.offset.tolist())
@@ -170,18 +170,18 @@ def _load_adaptation(path: Path) -> Adaptation | None:
         raise InputError(f"{path}: {error}") from None
 
 
-def _save_elsewhere(elsewhere: Elsewhere, folder: Path) -> None:
+def _save_other_traffic(other: OtherTraffic, folder: Path) -> None:
     from safetensors.numpy import save
 
     folder.mkdir()
-    arrays = {k: np.ascontiguousarray(v) for k, v in elsewhere.arrays().items()}
+    arrays = {k: np.ascontiguousarray(v) for k, v in other.arrays().items()}
     described = {
         "schema_version": SCHEMA_VERSION,
         "features": RelativeObserver.feature_names,
-        "card": dict(elsewhere.card),
+        "card": dict(other.card),
     }
     written = json.dumps(described, indent=1, allow_nan=False) + "\n"
-    (folder / "elsewhere.json").write_text(written)
+    (folder / "networks.json").write_text(written)
     (folder / "weights.safetensors").write_bytes(save(arrays))
 
 
@@ -213,11 +213,11 @@ def load_model(name_or_folder: str | Path) -> Model:
     learned = _restored(weights, classifier, file.method)
     if folder.parent != MODELS:
         _check_answers(weights, learned, len(file.features))
-    elsewhere = None
-    if (folder / ELSEWHERE).is_dir():
-        elsewhere = _load_elsewhere(folder / ELSEWHERE)
+    other = None
+    if (folder / OTHER_TRAFFIC).is_dir():
+        other = _load_other_traffic(folder / OTHER_TRAFFIC)
     adaptation = _load_adaptation(folder / ADAPTATION)
-    return Model(method, file.solver, learned, file.shares, file.card, elsewhere, adaptation)
+    return Model(method, file.solver, learned, file.shares, file.card, other, adaptation)
 
 
 def _restored(weights: Path, restore: Callable[[Arrays], T], expected: str) -> T:
@@ -262,8 +262,8 @@ def _read_small(path: Path) -> bytes:
     return path.read_bytes()
 
 
-class _ElsewhereFile(BaseModel):
-    """``elsewhere.json`` in the folder within a model's."""
+class _NetworksFile(BaseModel):
+    """``networks.json`` in the folder within a model's."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -272,19 +272,19 @@ class _ElsewhereFile(BaseModel):
     card: dict[str, Any]
 
 
-def _load_elsewhere(folder: Path) -> Elsewhere:
-    path = folder / "elsewhere.json"
+def _load_other_traffic(folder: Path) -> OtherTraffic:
+    path = folder / "networks.json"
     try:
-        file = _ElsewhereFile.model_validate_json(_read_small(path))
+        file = _NetworksFile.model_validate_json(_read_small(path))
     except ValidationError as error:
-        fields = _ElsewhereFile.model_fields
+        fields = _NetworksFile.model_fields
         raise InputError(f"{path}: {first_wrong_field(error, fields)}") from None
     if file.features != RelativeObserver.feature_names:
         raise InputError(f"{path}: features: {_OTHER_VERSION}")
     return _restored(
         folder / "weights.safetensors",
-        lambda arrays: Elsewhere.restored(arrays, file.card),
-        "traffic elsewhere",
+        lambda arrays: OtherTraffic.restored(arrays, file.card),
+        "other traffic",
     )
 
 

@@ -18,10 +18,6 @@ if TYPE_CHECKING:
 STYLE_TOLD: Final = 0.8
 """Probability of a style from which it is told: four answers out of five are then right or more."""
 
-BEHAVIOR_TOLD: Final = 0.5
-"""Probability of a behaviour from which it is told though its style may not be: it is then more
-likely than the five others together."""
-
 AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
 """(6,) which behaviours are of the aggressive style."""
 
@@ -117,18 +113,9 @@ class Posterior:
         return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
     @property
-    def style_told(self) -> NDArray[np.bool_]:
-        """(n,) whether a style is likely enough to be told (``STYLE_TOLD``)."""
-        return np.asarray(self.unknown <= 2.0 * (1.0 - STYLE_TOLD) + 1e-9)
-
-    @property
     def told(self) -> NDArray[np.bool_]:
-        """(n,) whether an answer is earned: the style or the behaviour is likely enough.
-
-        Both are below their thresholds (``STYLE_TOLD``, ``BEHAVIOR_TOLD``) where it is not.
-        """
-        likely = (self.probability.max(axis=1, initial=0.0) >= BEHAVIOR_TOLD) & (self.unknown < 1.0)
-        return np.asarray(self.style_told | likely)
+        """(n,) whether a driver gets a label: where its style is likely enough (``STYLE_TOLD``)."""
+        return np.asarray(self.unknown <= 2.0 * (1.0 - STYLE_TOLD) + 1e-9)
 
     @property
     def behaviors(self) -> tuple[Behavior | None, ...]:

@@ -13,6 +13,7 @@ from graphrqi.graph.sighting import MAX_COORDINATE_M
 from graphrqi.live_answers import LiveAnswers
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
+from graphrqi.other_traffic import Traffic, check_traffic
 from graphrqi.posterior import Posterior
 from graphrqi.prior_shift import PriorShift
 from graphrqi.scene_check import SceneMonitor
@@ -48,6 +49,9 @@ class BehaviorStream:
         min_seconds: time observed after which a driver is classified, s.
         window: which agents are of interest; None for everybody. The others cost nothing, and are
             nobody's neighbours.
+        traffic: where the frames come from. The engines of this project are ``simulated``, and the
+            model's own classifier answers, unless positions are noisy. In ``recorded`` and in
+            ``other`` traffic its network for these answers.
         is_scene: False if a check of the whole recording, which sees sizes, found no scene that can
             be believed (`graphrqi.scene_check.check_scene`): everybody is unknown then.
     """
@@ -57,17 +61,19 @@ class BehaviorStream:
         model: Model,
         min_seconds: float = MIN_SECONDS,
         window: Window | None = None,
+        traffic: Traffic = "simulated",
         is_scene: bool = True,
     ) -> None:
         self.model = model
+        self.traffic = check_traffic(traffic)
         self.window = window
         self.min_seconds = min_seconds
-        self._live = LiveAnswers(model, min_seconds)
+        self._live = LiveAnswers(model, min_seconds, self.traffic)
         self._buffer = FrameBuffer(HISTORY_STEPS)
         self._last: Frame | None = None
         self._prior_shift = PriorShift(np.array(model.shares))
         self._shifted_s = -np.inf
-        self._monitor = SceneMonitor(outlines=False)
+        self._monitor = None if traffic == "simulated" else SceneMonitor(outlines=False)
         self._believed = self._is_scene = is_scene
         self._answered: tuple[NDArray[np.int64], NDArray[np.float64], float] | None = None
 
@@ -99,7 +105,8 @@ class BehaviorStream:
             )
         self._buffer.push(frame)
         self._live.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        self._is_scene = self._monitor.update(frame) and self._believed
+        if self._monitor is not None:
+            self._is_scene = self._monitor.update(frame) and self._believed
         self._last, self._answered = frame, None
         if frame.time_s >= self._shifted_s + PRIOR_EVERY_S - 1e-6:
             ids, probability, _ = self._answers()
@@ -115,12 +122,20 @@ class BehaviorStream:
     def posterior(self) -> Posterior:
         """Posterior of every driver that is present and was observed long enough."""
         ids, probability, domain = self._answers()
-        # Foreign traffic is offset as a whole, which would be taken for another mix of drivers.
+        # Other traffic is offset as a whole, which would be taken for another mix of drivers.
         shifted = self._prior_shift.corrected(probability)
         answer = (1.0 - domain) * shifted + domain * probability
         if self._is_scene:
             return Posterior(ids, answer, domain)
         return Posterior(ids, answer, domain, np.ones(ids.size))
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether simulated positions are noisier than those that the classifier learned from.
+
+        Its network for noisy traffic answers then.
+        """
+        return self._live.is_noisy
 
     def __repr__(self) -> str:
         """The model, and the time and the agents of the last frame."""
@@ -145,6 +160,7 @@ class BehaviorStream:
 def load_stream(
     name_or_folder: str | Path = DEFAULT_MODEL,
     window: Window | None = None,
+    traffic: Traffic = "simulated",
 ) -> BehaviorStream:
     """A stream over a trained model.
 
@@ -152,11 +168,13 @@ def load_stream(
         name_or_folder: a model that ships with the package, or a folder that ``graphrqi train``
             wrote.
         window: which agents are of interest; None for everybody.
+        traffic: where the frames come from: ``simulated`` (by the engines of this project),
+            ``recorded`` or ``other``.
 
     Returns:
         A fresh stream.
 
     Raises:
-        InputError: if there is no such model.
+        InputError: if there is no such model or kind of traffic.
     """
-    return BehaviorStream(load_model(name_or_folder), window=window)
+    return BehaviorStream(load_model(name_or_folder), window=window, traffic=traffic)

@@ -19,6 +19,7 @@ from experiments.cli.options import (
     Quiet,
     Seed,
     Source,
+    TrafficKind,
     names_of,
     refuse_to_overwrite,
     table_to_write,
@@ -114,6 +115,7 @@ def classify(
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     labels: GivenLabels = None,
+    traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -125,7 +127,9 @@ def classify(
 
     refuse_to_overwrite([source, net, labels], [out, json])
     with _named_dataset(source, format, net) as (dataset, known):
-        found = classify_dataset(dataset, model, out, labels, jobs=jobs, quiet=quiet)
+        found = classify_dataset(
+            dataset, model, out, labels, traffic=traffic, jobs=jobs, quiet=quiet
+        )
     rows = stamped(found, "classify", dataset=known)
     if str(json) != "-":
         show_table(named_table(rows), title="drivers by their last answer")
@@ -140,6 +144,7 @@ def evaluate(
     format: FormatName = None,
     net: Net = None,
     labels: GivenLabels = None,
+    traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -150,7 +155,7 @@ def evaluate(
 
     refuse_to_overwrite([source, net, labels], [json])
     with _named_dataset(source, format, net) as (dataset, known):
-        found = evaluate(model, dataset, labels, jobs=jobs, quiet=quiet)
+        found = evaluate(model, dataset, labels, traffic=traffic, jobs=jobs, quiet=quiet)
         trained = trained_here(model, dataset)
     _show_scores(stamped(found, "evaluate", dataset=known), json)
     if trained and str(json) != "-":
@@ -177,6 +182,7 @@ def predict(
             metavar="FOLDER", help="From train --predictor (default: the weights that ship)."
         ),
     ] = None,
+    traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -190,7 +196,15 @@ def predict(
     names = [word.strip() for word in predictors.split(",") if word.strip()]
     with _named_dataset(source, format, net) as (dataset, known):
         found = predict_dataset(
-            dataset, names, horizon_s, model, out=out, weights=weights, jobs=jobs, quiet=quiet
+            dataset,
+            names,
+            horizon_s,
+            model,
+            out=out,
+            weights=weights,
+            traffic=traffic,
+            jobs=jobs,
+            quiet=quiet,
         )
     rows = stamped(found, "predict", dataset=known)
     show_table(rows, json, "prediction", errors_table(rows))

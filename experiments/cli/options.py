@@ -115,6 +115,15 @@ GivenLabels = Annotated[
         help="Known drivers: columns name and label (a behaviour or style), or also recording.",
     ),
 ]
+TrafficKind = Annotated[
+    str | None,
+    typer.Option(
+        "--traffic",
+        metavar="KIND",
+        help="Where the positions come from: simulated (by run or generate), recorded or other "
+        "(default: what the data say).",
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 ScenarioName = Annotated[
     str | None,

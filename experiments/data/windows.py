@@ -9,15 +9,38 @@ from typing import Final
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.data.parallel import all_in_parallel
+from experiments.generate.configuration import RANDOM_WORLD
 from graphrqi.methods import make_observer
+from graphrqi.other_traffic import Traffic, check_traffic
 from graphrqi.samples import NoSamplesError, Samples, collect
 from graphrqi.units import image_scale, in_metres
 from sim.frames import Tracks
 from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
+SIMULATED_FORMATS: Final = ("sumo-fcd",)
+"""Formats in which other simulations are imported."""
+
 OBSERVED_S: Final = 10.0
 """Length of observation that scores are given for."""
+
+
+def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
+    """Where an episode's positions come from.
+
+    Args:
+        entry: the episode. The engines' are simulated, imported ones recorded; random worlds and
+            what other simulations wrote are other traffic.
+        said: what the user says instead; None for nothing.
+
+    Raises:
+        InputError: if the user says something else than a kind of traffic.
+    """
+    if said is not None:
+        return check_traffic(said)
+    if entry.scenario == RANDOM_WORLD or entry.engine in SIMULATED_FORMATS:
+        return "other"
+    return "simulated" if entry.recording is None else "recorded"
 
 
 def measured(episode: Episode) -> Tracks:
@@ -33,7 +56,6 @@ def episode_samples(
     number: int,
     method: str,
     solver: str,
-    elsewhere: bool,
     windows_s: Sequence[float],
     every_s: float,
     per_moment: int | None,
@@ -41,7 +63,7 @@ def episode_samples(
 ) -> Samples | str:
     """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
     tracks = measured(open_dataset(folder).read(entry))
-    observer = make_observer(method, solver, elsewhere)
+    observer = make_observer(method, solver)
     try:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
     except NoSamplesError as reason:
@@ -63,7 +85,6 @@ def gather(
     *,
     scenario: str | None = None,
     solver: str = "graphrqi",
-    elsewhere: bool = False,
     windows_s: Sequence[float] = (OBSERVED_S,),
     every_s: float = 1.0,
     per_moment: int | None = None,
@@ -81,7 +102,6 @@ def gather(
         method: whose observer to use.
         scenario: only this one; None for all.
         solver: a key of ``SOLVERS``.
-        elsewhere: whether to add the relative features that answer on foreign traffic.
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
         per_moment: how many lengths to draw per driver and moment; None for all.
@@ -102,7 +122,7 @@ def gather(
         numbered = {e.id: first + i for i, e in enumerate(dataset.manifest.episodes)}
         first += len(numbered)
         arguments += [
-            (dataset.path, e, numbered[e.id], method, solver, elsewhere, tuple(windows_s), every_s,
+            (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
              per_moment, seed)
             for e in dataset.episodes(split, scenario)
         ]  # fmt: skip

@@ -83,13 +83,16 @@ def sampled(tracks: Tracks, every_s: float) -> IntArray:
     return np.flatnonzero(np.diff(slot, prepend=-1.0) > 0)
 
 
-def believe(tracks: Tracks, model: Model, is_scene: bool = True) -> Beliefs:
+def believe(
+    tracks: Tracks, model: Model, is_scene: bool = True, traffic: Traffic = "simulated"
+) -> Beliefs:
     """Classify the drivers of an episode from their positions.
 
     Args:
         tracks: an episode; its labels, if any, are not looked at.
         model: a trained model.
         is_scene: as for `graphrqi.stream.BehaviorStream`.
+        traffic: as for `graphrqi.stream.BehaviorStream`.
 
     Returns:
         Its beliefs every half a second.
@@ -97,7 +100,7 @@ def believe(tracks: Tracks, model: Model, is_scene: bool = True) -> Beliefs:
     steps = kept_steps(tracks)
     probability = _nothing(tracks, steps)
     column = {int(step): i for i, step in enumerate(steps)}
-    stream = BehaviorStream(model, is_scene=is_scene)
+    stream = BehaviorStream(model, traffic=traffic, is_scene=is_scene)
     for step, frame in enumerate(tracks.frames()):
         stream.push(frame)
         if step in column:

@@ -14,7 +14,7 @@ from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, is_scene
-from experiments.data.windows import measured
+from experiments.data.windows import measured, traffic_of
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, likeliest, read_forecasts
 from experiments.replay.ghosts import Ghosts, ghosts_of
@@ -167,7 +167,10 @@ def gather(
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
-            beliefs, believer = believe(tracks, trained, is_scene(entry)), trained.method.name
+            beliefs, believer = (
+                believe(tracks, trained, is_scene(entry), traffic_of(entry)),
+                trained.method.name,
+            )
         else:
             beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()

@@ -19,7 +19,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
-from experiments.data.windows import measured, places_of
+from experiments.data.windows import measured, places_of, traffic_of
 from experiments.score.answers import Answers, is_scored, score_answers, score_places
 from experiments.score.metrics import of_likelier_style
 from experiments.score.rows import Row
@@ -52,24 +52,27 @@ LABELS: Final = pa.schema(
 The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``name`` the source's
 own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum of
 probabilities; each is null where it is not likely enough to be told (`graphrqi.posterior`).
-``domain`` is how foreign the traffic is to the model, ``unknown`` the probability that no answer is
+``domain`` is 0 in simulated traffic and 1 in other traffic, ``unknown`` the probability that no answer is
 earned, ``truth`` the behaviour that the driver was drawn or labelled with and ``true_style`` its
 style (null where nobody knows; of some drivers only the style is known)."""
 
 
-def label_episode(episode: Episode, model: Model) -> pa.Table:
+def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pa.Table:
     """Posteriors of every driver at every frame of an episode.
 
     Args:
         episode: as read from a dataset; what is known of its drivers only fills the columns
             ``truth`` and ``true_style``.
         model: a trained model.
+        traffic: where the positions come from; None for what the episode's entry says.
 
     Returns:
         A table with the columns ``LABELS``. Everybody is unknown in a recording that is no scene
         that can be believed.
     """
-    stream = BehaviorStream(model, is_scene=is_scene(episode.entry))
+    stream = BehaviorStream(
+        model, traffic=traffic_of(episode.entry, traffic), is_scene=is_scene(episode.entry)
+    )
     tracks = measured(episode)
     agents, times, answers = [], [], list[Posterior]()
     for frame in tracks.frames():
@@ -80,7 +83,6 @@ def label_episode(episode: Episode, model: Model) -> pa.Table:
     if not agents:
         return LABELS.empty_table()
     row, probability = np.concatenate(agents), np.concatenate([a.probability for a in answers])
-    style_told = np.concatenate([a.style_told for a in answers])
     told = np.concatenate([a.told for a in answers])
     known = {agent.id: agent for agent in episode.agents}
     truth = pa.array([known[i].behavior for i in tracks.ids.tolist()], pa.string())
@@ -93,7 +95,7 @@ def label_episode(episode: Episode, model: Model) -> pa.Table:
         "time_s": pa.array(np.concatenate(times)),
         "behavior": _words(BEHAVIORS, np.where(told, probability.argmax(axis=1), -1)),
         "style": _words(
-            [b.style for b in BEHAVIORS], np.where(style_told, of_likelier_style(probability), -1)
+            [b.style for b in BEHAVIORS], np.where(told, of_likelier_style(probability), -1)
         ),
         "domain": pa.array(np.repeat([a.domain for a in answers], [a.ids.size for a in answers])),
         "unknown": pa.array(np.concatenate([a.unknown for a in answers])),
@@ -163,6 +165,7 @@ def answer_episodes(
     split: Split | None = None,
     labels: Path | None = None,
     out: Path | None = None,
+    traffic: str | None = None,
     jobs: int | None = None,
     quiet: bool = True,
 ) -> list[Answered]:
@@ -175,6 +178,7 @@ def answer_episodes(
         labels: a CSV file with labels of some drivers (`sim.formats.common.label_file`); they
             replace what the datasets say.
         out: a file for the answers at every frame, .parquet or .csv; None for none.
+        traffic: as `label_episode` takes it.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -191,7 +195,7 @@ def answer_episodes(
         for (path, entry), place in zip(every, places_of(datasets), strict=True)
         if split in (None, entry.split)
     ]
-    arguments = [(model, path, entry, out is not None) for path, entry, _ in chosen]
+    arguments = [(model, path, entry, out is not None, traffic) for path, entry, _ in chosen]
     found: list[Answered] = []
     with (
         Progress("answering episodes", len(chosen), quiet) as progress,
@@ -215,11 +219,11 @@ def _opened(folder: Path) -> Dataset:
 
 
 def _answers(
-    model: Model, folder: Path, entry: EpisodeEntry, every_frame: bool
+    model: Model, folder: Path, entry: EpisodeEntry, every_frame: bool, traffic: str | None
 ) -> tuple[tuple[str, ...], pa.Table]:
     """Names of an episode's agents, and answers at every frame or the last ones."""
     episode = _opened(folder).read(entry)
-    table = label_episode(episode, model)
+    table = label_episode(episode, model, traffic)
     return episode.tracks.names, table if every_frame else _last_answers(table)
 
 
@@ -243,6 +247,7 @@ def classify_dataset(
     out: Path | None = None,
     labels: Path | None = None,
     *,
+    traffic: str | None = None,
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
@@ -253,6 +258,7 @@ def classify_dataset(
         model: a shipped model's name or a folder.
         out: the file to write, .parquet or .csv; it appears complete or not at all. None for none.
         labels: as `answer_episodes` takes them.
+        traffic: as `label_episode` takes it.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -260,7 +266,13 @@ def classify_dataset(
         Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
     """
     answered = answer_episodes(
-        load_model(model), [open_dataset(source)], labels=labels, out=out, jobs=jobs, quiet=quiet
+        load_model(model),
+        [open_dataset(source)],
+        labels=labels,
+        out=out,
+        traffic=traffic,
+        jobs=jobs,
+        quiet=quiet,
     )
     rows: list[Row] = []
     for one in answered:
@@ -277,6 +289,7 @@ def evaluate(
     source: Path,
     labels: Path | None = None,
     *,
+    traffic: str | None = None,
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
@@ -286,6 +299,7 @@ def evaluate(
         model: a shipped model's name or a folder.
         source: folder of a dataset.
         labels: as `answer_episodes` takes them.
+        traffic: as `label_episode` takes it.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -296,7 +310,12 @@ def evaluate(
         InputError: if nothing is known of any driver that an answer was given about.
     """
     answered = answer_episodes(
-        load_model(model), [open_dataset(source)], labels=labels, jobs=jobs, quiet=quiet
+        load_model(model),
+        [open_dataset(source)],
+        labels=labels,
+        traffic=traffic,
+        jobs=jobs,
+        quiet=quiet,
     )
     if not any(one.table.num_rows for one in answered):
         raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")

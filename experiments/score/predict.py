@@ -15,7 +15,7 @@ from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
-from experiments.data.windows import measured
+from experiments.data.windows import measured, traffic_of
 from experiments.score.futures import PREDICTIONS, predictions_table
 from experiments.score.predictions import (
     HORIZONS_S,
@@ -58,7 +58,7 @@ class EpisodePrediction:
 
 def evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
-    model: str, keep: bool = False, weights: Path | None = None,
+    model: str, keep: bool = False, weights: Path | None = None, traffic: str | None = None,
 ) -> EpisodePrediction:  # fmt: skip
     """Predict one episode of a dataset with a classifier's beliefs.
 
@@ -70,6 +70,7 @@ def evaluate_episode(
         model: the classifier: a shipped one's name or a folder.
         keep: whether the futures themselves are wanted.
         weights: as `experiments.score.predictions.score_episode` takes them.
+        traffic: as `experiments.score.labels.label_episode` takes it.
 
     Returns:
         Its errors and futures; neither if it is too short.
@@ -88,7 +89,9 @@ def evaluate_episode(
     def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
         tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
 
-    posteriors = beliefs(tracks, load_model(model), stops, is_scene(entry))
+    posteriors = beliefs(
+        tracks, load_model(model), stops, is_scene(entry), traffic_of(entry, traffic)
+    )
     errors = score_episode(
         tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
     )
@@ -117,6 +120,7 @@ def predict_dataset(
     *,
     out: Path | None = None,
     weights: Path | None = None,
+    traffic: str | None = None,
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
@@ -131,6 +135,7 @@ def predict_dataset(
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: where to write the futures (`experiments.score.futures`); None: nowhere.
         weights: as `experiments.score.predictions.score_episode` takes them.
+        traffic: as `experiments.score.labels.label_episode` takes it.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -160,7 +165,8 @@ def predict_dataset(
     least_s = shortest_s(horizon_s)
     keep = out is not None
     arguments = [
-        (source, entry, predictors, horizons_s, model, keep, weights) for _, entry in entries
+        (source, entry, predictors, horizons_s, model, keep, weights, traffic)
+        for _, entry in entries
     ]
     with (
         Progress("predicting episodes", len(entries), quiet) as progress,

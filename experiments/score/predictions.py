@@ -138,7 +138,11 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
 
 
 def beliefs(
-    tracks: Tracks, model: Model, stops: Sequence[int], is_scene: bool = True
+    tracks: Tracks,
+    model: Model,
+    stops: Sequence[int],
+    is_scene: bool = True,
+    traffic: Traffic = "simulated",
 ) -> dict[int, Posterior]:
     """What a classifier believes at each instant of prediction.
 
@@ -149,11 +153,12 @@ def beliefs(
         model: the trained classifier.
         stops: indices one past each present, ascending.
         is_scene: as for `graphrqi.stream.BehaviorStream`.
+        traffic: as for `graphrqi.stream.BehaviorStream`.
 
     Returns:
         Posterior by stop.
     """
-    stream, wanted = BehaviorStream(model, is_scene=is_scene), set(stops)
+    stream, wanted = BehaviorStream(model, traffic=traffic, is_scene=is_scene), set(stops)
     found: dict[int, Posterior] = {}
     for column, frame in enumerate(tracks.frames()):
         stream.push(frame)

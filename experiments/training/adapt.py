@@ -83,7 +83,7 @@ def drivers_of(
             unlabelled = np.zeros(tracks.ids.size, dtype=np.int8)  # any label: none is used
             try:
                 found = collect(
-                    dataclasses.replace(tracks, behavior=unlabelled), model.observer(),
+                    dataclasses.replace(tracks, behavior=unlabelled), model.observer("recorded"),
                     windows_s=(PAIR_S, float("inf")),
                 )  # fmt: skip
             except NoSamplesError:
@@ -153,12 +153,12 @@ def adapt(
                 f"{recordings}: found {len(drivers.pairs[0])} drivers that are seen for "
                 f"{2 * PAIR_S:g} s or longer, expected at least {LEAST_PAIRS}, or labels of some"
             )
-        first, second = (trained.posterior(part) for part in drivers.pairs)
+        first, second = (trained.posterior(part, "recorded") for part in drivers.pairs)
         adaptation = from_agreement(first, second)
         rows.append(tidy_row({}, "drivers_with_two_answers", len(first)))
     else:
         features, allowed = _labelled(drivers, labels)
-        adaptation = from_labels(trained.posterior(features), allowed)
+        adaptation = from_labels(trained.posterior(features, "recorded"), allowed)
         rows.append(tidy_row({}, "labelled_drivers", len(features)))
         rows += _gains(trained, features, allowed)
     rows.append(tidy_row({}, "scale", adaptation.scale))
@@ -184,7 +184,7 @@ def _labelled(drivers: Drivers, path: Path | None) -> tuple[FloatArray, BoolArra
 
 def _gains(model: Model, features: FloatArray, allowed: BoolArray) -> list[Row]:
     """Scores on labelled drivers that were left out of a random choice of so many."""
-    known = model.posterior(features)
+    known = model.posterior(features, "recorded")
     # Styles alone are compared: every label tells one, whether it names a behaviour or a style.
     style: BoolArray = np.asarray(allowed[:, AGGRESSIVE].any(axis=1))
     rows: list[Row] = []

@@ -16,7 +16,7 @@ from experiments.data.windows import OBSERVED_S, gather, places_of
 from experiments.score.answers import Answers, score_answers
 from experiments.score.labels import answer_episodes, scored_answers
 from experiments.score.rows import Cell, Row, stamped
-from experiments.training.elsewhere import train_on_worlds
+from experiments.training.other_traffic import train_on_worlds
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import check_model_folder, save_model
 from graphrqi.samples import WINDOWS_S, NoSamplesError, Samples
@@ -30,7 +30,7 @@ TRAINING_PER_MOMENT: Final = 1
 """Window lengths drawn for each driver and moment in training."""
 
 BOTH: Final = "graphrqi-plus"
-"""The method whose models learn what is home and how to answer elsewhere."""
+"""The method whose models have networks for other traffic."""
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
 """Speed limits of the training data, episode by episode. A third of the training episodes have
@@ -52,8 +52,8 @@ def train_model(
 
     Args:
         datasets: with train and validation episodes. If some are random
-            worlds and others are not, a model of the method ``BOTH`` learns to answer elsewhere
-            from the worlds; any other model learns from all of them alike.
+            worlds and others are not, a model of the method ``BOTH`` learns to answer in other
+            traffic from the worlds; any other model learns from all of them alike.
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
         per_moment: window lengths drawn for each driver and moment.
@@ -67,9 +67,9 @@ def train_model(
     chosen = METHODS[method]
     worlds = [d for d in datasets if "worlds" in d.header.configuration]
     home = [d for d in datasets if d not in worlds]
-    elsewhere = None
+    other = None
     if chosen.name == BOTH and home and worlds:
-        elsewhere = train_on_worlds(home, worlds, seed, jobs, quiet)
+        other = train_on_worlds(home, worlds, seed, jobs, quiet)
         datasets = home
     options: dict[str, Any] = {
         "solver": solver,
@@ -86,7 +86,7 @@ def train_model(
         with _skipping_empty():
             validation = gather(datasets, "validation", chosen.name, **options)
     model = train(chosen.name, training, validation, solver, seed)
-    model = dataclasses.replace(model, elsewhere=elsewhere)
+    model = dataclasses.replace(model, other=other)
     return dataclasses.replace(model, card=_card(datasets, model, training))
 
 
@@ -135,8 +135,7 @@ def score_windows(
         InputError: if there is no test episode.
     """
     samples = gather(
-        datasets, "test", model.method.name, solver=model.solver,
-        elsewhere=model.elsewhere is not None, jobs=jobs, quiet=quiet,
+        datasets, "test", model.method.name, solver=model.solver, jobs=jobs, quiet=quiet,
     )  # fmt: skip
     places = places_of(datasets)
     place = np.array(places)[samples.episode]

@@ -141,7 +141,7 @@ function isTold(belief) {
   if (!belief) return false;
   let aggressive = 0;
   belief.forEach((p, code) => { if (data.behaviors[code].style === "aggressive") aggressive += p; });
-  return Math.max(aggressive, 1 - aggressive) >= data.told.style || Math.max(...belief) >= data.told.behavior;
+  return Math.max(aggressive, 1 - aggressive) >= data.told.style;
 }
 
 // The likeliest behaviour where an answer is earned, or -1.

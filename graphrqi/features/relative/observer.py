@@ -359,6 +359,16 @@ class RelativeObserver:
         return self._presence.observation()
 
     @property
+    def is_noisy(self) -> bool:
+        """Whether every moment so far showed noise; False before it can be known."""
+        return self._motion.is_noisy
+
+    @property
+    def frame_s(self) -> float:
+        """Usual time between frames, s; NaN before the second one."""
+        return self._frame_s
+
+    @property
     def measured_s(self) -> float:
         """Time of the last frame at which motion was measured, s; minus infinity before."""
         return self._measured_s

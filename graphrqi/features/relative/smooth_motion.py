@@ -42,6 +42,14 @@ FULL_NOISE_M: Final = 0.2
 NOISE_MEMORY_S: Final = 60.0
 """Time constant with which older estimates of the noise are forgotten, s (some hundred fits)."""
 
+EXACT_M: Final = 0.001
+"""Positions whose errors are smaller than this are exact, m: a tenth of the least noise that
+simulated traffic is seen through in training."""
+
+LEAST_FITS: Final = 20
+"""Fitted stretches of drivers after which noise counts as found (our choice: a lane change of the
+only driver has some ten)."""
+
 LEAST_FRAMES: Final = 2.0
 """Fewest frames on either side of the moment: a parabola needs one more than three positions."""
 
@@ -89,6 +97,8 @@ class SmoothMotion:
         self._noise = 0.0
         self._weight = 0.0
         self._fitted_s = float("nan")
+        self._fits = 0
+        self._least_noise_m = float("nan")
 
     def push(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions.
@@ -107,6 +117,15 @@ class SmoothMotion:
     def noise_m(self) -> float:
         """Standard deviation of the positions' errors so far, m; NaN before any estimate."""
         return self._noise / self._weight if self._weight > 0.0 else float("nan")
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether every moment so far showed noise, after `LEAST_FITS`; False before.
+
+        What a curve or a lane change leaves over counts as noise, too. One moment on straight ways
+        shows that positions are exact.
+        """
+        return self._fits >= LEAST_FITS and self._least_noise_m >= EXACT_M
 
     @property
     def half_s(self) -> float:
@@ -174,5 +193,8 @@ class SmoothMotion:
         kept = float(np.exp(-max(step_s, 0.0) / NOISE_MEMORY_S))
         self._noise, self._weight = kept * self._noise, kept * self._weight
         if told.size:
-            self._noise += told.size * float(np.median(told))
+            median = float(np.median(told))
+            self._noise += told.size * median
             self._weight += told.size
+            self._fits += told.size
+            self._least_noise_m = float(np.fmin(self._least_noise_m, median))

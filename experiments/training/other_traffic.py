@@ -1,0 +1,126 @@
+"""Train the networks for other traffic: on simulated traffic, on the same with noise, on worlds."""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from behaviors.labels import BEHAVIORS
+from experiments.data.parallel import all_in_parallel
+from experiments.data.windows import measured
+from experiments.generate.worlds.sensor import seen_badly
+from experiments.score.answers import Answers, score_answers
+from experiments.score.rows import Row
+from graphrqi.features.observer import Observation
+from graphrqi.features.relative.observer import RelativeObserver
+from graphrqi.other_traffic import OtherTraffic
+from graphrqi.other_traffic_training import EXACT, NOISY, OTHER, train_other_traffic
+from graphrqi.samples import NoSamplesError, Samples, collect
+from sim.store.dataset import Dataset, open_dataset
+from sim.store.schema import EpisodeEntry, Split
+
+PARTS: Final = ("home", "home, seen badly", "worlds")
+"""Names of the parts of the training. They draw the sensors, so other names are other sensors."""
+
+EVERY_S: Final = 4.0
+"""Time between the moments at which every driver of a training episode is sampled, s. A moment of
+each place is drawn in each pass of the training."""
+
+WHOLE_TRACK_S: Final = (float("inf"),)
+"""Drivers are seen since they appeared, as in a stream."""
+
+LEARNED: Final[tuple[Split, ...]] = ("train", "validation")
+"""Splits that are learned from: nothing is chosen on validation episodes."""
+
+
+def train_on_worlds(
+    simulated: Sequence[Dataset],
+    worlds: Sequence[Dataset],
+    seed: int = 0,
+    jobs: int | None = None,
+    quiet: bool = True,
+) -> OtherTraffic:
+    """Train the networks for traffic in which the classifier does not hold.
+
+    Simulated episodes are used twice: as they are, and through a sensor that is drawn at random.
+
+    Args:
+        simulated: datasets of the engines' traffic, with train and validation episodes.
+        worlds: datasets of random worlds, with train and validation episodes.
+        seed: the same seed and data give the same answers.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        What was learned, with the data in its card.
+    """
+    parts = [
+        (part, _gathered(datasets, split, part, seed, jobs, quiet))
+        for split in LEARNED
+        for part, datasets in zip(
+            (EXACT, NOISY, OTHER), (simulated, simulated, worlds), strict=True
+        )
+        if any(dataset.episodes(split) for dataset in datasets)
+    ]
+    training = Samples.join([samples for _, samples in parts])
+    part = np.concatenate([np.full(len(samples), part, dtype=np.int8) for part, samples in parts])
+    counts = np.bincount(part, minlength=len(PARTS)).tolist()
+    card: dict[str, Any] = {
+        "data": {
+            kind: [dict(dataset.header.configuration) for dataset in datasets]
+            for kind, datasets in (("simulated", simulated), ("worlds", worlds))
+        },
+        "training_samples": dict(zip(("exact", "noisy", "worlds"), counts, strict=True)),
+    }
+    learned = train_other_traffic(training, part, seed, card)
+    if not any(dataset.episodes("test") for dataset in worlds):
+        return learned
+    test = _gathered(worlds, "test", OTHER, seed, jobs, quiet)
+    return dataclasses.replace(learned, card={**card, "scores": _scores(learned, test)})
+
+
+def _scores(learned: OtherTraffic, tracks: Samples) -> list[Row]:
+    """Scores on drivers of worlds that were not trained on, each seen since it appeared."""
+    answer = np.zeros((len(tracks), len(BEHAVIORS)))
+    for episode in np.unique(tracks.episode):
+        here = np.flatnonzero(tracks.episode == episode)
+        place = learned.empty_place("other")
+        for time_s in np.unique(tracks.time_s[here]):
+            rows = here[tracks.time_s[here] == time_s]
+            none = np.zeros((rows.size, 0))
+            seen = Observation(tracks.agent[rows], tracks.seconds[rows], none, none)
+            features = tracks.features[rows].astype(np.float64)
+            answer[rows] = learned.among(features, "other", seen, float(time_s), place)
+    return score_answers(Answers.known(answer, tracks.codes, tracks.episode), {"split": "test"})
+
+
+def _gathered(
+    datasets: Sequence[Dataset], split: Split, part: int, seed: int, jobs: int | None, quiet: bool
+) -> Samples:
+    """Samples of the episodes of a split; no two datasets' or parts' episodes share a number."""
+    arguments = [
+        (dataset.path, entry, part, seed)
+        for dataset in datasets
+        for entry in dataset.episodes(split)
+    ]
+    what = f"{PARTS[part]}: observing {split} episodes"
+    found = all_in_parallel(_observed, arguments, jobs, what, quiet)
+    return Samples.join([samples for samples in found if samples is not None])
+
+
+def _observed(folder: Path, entry: EpisodeEntry, part: int, seed: int) -> Samples | None:
+    """Samples of one episode; None where nobody is seen for long enough."""
+    number = zlib.crc32(f"{PARTS[part]} {entry.id}".encode())
+    rng = np.random.default_rng([seed, number])
+    tracks = measured(open_dataset(folder).read(entry))
+    if part == NOISY:
+        tracks = seen_badly(tracks, rng)
+    try:
+        return collect(tracks, RelativeObserver(), number, WHOLE_TRACK_S, EVERY_S)
+    except NoSamplesError:
+        return None
