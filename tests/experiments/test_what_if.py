@@ -158,7 +158,7 @@ def test_the_command_draws_and_its_dataset_replays(
     assert Path("paths.png").read_bytes().startswith(b"\x89PNG")
     write_paths(open_dataset(folder), Path("paths.pdf"))
     assert Path("paths.pdf").read_bytes().startswith(b"%PDF")
-    with pytest.raises(InputError, match=r"found 'paths\.jpg', expected a name that ends in \.pdf"):
+    with pytest.raises(InputError, match=r"found 'paths\.jpg'"):
         write_paths(open_dataset(folder), Path("paths.jpg"))
     assert Path("table.json").stat().st_size > 100
 
