@@ -52,9 +52,9 @@ LABELS: Final = pa.schema(
 The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``name`` the source's
 own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum of
 probabilities; each is null where it is not likely enough to be told (`graphrqi.posterior`).
-``domain`` is 0 in simulated traffic and 1 in other traffic, ``unknown`` the probability that no answer is
-earned, ``truth`` the behaviour that the driver was drawn or labelled with and ``true_style`` its
-style (null where nobody knows; of some drivers only the style is known)."""
+``domain`` is 0 in simulated traffic and 1 in other traffic, ``unknown`` the probability that the
+style is only guessed, ``truth`` the behaviour that the driver was drawn or labelled with and
+``true_style`` its style (null where nobody knows; of some drivers only the style is known)."""
 
 
 def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pa.Table:
