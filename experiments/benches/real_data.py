@@ -95,13 +95,11 @@ class Video:
         name: of the video.
         codes: (n,) resolved labels of the labelled agents, codes into ``BEHAVIORS``.
         features: (n, F) of each view, standardised over all agents of the video.
-        defects: what is wrong with tracks and sheets, one sentence each.
     """
 
     name: str
     codes: CodeArray
     features: Mapping[str, FloatArray]
-    defects: tuple[str, ...]
 
 
 # --- views: what a method sees of a track's whole life -------------------------------------------
@@ -178,7 +176,7 @@ def read_video(
     known = codes >= 0
     features = {name: standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
     name = path.stem.removesuffix("_gt")
-    return Video(name, codes[known], features, traf_sheets.defects(tracks, sheets))
+    return Video(name, codes[known], features)
 
 
 def read_traf(
@@ -443,9 +441,6 @@ def measure(settings: Settings) -> Iterator[list[Row]]:
     if not videos:
         print(f"real-data: traf skipped: {data}/traf has no annotated video", file=sys.stderr)
         return
-    for video in videos:
-        for defect in video.defects:
-            print(f"real-data: {video.name}: {defect}", file=sys.stderr)
     yield evaluate_traf(videos, settings.test_videos, settings.views, settings.tasks, settings.jobs)
 
 

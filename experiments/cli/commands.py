@@ -43,6 +43,7 @@ from experiments.cli.options import (
     Verbose,
     Version,
     WindowText,
+    metres_of,
     names_of,
     table_to_write,
 )
@@ -52,6 +53,7 @@ from experiments.cli.verify import verify
 from experiments.cli.what_if import blame, what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, say, show_notices
+from experiments.guard import guarding
 
 app = typer.Typer(
     name="graphrqi",
@@ -386,12 +388,23 @@ def import_(
         typer.Option(dir_okay=False, metavar="FILE", help="vTypes of a SUMO recording, for sizes."),
     ] = None,
     labels: GivenLabels = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", min=1e-3, help="Frames per second, where the files are wrong."),
+    ] = None,
+    shift: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y", help="Move the map so far onto the positions, m."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset of recordings in other formats."""
     from experiments.data.exchange import import_recordings
 
-    import_recordings(source, out, format, net, quiet=quiet, types=types, labels=labels)
+    import_recordings(
+        source, out, format, net, quiet=quiet, types=types, labels=labels, rate_hz=rate,
+        shift_m=metres_of(shift),
+    )  # fmt: skip
     say(size_of(out))
 
 
@@ -462,7 +475,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     others = [word for word in given if word not in ("-v", "--verbose")]
     show_notices(quiet=bool({"-q", "--quiet"} & set(given)), verbose=len(others) < len(given))
     began_s = time.monotonic()
-    with exit_on_user_error():
+    with exit_on_user_error(), guarding():
         code = app(others, prog_name="graphrqi", standalone_mode=False)
         if code == STOPPED:
             raise Interrupted("stopped")  # typer swallows a Ctrl-C and returns its code

@@ -53,6 +53,23 @@ def at_least_one(jobs: int | None) -> int | None:
     return jobs
 
 
+def metres_of(text: str | None) -> tuple[float, float] | None:
+    """Two lengths in metres from ``X,Y``; None stays.
+
+    Raises:
+        InputError: if it is anything else.
+    """
+    if text is None:
+        return None
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError:
+        from behaviors.errors import InputError
+
+        raise InputError(f"--shift: found {text!r:.60}, expected X,Y in metres") from None
+    return x, y
+
+
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 

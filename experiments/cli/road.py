@@ -31,13 +31,14 @@ def road(
     from behaviors.errors import InputError
     from experiments.console.notices import say
     from experiments.console.tables import show_table
+    from experiments.guard import guarded_call
     from scenarios.own.survey import survey
     from sim.road.net import MAX_NET_BYTES
     from sim.store.atomic import write_whole
     from sim.xml_tree import read_bytes
 
     in_a_folder(out)
-    found = survey(file)
+    found = guarded_call(file, survey, file)
     if out is not None:
         files = {
             Path(f"{out}.net.xml"): read_bytes(found.net, MAX_NET_BYTES),

@@ -13,7 +13,6 @@ from typing import Final
 
 from scenarios.own.check import LIMITS_MPS, Defect
 from sim.road import MapKnowledge
-from sim.written_numbers import real
 from sim.xml_tree import read_tree
 
 MAY_BE_SLOW: Final = frozenset({"living_street", "service", "track", "pedestrian", "footway"})
@@ -174,6 +173,6 @@ def _of_speed(place: str, speed: ET.Element) -> Iterator[Defect]:
 
 def _real(text: str | None) -> float:
     try:
-        return real(text or "nan")
+        return float(text or "nan")
     except ValueError:
         return math.nan

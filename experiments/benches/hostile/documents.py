@@ -186,7 +186,7 @@ def document_samples() -> dict[str, Sample]:
     from graphrqi.model_files import load_model
     from scenarios import get_scenario
     from scenarios.own.file import read_scenario_file
-    from sim.formats.argo_labels import read_labels
+    from sim.formats.argo import read_labels
     from sim.formats.common.label_file import read_driver_labels
     from sim.formats.traf_sheets import read_sheet
 
