@@ -160,6 +160,7 @@ def _labels(path: Path) -> _Labels:
     frames, agents, numbers = list[int](), list[int](), list[list[float]]()
     index: dict[str, int] = {}
     kinds, sizes = list[AgentKind](), list[list[float]]()
+    where = None
     for where, fields in _lines(path):
         if len(fields) < 17 or not fields[0].isdecimal():
             raise InputError(f"{where}: found {fields[:2]}, expected a frame and 16 more fields")
@@ -175,6 +176,8 @@ def _labels(path: Path) -> _Labels:
         frames.append(int(fields[0]))
         agents.append(index[name])
         numbers.append(_numbers(where, fields[13:17], 4))
+    if where is None:
+        raise InputError(f"{path}: found no label, expected at least one")
     table = np.reshape(numbers, (-1, 4))
     return _Labels(
         np.array(frames, dtype=np.int64), np.array(agents, dtype=np.int64), table[:, :3],

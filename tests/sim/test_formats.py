@@ -259,7 +259,7 @@ def test_sumo_fcd_gives_the_front_bumper_clockwise_from_north(tmp_path: Path) ->
     assert kinds == [AgentKind.BUS, AgentKind.CAR, AgentKind.PEDESTRIAN]
     assert tracks.behavior is not None
     assert [BEHAVIORS[c] if c >= 0 else None for c in tracks.behavior] == ["timid", None, None]
-    assert "4.5 m" in recording.notes[0]
+    assert "no known vType" in recording.notes[0]
     assert tracks.time_s.tolist() == [0.1, 0.2]  # nobody is seen at the second
 
 
@@ -315,7 +315,7 @@ def test_pairs_are_recordings_of_their_own(tmp_path: Path) -> None:
     path.write_text("\n".join([*lines, *(line.replace("0,04", "1,05", 1) for line in lines[1:])]))
     assert [r.name for r in read_recordings(path)] == ["pairs-0", "pairs-1"]
     path.write_text("\n".join(lines).replace("1032,1025", "7,7"))
-    refused(path, "pairs", "found 7, which is the follower of pair 0 too")
+    refused(path, "pairs", "found 7, which is the follower of its pair too")
     path.write_text("\n".join(lines).replace(",15.0", ",-1"))
     refused(path, "pairs", "column leader_length, row 2")
 

@@ -96,7 +96,10 @@ class Table:
 
         The different texts are in the order in which they first occur.
         """
-        column = self.columns.column(name).unify_dictionaries().combine_chunks()
+        column = self.columns.column(name)
+        if not pa.types.is_dictionary(column.type):  # numbers as names
+            column = column.cast(pa.string()).dictionary_encode()
+        column = column.unify_dictionaries().combine_chunks()
         different = column.dictionary.dictionary_encode()  # a file's own may have a text twice
         places = np.append(different.indices.to_numpy(), -1)
         codes = places[column.indices.fill_null(-1).to_numpy()]

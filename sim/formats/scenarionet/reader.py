@@ -113,10 +113,9 @@ class PlainUnpickler(pickle.Unpickler):
 def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     tracks = _dictionary(found["tracks"])
     metadata = _dictionary(found.get("metadata", {}))
-    steps = found.get("length")
-    if steps is None:
-        steps = max((len(_dictionary(t["state"])["position"]) for t in tracks.values()), default=0)
-    steps = int(steps)
+    steps = max((len(_dictionary(t["state"])["position"]) for t in tracks.values()), default=0)
+    if found.get("length", steps) != steps:
+        raise InputError(f"{path}: length: found {found['length']!r:.40}, expected {steps} states")
     times = metadata.get("ts", metadata.get("timestep"))
     stated = np.arange(steps) * PERIOD_S if times is None else _numbers(times, 1)
     if stated.shape != (steps,):
