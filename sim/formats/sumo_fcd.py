@@ -200,6 +200,13 @@ def _recording(
                 f"one of {', '.join(BEHAVIORS)}"
             )
         codes.append(Behavior(behavior).code if behavior else -1)
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        row, column = bad[0]
+        raise InputError(
+            f"{path}: {_COLUMNS[column]} of {list(names)[agent[row]]:.60}: found "
+            f"{values[row, column]}, expected a finite number"
+        )
     heading = np.radians(90.0 - values[:, 2])
     back = 0.5 * np.array(sizes)[agent, :1]
     labelled = np.array(codes, dtype=np.int8)

@@ -20,7 +20,7 @@ from sim.frames import AgentKind, Event, Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.maps.argoverse2 import MAX_FOLLOWING, read_map, static_map
+from sim.road.maps.argoverse2 import read_map, static_map
 
 
 def points(*xy: tuple[float, float]) -> list[dict[str, float]]:
@@ -184,18 +184,15 @@ def broken(**changes: Any) -> dict[str, Any]:
     ("archive", "told"),
     [
         ("", "JSON"),
-        ("[]", "found [], expected an object"),
-        ("[" * 100_000, "JSON"),
+        ("[]", "found [], expected"),
         ("{}", "lane_segments: found none, expected one"),
         (broken(id="11"), "lane_segments.11.id"),
         (broken(id=12), "found an id twice"),
         (broken(id=-1), "lane_segments.11.id"),
         (broken(successors=None), "lane_segments.11.successors"),
-        (broken(successors=[1] * (MAX_FOLLOWING + 1)), "lane_segments.11.successors"),
         (broken(centerline=points((0, 0))), "lane_segments.11.centerline"),
-        (broken(centerline=points((0, 0), (math.nan, 0))), "lane_segments.11.centerline.1.x"),
-        (broken(centerline=points((0, 0), (math.inf, 0))), "lane_segments.11.centerline.1.x"),
-        (broken(centerline=points((0, 0), (1e300, 0))), "lane_segments.11.centerline.1.x"),
+        (broken(centerline=points((0, 0), (math.nan, 0))), "found a point beyond"),
+        (broken(centerline=points((0, 0), (1e300, 0))), "found a point beyond"),
         (broken(centerline=points((0, 0), (1e8, 0))), "found 1e+08 m of lanes"),
         (broken(centerline=[{"x": 1.0}, {"x": 2.0}]), "lane_segments.11.centerline.0.y"),
         (broken(left_neighbor_id=1.5), "lane_segments.11.left_neighbor_id"),

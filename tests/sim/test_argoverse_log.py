@@ -301,21 +301,15 @@ def refused(path: Path) -> str:
     ("name", "column", "change", "told"),
     [
         ("annotations.feather", "qw", lambda v: [0.5] * len(v), "qw, qx, qy, qz: found length"),
-        ("annotations.feather", "tx_m", lambda v: [*v[:-1], np.nan], "column tx_m: found nan"),
         ("annotations.feather", "ty_m", lambda v: [*v[:-1], None], "ty_m: found an empty field"),
         ("annotations.feather", "tz_m", lambda v: [str(x) for x in v], "tz_m: found string"),
-        ("annotations.feather", "length_m", lambda v: [0.0] * len(v), "length of 00000000-0000"),
-        ("annotations.feather", "category", lambda v: [1] * len(v), "category: found int64"),
         ("annotations.feather", "category", lambda v: [*v[:-1], None], "category: found an empty"),
         ("annotations.feather", "track_uuid", lambda v: ["AV"] * len(v), "track_uuid: found AV"),
         ("annotations.feather", "track_uuid", lambda v: ["a"] * len(v), "agent a twice at time"),
-        ("annotations.feather", "track_uuid", lambda v: ["a" * 2000] * len(v), "of 2000 bytes"),
-        ("annotations.feather", "timestamp_ns", lambda v: [-1] * len(v), "no negative time"),
         ("annotations.feather", "timestamp_ns", lambda v: [7] * len(v), "found no pose at 7"),
-        ("annotations.feather", "timestamp_ns", lambda v: [0.5] * len(v), "found double"),
         (POSES, "timestamp_ns", lambda v: [v[0]] * len(v), "found no pose at 3159681125"),
         (POSES, "timestamp_ns", lambda v: [*v[:-1], v[0]], "found 315968112437425433 twice"),
-        (POSES, "qz", lambda v: [np.inf] * len(v), "column qz: found inf"),
+        (POSES, "qz", lambda v: [np.inf] * len(v), "column qz, row 2: found inf"),
     ],
 )  # fmt: skip
 def test_columns_that_cannot_be(
@@ -336,7 +330,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     empty = feather_bytes(table("annotations.feather").slice(0, 0))
     assert "found no rows" in refused(put(tmp_path / "c", annotations=empty))
     without = feather_bytes(table("annotations.feather").drop_columns(["qy"]))
-    assert "found no column qy" in refused(put(tmp_path / "d", annotations=without))
+    assert "expected a column qy" in refused(put(tmp_path / "d", annotations=without))
     twice = table("annotations.feather").append_column("qy", table("annotations.feather")["qx"])
     sink = io.BytesIO()
     with pa.ipc.new_file(sink, twice.schema) as writer:  # write_feather refuses such names

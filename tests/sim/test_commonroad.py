@@ -114,7 +114,7 @@ def test_who_yields_at_signs(tmp_path: Path) -> None:
         ("<x>50</x>", "<x>1e300</x>", "beyond"),
         ('<lanelet id="2"', '<lanelet id="1"', "lanelet 1 twice"),
         ('<lanelet id="2"', '<lanelet id="two"', "lanelet id: found 'two'"),
-        ('<lanelet id="2"', f'<lanelet id="{10**400}"', "out of range"),
+        ('<lanelet id="2"', f'<lanelet id="{10**400}"', "expected a whole number"),
         ('<successor ref="2"', '<successor ref="x"', "successor ref"),
         (">13.5<", ">-1<", "speed limit"),
         (">green<", ">blue<", "color"),
@@ -149,11 +149,11 @@ def test_a_road_is_stored_as_it_is(tmp_path: Path) -> None:
     twice = dataclasses.replace(road, signal_plans=2 * road.signal_plans)
     path.write_bytes(encode_road(twice))
     os.utime(path, (1, 1))
-    with pytest.raises(InputError, match="signal_plans: found a group twice"):
+    with pytest.raises(InputError, match="signal_plans: found others, expected each group once"):
         read_stored(path)
     path.write_bytes(encode_road(road).replace(b'"to_lane": "2"', b'"to_lane": "9"'))
     os.utime(path, (0, 0))
-    with pytest.raises(InputError, match="expected a lane"):
+    with pytest.raises(InputError, match="expected lanes of the road"):
         read_stored(path)
 
 
@@ -221,8 +221,6 @@ def test_runs_of_states_are_read_as_single_states_are(tmp_path: Path, old: str, 
     assert [len(table) for table in tables] == [5]
     other = text.replace(old, new, 1)
     assert other != text
-    data = with_states(other).encode()
-    assert _without_states(data, []) == data
     one, two = (read(tmp_path, with_states(t)).tracks for t in (text, other))
     assert one.time_s.tolist() == two.time_s.tolist()
     assert one.speed[0].tolist() == [10.0, 4.0, 4.0, 4.0, 4.0, 4.0]

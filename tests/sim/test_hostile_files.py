@@ -77,7 +77,7 @@ def test_contradicting_rows_of_metadata_are_refused(tmp_path: Path) -> None:
     header = "recordingId,trackId,frame,xCenter,yCenter,heading,width,length,xVelocity,yVelocity\n"
     path = put(tmp_path, "00_tracks.csv", f"{header}0,1,0,0,0,0,2,4,1,0\n")
     facts = put(tmp_path, "00_tracksMeta.csv", "trackId,class\n1,car\n1,bus\n")
-    with pytest.raises(InputError, match=f"{facts.name}: found agent '1' more than once"):
+    with pytest.raises(InputError, match=f"{facts.name}: column class, row 3: found 'bus'"):
         list(get_reader("ind")(path))
     put(tmp_path, "00_tracksMeta.csv", "trackId,class\n1,car\n")
     put(tmp_path, "00_recordingMeta.csv", "frameRate\n25\n10\n")

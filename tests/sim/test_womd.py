@@ -216,8 +216,8 @@ def test_the_json_of_nocturne_and_gpudrive(tmp_path: Path, unit: float) -> None:
     ("change", "told"),
     [
         (lambda data: data[:-3], "record 1: found the file's end"),
-        (lambda data: data[:5], "record 1: found the file's end"),
-        (lambda data: b"\xff" + data[1:], "checksum of its length"),
+        (lambda data: data[:5], "no length with its checksum"),
+        (lambda data: b"\xff" + data[1:], "no length with its checksum"),
         (lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:], "checksum of its data"),
         (lambda data: data + data[:9], "record 2"),
         (lambda _: write_record(b"\xff\xff\xff"), "expected a Waymo scenario"),

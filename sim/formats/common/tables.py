@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.input_files import opened, read_bytes
+from sim.input_files import broken_as_one_line, opened, read_bytes
 from sim.units import in_si
 
 FloatArray = NDArray[np.float64]
@@ -229,7 +230,8 @@ def read_text(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Table
     """
     places = [header.index(name) for name in wanted]
     try:
-        with opened(path) as file:
+        with opened(path) as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of no data, which is an error below
             rows = np.loadtxt(file, comments=None, usecols=places, ndmin=2)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
@@ -251,7 +253,7 @@ def read_parquet(
     Raises:
         InputError: naming the file and the column that is wrong.
     """
-    with opened(path) as file:
+    with broken_as_one_line(path, "a Parquet table"), opened(path) as file:
         # texts stay dictionaries: a small file can repeat a long text for millions of rows
         stored = pyarrow.parquet.ParquetFile(file, read_dictionary=list(words))
         wanted = _each_once(path, stored.schema_arrow.names, [*numbers, *words])
@@ -270,7 +272,8 @@ def read_feather(path: Path, numbers: Sequence[str], words: Sequence[str]) -> Ta
         InputError: naming the file and the column that is wrong.
     """
     source = pa.BufferReader(read_bytes(path))
-    table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
+    with broken_as_one_line(path, "a Feather table"):
+        table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
     wanted = _each_once(path, table.column_names, [*numbers, *words])
     return _typed(path, table.select(wanted), numbers, words, ())
 
