@@ -203,7 +203,7 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
         Tracks with places on the ground, headings, speeds, lengths and widths in metres. Whole
         pixels are smoothed before headings and speeds are taken from them.
     """
-    from sim.formats.common.recording import motion
+    from sim.formats.common.motion import motion
 
     known = tracks.valid.any(axis=1)
     size = scale.metres * np.sqrt(tracks.length * tracks.width)

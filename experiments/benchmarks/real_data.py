@@ -15,7 +15,6 @@ too few to resample.
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -85,13 +84,11 @@ class Video:
         name: of the video.
         codes: (n,) resolved labels of the labelled agents, codes into ``BEHAVIORS``.
         features: (n, F) of each view, standardised over all agents of the video.
-        defects: what is wrong with tracks and sheets, one sentence each.
     """
 
     name: str
     codes: CodeArray
     features: Mapping[str, FloatArray]
-    defects: tuple[str, ...]
 
 
 # --- views: what a method sees of a track's whole life -------------------------------------------
@@ -170,7 +167,7 @@ def read_video(
     known = codes >= 0
     features = {name: standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
     name = path.stem.removesuffix("_gt")
-    return Video(name, codes[known], features, traf_sheets.defects(tracks, sheets))
+    return Video(name, codes[known], features)
 
 
 def read_traf(
@@ -306,8 +303,5 @@ def measure(
         raise InputError(
             f"{data}/traf/tracks: found {len(videos)} annotated videos, expected two or more"
         )
-    for video in videos:
-        for defect in video.defects:
-            print(f"{video.name}: {defect}", file=sys.stderr)
     arguments = [(videos, view, task) for view in views for task in tasks]
     yield from in_parallel(_scored, arguments, jobs)

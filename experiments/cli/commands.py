@@ -25,6 +25,7 @@ from experiments.cli.verify import verify
 from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, show_notices
+from experiments.guard import guarding
 
 app = typer.Typer(
     name="graphrqi",
@@ -101,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     others = [word for word in given if word not in ("-v", "--verbose")]
     show_notices(quiet=bool({"-q", "--quiet"} & set(given)), verbose=len(others) < len(given))
     began_s = time.monotonic()
-    with exit_on_user_error():
+    with exit_on_user_error(), guarding():
         code = app(others, prog_name="graphrqi", standalone_mode=False)
         if code == STOPPED:
             raise Interrupted("stopped")  # typer swallows a Ctrl-C and returns its code

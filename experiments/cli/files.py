@@ -15,6 +15,7 @@ from experiments.cli.options import (
     Net,
     Quiet,
     in_a_folder,
+    metres_of,
     names_of,
     refuse_to_overwrite,
 )
@@ -30,6 +31,14 @@ def import_(
         typer.Option(dir_okay=False, metavar="FILE", help="vTypes of a SUMO recording, for sizes."),
     ] = None,
     labels: GivenLabels = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", min=1e-3, help="Frames per second, where the files are wrong."),
+    ] = None,
+    shift: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y", help="Move the map so far onto the positions, m."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset of recordings in other formats."""
@@ -37,7 +46,10 @@ def import_(
     from experiments.console.notices import say
     from experiments.data.exchange import import_recordings
 
-    import_recordings(source, out, format, net, quiet=quiet, types=types, labels=labels)
+    import_recordings(
+        source, out, format, net, quiet=quiet, types=types, labels=labels, rate_hz=rate,
+        shift_m=metres_of(shift),
+    )  # fmt: skip
     say(size_of(out))
 
 
@@ -84,13 +96,14 @@ def road(
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
     from experiments.console.notices import say
     from experiments.console.tables import show_table
+    from experiments.guard import guarded_call
     from experiments.score.rows import stamped, tidy_row
     from scenarios.own.survey import survey
     from sim.files import write_whole
     from sim.road.net import MAX_NET_BYTES
     from sim.xml_tree import read_bytes
 
-    found = survey(file)
+    found = guarded_call(file, survey, file)
     if out is not None:
         files = {
             Path(f"{out}.net.xml"): read_bytes(found.net, MAX_NET_BYTES),

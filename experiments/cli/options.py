@@ -64,6 +64,23 @@ def refuse_to_overwrite(read: Sequence[Path | None], written: Sequence[Path | No
         places.append(path.resolve())
 
 
+def metres_of(text: str | None) -> tuple[float, float] | None:
+    """Two lengths in metres from ``X,Y``; None stays.
+
+    Raises:
+        InputError: if it is anything else.
+    """
+    if text is None:
+        return None
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError:
+        from behaviors.errors import InputError
+
+        raise InputError(f"--shift: found {text!r:.60}, expected X,Y in metres") from None
+    return x, y
+
+
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 

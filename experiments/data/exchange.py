@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +17,7 @@ from experiments.data.admission import DOUBTED, SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
 from experiments.data.remote import fetched, new_output
+from experiments.guard import guarded, guarded_call
 from sim.files import is_remote, temporary_folder, write_whole
 from sim.formats import (
     FORMATS,
@@ -25,10 +27,10 @@ from sim.formats import (
     get_writer,
     left_out_files,
     new_index,
-    read_recordings,
+    read_formats,
 )
 from sim.formats.common.label_file import read_driver_labels
-from sim.formats.common.recording import Recording
+from sim.formats.common.motion import doubt_of_times
 from sim.formats.common.windows import NoWindowError
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset
@@ -51,6 +53,8 @@ def import_recordings(
     quiet: bool = False,
     types: Path | None = None,
     labels: Path | None = None,
+    rate_hz: float | None = None,
+    shift_m: tuple[float, float] | None = None,
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
@@ -68,25 +72,30 @@ def import_recordings(
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
         labels: a CSV file with labels of some drivers, as `sim.formats.common.label_file` reads
             it. They replace those that come with the recordings.
+        rate_hz: frames per second that the recordings really have; None for what they say. A
+            recording whose times contradict its motion is then left out, or refused if it is alone.
+        shift_m: how far maps are moved onto the positions, m; None not to move them.
 
     Returns:
         The manifest.
 
     Raises:
-        InputError: if a file is broken or of no known format, ``net`` is of another place, or
-            ``out`` holds anything else.
+        InputError: if a file is broken or of no known format, ``net`` is of another place, times
+            contradict the motion, or ``out`` holds anything else.
         OSError: if something cannot be written.
     """
     if is_remote(source):
         with fetched(source) as copy:
-            return import_recordings(copy, out, name, net, split, quiet, types, labels)
+            return import_recordings(
+                copy, out, name, net, split, quiet, types, labels, rate_hz, shift_m
+            )
     names = [name] if name else formats_in(source)
     for key in names:
         get_reader(key)
     if types is not None and "sumo-fcd" not in names:
         raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
-    roads = RecordedRoads(net)
-    given = None if labels is None else read_driver_labels(labels)
+    roads = RecordedRoads(net, shift_m)
+    given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
     configuration = {"format": ", ".join(names), "source": source.name}
     others = left_out_files(source, names)
     if others:
@@ -99,12 +108,21 @@ def import_recordings(
             " or ".join(names),
             configuration["left_out"],
         )
+    doubted: list[str] = []
+    count = 0
     with (
         new_dataset(out, configuration) as dataset,
         Progress("importing recordings", 0, quiet) as shown,
     ):
-        for index, (key, recording) in enumerate(_recordings(source, names, types)):
+        for key, recording in guarded(source, read_formats, source, names, types, rate_hz):
             LOGGER.debug("%s: read %s as %s", source, recording.name, key)
+            wrong = None if rate_hz is not None else doubt_of_times(recording.tracks)
+            if wrong is not None and FORMATS[key].clock:
+                recording = replace(recording, notes=(*recording.notes, wrong))
+            elif wrong is not None:
+                place = source / recording.file if source.is_dir() else source
+                doubted.append(f"{place}: {wrong}, expected import --rate HZ")
+                continue
             if given is not None:
                 found_labels = given.of(recording.tracks.names, recording.name, recording.file)
                 recording = recording.labelled(found_labels)
@@ -124,27 +142,23 @@ def import_recordings(
             meta = EpisodeMeta(
                 scenario=key,
                 engine=key,
-                index=index,
-                split=split or split_of(index),
+                index=count,
+                split=split or split_of(count),
                 options=options,
                 made_with=made_with(key),
             )
             entry = dataset.write_recording(meta, recording.tracks, road, recording.styles)
+            count += 1
             shown.advance(entry.agents, entry.agent_steps)
+        if doubted and not count:
+            raise InputError(doubted[0])
+        for line in doubted:
+            LOGGER.warning("%s: left out", line)
         roads.check()
         if given is not None:
             given.check()
     write_data_card(out)
     return open_dataset(out).manifest
-
-
-def _recordings(
-    source: Path, names: Sequence[str], types: Path | None
-) -> Iterator[tuple[str, Recording]]:
-    """Every recording with its format, one format after another."""
-    for name in names:
-        for recording in read_recordings(source, name, types if name == "sumo-fcd" else None):
-            yield name, recording
 
 
 @contextmanager

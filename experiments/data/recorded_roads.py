@@ -7,10 +7,11 @@ from pathlib import Path
 
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
+from experiments.guard import guarded_call
 from sim.formats.common.recording import Recording
 from sim.road import Road
 from sim.road.files import read_road_file
-from sim.road.map_fit import LEAST, MapFit, map_fit, shifted
+from sim.road.map_fit import LEAST, map_fit, shifted
 
 
 class RecordedRoads:
@@ -21,17 +22,19 @@ class RecordedRoads:
 
     Args:
         net: the map that a person gave for all recordings; None for what comes with each.
+        shift_m: how far every map is moved onto the positions, m; None not to move it.
 
     Raises:
         InputError: if ``net`` is no map.
     """
 
-    def __init__(self, net: Path | None = None) -> None:
+    def __init__(self, net: Path | None = None, shift_m: tuple[float, float] | None = None) -> None:
         self._net = net
+        self._shift_m = shift_m
         self._fitted = 0
         self._refused: dict[str, str] = {}
         if net is not None:
-            read_road_file(net)
+            guarded_call(net, read_road_file, net)
 
     def of(self, recording: Recording) -> tuple[Path | Road | None, tuple[str, ...]]:
         """The road that a recording is stored with, and what was found about it.
@@ -50,22 +53,39 @@ class RecordedRoads:
         given: Path | Road | None = recording.road if self._net is None else self._net
         if given is None:
             return None, ()
-        read = given if isinstance(given, Road) else read_road_file(given, origin=recording.origin)
-        fit = map_fit(read, recording.tracks)
-        if fit.fits:
-            self._fitted += 1
-            return _kept(given, read, fit), fit.notes()
-        told = (
-            f"{read.source}: found {fit.shifted_share:.0%} of the moving positions of "
-            f"{recording.name} inside its lanes, expected at least {LEAST:.0%} as on a map of the "
-            "same place"
+        road = given
+        if isinstance(road, Path):  # readers of recordings, or this class, have read it before
+            road = read_road_file(road, origin=recording.origin)
+        notes: tuple[str, ...] = ()
+        if self._shift_m is not None:
+            road = shifted(road, self._shift_m)
+            notes = ("the map is shifted by ({:g}, {:g}) m".format(*self._shift_m),)
+        fit = map_fit(road, recording.tracks)
+        if not fit.fits:
+            return None, self._not_fitting(recording, road, fit.share, fit.sure)
+        self._fitted += 1
+        keeps = isinstance(given, Path) and given.name.endswith((".json", ".net.xml"))
+        if fit.limits_rule and keeps and self._shift_m is None:
+            return given, fit.notes()
+        rules = fit.limits_rule and road.knows.limits_rule
+        knows = dataclasses.replace(road.knows, limits_rule=rules)
+        return dataclasses.replace(road, knows=knows), (*notes, *fit.notes())
+
+    def _not_fitting(
+        self, recording: Recording, road: Road, share: float, sure: bool
+    ) -> tuple[str, ...]:
+        """Refuse or leave out a map that does not fit a recording."""
+        found = (
+            f"{road.source}: the map does not fit the positions: found {share:.0%} of the moving "
+            f"ones of {recording.name} inside its lanes, expected at least {LEAST:.0%}, or "
+            "import --shift X,Y"
         )
-        if self._net is not None and fit.sure:
-            raise InputError(told)
-        if str(read.source) not in self._refused:
-            LOGGER.warning("%s: left out", told)
-            self._refused[str(read.source)] = told
-        return None, (f"{told}: left out",)
+        if self._net is not None and sure:
+            raise InputError(found)
+        if str(road.source) not in self._refused:
+            LOGGER.warning("%s: left out", found)
+            self._refused[str(road.source)] = found
+        return (f"{found}: left out",)
 
     def check(self) -> None:
         """Refuse a map that a person gave and that fitted no recording at all.
@@ -75,13 +95,3 @@ class RecordedRoads:
         """
         if self._net is not None and self._refused and not self._fitted:
             raise InputError(next(iter(self._refused.values())))
-
-
-def _kept(given: Path | Road, read: Road, fit: MapFit) -> Path | Road:
-    """What to store: the file if nothing about the map changes and datasets keep such files."""
-    rules = fit.limits_rule and read.knows.limits_rule
-    if fit.shift_m == (0.0, 0.0) and rules == read.knows.limits_rule:
-        keeps = isinstance(given, Path) and given.name.endswith((".json", ".net.xml"))
-        return given if keeps else read
-    knows = dataclasses.replace(read.knows, limits_rule=rules)
-    return dataclasses.replace(shifted(read, fit.shift_m), knows=knows)

@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from behaviors.errors import InputError
 from behaviors.populations import read_population
+from experiments.guard import guarded_call, is_guarding
 from scenarios import get_scenario
 from scenarios.own.file import is_path
 from sim.engines import get_engine
@@ -201,7 +202,7 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
             )
         fields["scenarios"] = (str(net),)
     try:
-        return GenerateConfig.model_validate(fields)
+        config = GenerateConfig.model_validate(fields)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -210,3 +211,12 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
             raise InputError(f"{option}: found none, expected one (or {where} in a file)") from None
         wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "cluster", "net"])
         raise InputError(f"{path or 'options'}: {wrong}") from None
+    for name in config.scenarios:
+        if is_guarding() and is_path(name):
+            guarded_call(Path(name), _try_scenario, config, name)
+    return config
+
+
+def _try_scenario(config: GenerateConfig, name: str) -> None:
+    """Read a map, in a child process, before an engine gets it."""
+    config.scenario(name)

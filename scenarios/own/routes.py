@@ -17,7 +17,6 @@ from behaviors.errors import InputError
 from scenarios.own.demand import EdgeGraph
 from sim.road import Road
 from sim.scenario import MAX_DURATION_S, RouteFlow
-from sim.written_numbers import real
 from sim.xml_tree import read_tree
 
 LEAST_SPAN_S: Final = 60.0
@@ -183,7 +182,7 @@ def _number(path: Path, element: ET.Element, name: str, default: float) -> float
 def _real(path: Path, element: ET.Element, name: str, text: str) -> float:
     parts = text.split(":")  # SUMO's times are seconds, or hours:minutes:seconds
     try:
-        value = math.fsum(real(part) * 60.0**k for k, part in enumerate(reversed(parts)))
+        value = math.fsum(float(part) * 60.0**k for k, part in enumerate(reversed(parts)))
     except (ValueError, OverflowError):
         value = math.nan
     if not 0 <= value <= 100 * MAX_DURATION_S:

@@ -2,24 +2,25 @@
 
 A reader yields `Recording`s from one file; a writer puts an episode into a folder. Each format has
 a module of its own that is loaded on first use. A reader refuses a broken file with one
-`behaviors.errors.InputError` that names the file and the line, row or column.
+`behaviors.errors.InputError` that names the file.
 """
 
 from __future__ import annotations
 
 import codecs
+import gzip
 import re
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, loaded
-from sim.formats.common.packed import BROKEN, opened, plain_name
+from sim.input_files import broken_as_one_line, opened, plain_name
 
 if TYPE_CHECKING:
     from sim.formats.common.recording import Recording
@@ -35,11 +36,14 @@ if TYPE_CHECKING:
         def write(self, folder: Path) -> list[Path]:
             """Write the index into the folder of the files."""
 
-    Reader = Callable[[Path], Iterator[Recording]]
+    Reader = Callable[..., Iterator[Recording]]
     Writer = Callable[[Path, str, Tracks, Road | None], list[Path]]
 
 HEAD_BYTES: Final = 4096
 """Bytes of a file by which its format is recognised."""
+
+LINE_CHARACTERS: Final = 120
+"""How much of the first line of an unknown file is shown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +57,11 @@ class Format:
         writer: "module:function", or None where it is only read.
         index: "module:class" of the files that say what all written files hold, if there are any.
         unit: what its lengths are in: "m", or "px" where there is no scale.
-        clock: whether its times are a clock's; else they are frames counted at a stated rate, which
-            is corrected where motion and speeds show another.
+        clock: whether its times are a clock's; else they may be frames counted at a wrong rate.
         own_names: whether no other format names its files so; then every file of such a name is
             read, whatever it looks like.
         beside: patterns of the names of files that only accompany its files.
-        example: a small file of this format, which the contract tests read, alter and break.
+        example: a small file of this format, which the contract tests read.
     """
 
     files: tuple[str, ...]
@@ -71,6 +74,10 @@ class Format:
     own_names: bool = False
     beside: tuple[str, ...] = ()
     example: bytes = b""
+
+    def recognises(self, path: Path) -> bool:
+        """Whether a file's beginning looks like this format."""
+        return self.head.search(_beginning(path).lower()) is not None
 
 
 def _columns(*names: str) -> re.Pattern[bytes]:
@@ -225,14 +232,11 @@ def get_reader(name: str) -> Reader:
         raise InputError(f"format {name}: found no reader, expected one that can be read")
     reader = cast("Reader", loaded(source))
 
-    @wraps(reader)
-    def guarded(path: Path, *options: Any, **named: Any) -> Iterator[Recording]:
-        try:
-            yield from reader(path, *options, **named)
-        except BROKEN as error:
-            raise InputError(f"{path}: {error}, expected a whole packed file") from None
+    def read(path: Path, **options: object) -> Iterator[Recording]:
+        with broken_as_one_line(path, f"a file of the format {name}"):
+            yield from reader(path, **options)
 
-    return guarded
+    return read
 
 
 def get_writer(name: str) -> Writer:
@@ -258,14 +262,9 @@ def first_file(folder: Path, name: str) -> Path | None:
     """A file of a format in a folder; None where there is none."""
     entry = FORMATS[name]
     for file in _files(folder, entry.files):
-        if entry.reader is None or entry.own_names or entry.head.search(_head(file)):
+        if entry.reader is None or entry.own_names or entry.recognises(file):
             return file
     return None
-
-
-def _head(path: Path) -> bytes:
-    """The beginning of a file in lower case, by which its format is recognised."""
-    return _beginning(path).lower()
 
 
 def _beginning(path: Path) -> bytes:
@@ -273,7 +272,7 @@ def _beginning(path: Path) -> bytes:
     try:
         with opened(path) as file:
             head = file.read(HEAD_BYTES)
-    except BROKEN:
+    except (EOFError, zlib.error, gzip.BadGzipFile):
         return b""
     return head.removeprefix(codecs.BOM_UTF8)
 
@@ -333,7 +332,7 @@ def formats_in(path: Path) -> list[str]:
         if path.is_dir():
             accompanying = tuple(pattern for key in found for pattern in FORMATS[key].beside)
             files = [file for file in files if not _named(file, accompanying)]
-        here = {file for file in files if entry.head.search(_head(file))}
+        here = {file for file in files if entry.recognises(file)}
         if here:
             found.append(name)
             known.update(here)
@@ -343,8 +342,8 @@ def formats_in(path: Path) -> list[str]:
             seen = "an empty folder"
         elif path.is_file():
             line = b"".join(_beginning(path).splitlines()[:1]).decode("utf-8", "replace")
-            if line.replace("\t", " ").isprintable() and "\ufffd" not in line and line:
-                seen += f" in its first line {line!r:.120}"
+            if line and line.replace("\t", " ").isprintable():
+                seen += f" in its first line {line[:LINE_CHARACTERS]!r}"
         known_names = [name for name, entry in FORMATS.items() if entry.reader is not None]
         raise InputError(
             f"{path}: found {seen}, expected one of {', '.join(known_names)}; "
@@ -393,7 +392,7 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
     others: list[Path] = []
     if path.is_dir():
         files = [file for file in files if not _named(file, entry.beside)]
-        strange = [file for file in files if not entry.head.search(_head(file))]
+        strange = [file for file in files if not entry.recognises(file)]
         # A file with the format's own name is read even if it is broken, but not as another's.
         others = [file for file in strange if not entry.own_names or _is_of_another(file)]
         files = [file for file in files if file not in set(others)]
@@ -404,8 +403,7 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
 
 def _is_of_another(file: Path) -> bool:
     """Whether a file looks like a format whose files have such names."""
-    head = _head(file)
-    return any(_named(file, entry.files) and entry.head.search(head) for entry in FORMATS.values())
+    return any(_named(file, entry.files) and entry.recognises(file) for entry in FORMATS.values())
 
 
 def _check_there(path: Path) -> None:
@@ -414,7 +412,7 @@ def _check_there(path: Path) -> None:
 
 
 def read_recordings(
-    path: Path, name: str | None = None, types: Path | None = None
+    path: Path, name: str | None = None, types: Path | None = None, rate_hz: float | None = None
 ) -> Iterator[Recording]:
     """Read a recording, or all recordings of one format in a folder.
 
@@ -422,6 +420,7 @@ def read_recordings(
         path: a file or a folder.
         name: a key of ``FORMATS``; None to tell it from the content.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
+        rate_hz: frames per second that the recordings really have; None for what they say.
 
     Yields:
         The recordings, one at a time, in order of the files' names; see `recording_files` for
@@ -432,31 +431,59 @@ def read_recordings(
     Raises:
         InputError: if a file is broken, or there is none.
     """
-    from sim.formats.common.stated_rate import with_true_times
+    for item in read_formats(path, [name or recognise(path)], types, rate_hz):
+        if not isinstance(item, Path):
+            yield item[1]
 
-    name = name or recognise(path)
-    reader = get_reader(name)
-    if types is not None:
-        if name != "sumo-fcd":
-            raise InputError(f"types: found format {name}, expected sumo-fcd: only it needs them")
-        reader = partial(cast("Callable[..., Iterator[Recording]]", reader), types=types)
-    files = recording_files(path, name)[0]
-    alike = Counter(file.name for file in files)
-    for file in files:
-        called = (file.relative_to(path) if path.is_dir() else Path(file.name)).as_posix()
-        folder = called.removesuffix(file.name) if alike[file.name] > 1 else ""
-        for recording in reader(file):
-            tracks, found = with_true_times(recording.tracks, FORMATS[name].clock)
-            yield replace(
-                recording,
-                name=folder.removesuffix(f"{recording.name}/") + recording.name,
-                tracks=tracks,
-                notes=(*recording.notes, *found),
-                file=called,
-            )
+
+def read_formats(
+    path: Path, names: Sequence[str], types: Path | None = None, rate_hz: float | None = None
+) -> Iterator[tuple[str, Recording] | Path]:
+    """As `read_recordings`, of several formats.
+
+    Args:
+        path: a file or a folder.
+        names: keys of ``FORMATS``.
+        types: as in `read_recordings`.
+        rate_hz: as in `read_recordings`.
+
+    Yields:
+        The path of every file before it is read, then its recordings with their format's name.
+
+    Raises:
+        InputError: if a file is broken, or there is none of a format.
+    """
+    from sim.formats.common.motion import at_rate
+
+    if types is not None and "sumo-fcd" not in names:
+        raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
+    for name in names:
+        options = {"types": types} if types is not None and name == "sumo-fcd" else {}
+        files = recording_files(path, name)[0]
+        alike = Counter(file.name for file in files)
+        for file in files:
+            yield file
+            called = (file.relative_to(path) if path.is_dir() else Path(file.name)).as_posix()
+            folder = called.removesuffix(file.name) if alike[file.name] > 1 else ""
+            for recording in get_reader(name)(file, **options):
+                tracks = recording.tracks
+                if rate_hz is not None and tracks.time_s.size > 1:
+                    tracks = at_rate(tracks, rate_hz)
+                own_name = folder.removesuffix(f"{recording.name}/") + recording.name
+                yield name, replace(recording, name=own_name, tracks=tracks, file=called)
 
 
 __all__ = [
-    "FORMATS", "Format", "first_file", "formats_in", "get_reader", "get_writer", "left_out_files",
-    "new_index", "read_recordings", "recognise", "recording_files",
+    "FORMATS",
+    "Format",
+    "first_file",
+    "formats_in",
+    "get_reader",
+    "get_writer",
+    "left_out_files",
+    "new_index",
+    "read_formats",
+    "read_recordings",
+    "recognise",
+    "recording_files",
 ]  # fmt: skip

@@ -1,24 +1,49 @@
 """The GraphRQI paper's Argoverse sequences as CSV: ``frame,id,x,y``, metres, 10 Hz assumed.
 
 Coordinates move with the recording vehicle (offset by 1500 m); its motion is taken out, so that
-parked cars stand. Labels are read from ``..._labels.csv`` beside ``..._tracks.csv``.
+parked cars stand. Labels, ``id,code``, are in ``..._labels.csv`` beside ``..._tracks.csv``. Codes
+3, 4 and 5 are careful, timid and cautious. Codes 0, 1 and 2 are the aggressive classes, but the
+release does not say which is which, so nothing but the style of such agents is known.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from sim.formats.argo_labels import read_labels
-from sim.formats.common.csv_columns import read_columns
-from sim.formats.common.ego_motion import remove_ego_motion
-from sim.formats.common.packed import beside, plain_name, stem
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recordings
-from sim.track_rows import MAX_CELLS
+import numpy as np
+from numpy.typing import NDArray
+
+from behaviors.errors import InputError
+from behaviors.labels import Behavior, Style
+from sim.formats.common.label_file import DriverLabel
+from sim.formats.common.motion import motion
+from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
+from sim.formats.common.tables import read_csv
+from sim.frames import Tracks
+from sim.input_files import beside, plain_name, stem
+
+FloatArray = NDArray[np.float64]
 
 FRAME_RATE_HZ: Final = 10.0
 """Frames per second that are assumed (Argoverse's tracking data has 10)."""
+
+CODES: Final[dict[int, DriverLabel]] = {
+    **{code: DriverLabel(Style.AGGRESSIVE) for code in (0, 1, 2)},
+    3: DriverLabel(Style.CONSERVATIVE, Behavior.CAREFUL),
+    4: DriverLabel(Style.CONSERVATIVE, Behavior.TIMID),
+    5: DriverLabel(Style.CONSERVATIVE, Behavior.CAUTIOUS),
+}
+"""The label of each code."""
+
+
+ROUNDS: Final = 10
+"""Fits per pair of frames (the kept agents stop changing after a few)."""
+
+MIN_AGENTS: Final = 3
+"""Agents needed for a fit; with fewer, the last motion is assumed to go on."""
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -33,25 +58,105 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    columns = read_columns(path, ["frame", "x", "y"], ["id"])
-    agent, names = columns.names("id")
-    time_s = columns.numbers("frame") / FRAME_RATE_HZ
-    rows = Rows.of_positions(agent, names, time_s, columns.numbers("x"), columns.numbers("y"))
-    labels = beside(path, plain_name(path).replace("_tracks", "_labels"))
-    for one in recordings(path, stem(path), rows, max_cells=MAX_CELLS // 2):
-        tracks = remove_ego_motion(one.tracks)
-        notes = [
-            *one.notes,
-            "the recording vehicle's motion was estimated from those that stand, and taken out",
-            CARS_ASSUMED,
-        ]
-        if labels is not None:
-            found = read_labels(labels)
-            known = [found.get(name) for name in tracks.names]
-            vague = sum(label is not None and label.behavior is None for label in known)
-            notes.append(
-                f"{vague} agents are aggressive, but of which class is not known: a style alone"
-            )
-            yield Recording(one.name, tracks, tuple(notes)).labelled(known)
-        else:
-            yield Recording(one.name, tracks, tuple(notes))
+    table = read_csv(path, ["frame", "x", "y"], ["id"])
+    agent, names = table.names("id")
+    xy = np.stack([table.numbers("x"), table.numbers("y")], axis=1)
+    rows = Rows.of(agent, names, table.numbers("frame") / FRAME_RATE_HZ, xy)
+    notes = [
+        "the recording vehicle's motion was estimated from those that stand, and taken out",
+        CARS_ASSUMED,
+    ]
+    recording = Recording(stem(path), remove_ego_motion(assemble(path, rows)), tuple(notes))
+    file = beside(path, plain_name(path).replace("_tracks", "_labels"))
+    if file is None:
+        yield recording
+        return
+    labels = read_labels(file)
+    known = [labels.get(name) for name in recording.tracks.names]
+    vague = sum(label is not None and label.behavior is None for label in known)
+    notes.append(f"{vague} agents are aggressive, but of which class is not known: a style alone")
+    yield dataclasses.replace(recording, notes=tuple(notes)).labelled(known)
+
+
+def read_labels(path: Path) -> dict[str, DriverLabel]:
+    """Read one label file.
+
+    Args:
+        path: ``argo<k>_labels.csv``.
+
+    Returns:
+        Labels by the source's own agent ids.
+
+    Raises:
+        InputError: if the file is broken, a code is unknown, or an agent is listed twice.
+    """
+    table = read_csv(path, ["code"], ["id"])
+    agent, names = table.names("id")
+    if len(names) != len(table):
+        raise InputError(f"{path}: found {len(table)} rows for {len(names)} agents, expected one")
+    found = {}
+    for row, code in zip(agent, table.numbers("code").tolist(), strict=True):
+        if code not in CODES:
+            raise InputError(f"{path}: agent {names[row]}: found code {code:g}, expected 0 to 5")
+        found[names[row]] = CODES[int(code)]
+    return found
+
+
+def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rotation and shift that most points follow from one frame to the next.
+
+    Args:
+        before: (n, 2) m.
+        after: (n, 2) the same agents a step later, m.
+
+    Returns:
+        (2, 2) rotation and (2,) shift with ``after @ rotation.T + shift`` near ``before`` for at
+        least half of the points.
+
+    Examples:
+        >>> still = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 9.0], [7.0, 7.0]])
+        >>> seen = still - [1.0, 0.5]
+        >>> seen[3] += 5.0  # one drives off
+        >>> rigid_motion(still, seen)[1].round(6).tolist()
+        [1.0, 0.5]
+    """
+    rotation = np.eye(2)
+    shift = np.median(before - after, axis=0)
+    for _ in range(ROUNDS):
+        missed = np.hypot(*(after @ rotation.T + shift - before).T)
+        kept = missed <= np.median(missed) + 1e-9
+        source, target = after[kept], before[kept]
+        middle, aim = source.mean(axis=0), target.mean(axis=0)
+        u, _, vt = np.linalg.svd((source - middle).T @ (target - aim))
+        flip = np.diag([1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+        rotation = vt.T @ flip @ u.T
+        shift = aim - rotation @ middle
+    return rotation, shift
+
+
+def remove_ego_motion(tracks: Tracks) -> Tracks:
+    """Bring tracks seen from a moving vehicle into the frame of the first instant.
+
+    Args:
+        tracks: positions relative to the recording vehicle, m.
+
+    Returns:
+        The same agents; headings and speeds are told anew from the motion.
+    """
+    xy = tracks.xy.copy()
+    rotation, shift = np.eye(2), np.zeros(2)
+    turn, step = np.eye(2), np.zeros(2)
+    for t in range(1, tracks.time_s.size):
+        both = tracks.valid[:, t - 1] & tracks.valid[:, t]
+        if np.count_nonzero(both) >= MIN_AGENTS:
+            turn, step = rigid_motion(tracks.xy[both, t - 1], tracks.xy[both, t])
+        shift = rotation @ step + shift
+        rotation = rotation @ turn
+        xy[:, t] = tracks.xy[:, t] @ rotation.T + shift
+    heading, speed = motion(xy, tracks.time_s, 0.0)
+    return dataclasses.replace(
+        tracks,
+        xy=xy,
+        heading=heading,
+        speed=speed,
+    )

@@ -12,33 +12,21 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from itertools import groupby
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import (
-    MAX_ROWS,
-    Recording,
-    Rows,
-    assemble,
-    default_size,
-    kind_codes,
-)
-from sim.formats.common.state_runs import RUN, StateRuns
-from sim.frames import AgentKind, Tracks
+from sim.formats.common.recording import Recording, Rows, assemble
+from sim.frames import AgentKind, FloatArray, Tracks
+from sim.input_files import stem
 from sim.road import Road
 from sim.road.maps.commonroad import ROOT, real, road_of
-from sim.road.maps.lanelets import MAX_COORDINATE_M
 from sim.xml_tree import read_tree, whole_number, without_collection
-
-ONCE: Final = ("role", "type", "shape", "initialState", "trajectory")
-"""Elements of which an obstacle has one at most."""
 
 VERSIONS: Final = ("2017a", "2018a", "2018b", "2020a")
 IN_SECONDS: Final = frozenset({"2017a", "2018a"})
@@ -83,8 +71,8 @@ def read(path: Path) -> Iterator[Recording]:
 
 def _recording(path: Path) -> Recording:
     """Read the file's content; its XML tree is freed when this returns."""
-    runs = StateRuns(MAX_COORDINATE_M)
-    root = read_tree(path, runs.cut)
+    tables: list[FloatArray] = []
+    root = read_tree(path, lambda data: _without_states(data, tables))
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
     version = root.get("commonRoadVersion", "")
@@ -96,18 +84,55 @@ def _recording(path: Path) -> Recording:
     step_s = real(path, root.get("timeStepSize"), "timeStepSize")
     if step_s <= 0:
         raise InputError(f"{path}: timeStepSize: found {step_s:g}, expected more than 0")
-    found = _Obstacles(path, 1.0 if version in IN_SECONDS else step_s, runs)
-    for element in root:
-        if element.tag in OBSTACLES:
-            found.add(element)
+    tracks, notes = _tracks(path, root, 1.0 if version in IN_SECONDS else step_s, tables)
     road = road_of(path, root)
-    name = path.name.removesuffix(".gz").removesuffix(".xml")
-    tracks, notes = found.tracks()
     if road is not None:
         tracks = _lit(tracks, road)
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
-    return Recording(name, tracks, tuple(notes), road)
+    return Recording(stem(path), tracks, tuple(notes), road)
+
+
+_NUMBER: Final = rb"[-+.\deE]+"
+_NUMBER_TEXT: Final = re.compile(rb"(?<=>)" + _NUMBER + rb"(?=<)")
+_EXACT: Final = re.compile(rb"<(\w+)>(?:\s*<exact>)?</")
+_COLUMNS: Final = (b"time", b"x", b"y", b"orientation", b"velocity")
+_BEGIN, _END = b"<trajectory>", b"</trajectory>"
+
+
+def _without_states(data: bytes, tables: list[FloatArray]) -> bytes:
+    """The file without the states of trajectories, which would be most of its tree.
+
+    Where all states of a trajectory are written like the file's first one, a table of `_COLUMNS` is
+    appended and the trajectory left with its number in the list.
+    """
+    first = data[data.find(b"<state>") : data.find(b"</state>") + len(b"</state>")]
+    names = _EXACT.findall(_NUMBER_TEXT.sub(b"", first))
+    literals = [re.escape(text) for text in _NUMBER_TEXT.split(first)]
+    each_once = len(set(names)) == len(names) == len(literals) - 1
+    if not each_once or not {b"time", b"x", b"y"} <= set(names):
+        return data
+    state = re.compile((b"(%b)" % _NUMBER).join(literals))
+    kept, at, begin = list[bytes](), 0, data.find(_BEGIN)
+    while begin >= 0:
+        end = data.find(_END, begin)
+        found = state.findall(data, begin, max(end, begin))
+        # no other elements are among them
+        alone = data.count(b"<", begin, end) == 1 + len(found) * first.count(b"<")
+        try:
+            numbers = np.array(found, dtype=np.float64)
+        except ValueError:
+            alone = False
+        if found and alone:
+            table = np.full((len(found), len(_COLUMNS)), np.nan)
+            for column, name in enumerate(names):
+                if name in _COLUMNS:
+                    table[:, _COLUMNS.index(name)] = numbers[:, column]
+            kept += [data[at:begin], b'<trajectory table="%d"/>' % len(tables)]
+            tables.append(table)
+            at = end + len(_END)
+        begin = data.find(_BEGIN, begin + 1)
+    return b"".join([*kept, data[at:]])
 
 
 def _lit(tracks: Tracks, road: Road) -> Tracks:
@@ -121,174 +146,109 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
     return tracks.changed(signals=np.array(shown, dtype=np.int8).T)
 
 
-class _Obstacles:
-    """Gathers the states of the obstacles."""
-
-    def __init__(self, path: Path, unit_s: float, runs: StateRuns) -> None:
-        self.path = path
-        self.runs = runs
-        self.unit_s = unit_s
-        self.names: dict[str, None] = {}
-        self.kinds: list[AgentKind] = []
-        self.sizes: list[tuple[float, float]] = []
-        self.agent: list[int] = []
-        self.tables: list[NDArray[np.float64]] = []  # time, x, y, heading, speed
-        self.standing: list[tuple[int, tuple[float, float, float, float, float]]] = []
-        self.left_out: set[str] = set()
-        self.unsized = 0
-
-    def add(self, element: Element) -> None:
-        """One obstacle."""
-        identity = str(whole_number(self.path, element, "id"))
-        word = (element.findtext("type") or "").strip()
-        kind = TYPES.get(word)
+def _tracks(
+    path: Path, root: Element, unit_s: float, tables: list[FloatArray]
+) -> tuple[Tracks, list[str]]:
+    """The obstacles as tracks, and notes on what was assumed."""
+    names: dict[str, None] = {}
+    kinds: list[AgentKind] = []
+    sizes: list[tuple[float, float]] = []
+    seen: list[FloatArray] = []
+    standing: list[tuple[int, FloatArray]] = []
+    left_out: set[str] = set()
+    for element in root:
+        if element.tag not in OBSTACLES:
+            continue
+        name = str(whole_number(path, element, "id"))
+        kind = TYPES.get((element.findtext("type") or "").strip())
         if kind is None:
-            self.left_out.add(word[:40])
-            return
-        what = f"obstacle {identity}"
-        index = len(self.names)
-        if identity in self.names:
-            raise InputError(f"{self.path}: found {what} twice, expected it once")
-        self.names[identity] = None
-        self.kinds.append(kind)
-        self.sizes.append(self._size(element, kind, what))
-        self._each_once([part for part in element if part.tag in ONCE], what)
-        inside = next((part.tag for part in element if part.tag.lower().endswith("obstacle")), None)
-        if inside is not None:
-            raise InputError(f"{self.path}: {what}: found {inside} inside, expected it beside")
-        initial = element.find("initialState")
-        states = element.findall("trajectory/*")
-        tags = ("state", RUN) if self.runs.tables else ("state",)
-        states = [state for state in states if state.tag in tags]
-        role = (element.findtext("role") or "").strip()
-        if not states and initial is not None and "static" in (role, element.tag[:6]):
-            row = self._row(initial, what)
-            self.standing.append((index, (*row[:4], 0.0)))
-            return
-        if initial is not None:
-            states = [initial, *states]
-        if not states:
-            raise InputError(f"{self.path}: {what}: found no state, expected a trajectory")
-        for whole, part in groupby(states, key=lambda state: state.tag == RUN):
-            if whole:
-                tables = [self._run(run) for run in part]
-            else:
-                tables = [np.array([self._row(state, what) for state in part])]
-            self.tables += tables
-            self.agent += [index] * sum(map(len, tables))
-        if len(self.agent) > MAX_ROWS:
-            raise InputError(f"{self.path}: found more than {MAX_ROWS} states")
-
-    def _each_once(self, parts: Iterable[Element], what: str) -> None:
-        """Refuse two elements of one name, because only one of them would be read."""
-        names = [part.tag for part in parts]
-        if len(set(names)) < len(names):
-            twice = next(name for name in names if names.count(name) > 1)
-            raise InputError(f"{self.path}: {what}: found {twice} twice, expected it once")
-
-    def _run(self, element: Element) -> NDArray[np.float64]:
-        """(k, 5) the states of a run, each as `_row` has it."""
-        table = self.runs.tables[whole_number(self.path, element, "number")]
-        table[:, 0] = [round(time * self.unit_s, DECIMALS) for time in table[:, 0].tolist()]
-        table[:, 4] = np.where(table[:, 4] < 0, -table[:, 4], table[:, 4])
-        return table
-
-    def _row(self, state: Element, what: str) -> tuple[float, float, float, float, float]:
-        """Time, x, y, heading and speed of a state; NaN for a heading or speed that it lacks."""
-        self._each_once(state, what)
-        x = y = time = None
-        heading = speed = math.nan
-        for part in state:
-            tag = part.tag
-            if tag == "position":
-                for point in part.iter("point"):
-                    x, y = point.findtext("x"), point.findtext("y")
-                    break
-                else:
-                    x, y = _center(part)
-            elif tag == "orientation":
-                heading = self._value(part, what)
-            elif tag == "time":
-                time = self._value(part, what)
-            elif tag == "velocity":
-                speed = self._value(part, what)
-        if time is None or x is None or y is None:
-            raise InputError(f"{self.path}: {what}: found a state without time or place")
-        if speed < 0:  # it drives backwards: the format's speed has a sign, ours none
-            speed = -speed
-        return (
-            round(time * self.unit_s, DECIMALS),
-            real(self.path, x, what),
-            real(self.path, y, what),
-            heading,
-            speed,
-        )
-
-    def _value(self, part: Element, what: str) -> float:
-        """An exact value, or the middle of an interval."""
-        first = part[0] if len(part) else None
-        if first is not None and first.tag == "exact":
-            return real(self.path, first.text, f"{what} {part.tag}")
-        low, high = part.findtext("intervalStart"), part.findtext("intervalEnd")
-        name = f"{what} {part.tag}"
-        return (real(self.path, low, name) + real(self.path, high, name)) / 2
-
-    def _size(self, element: Element, kind: AgentKind, what: str) -> tuple[float, float]:
-        shape = element.find("shape")
-        if shape is not None:
-            box, circle = shape.find("rectangle"), shape.find("circle")
-            if box is not None:
-                length, width = (
-                    real(self.path, box.findtext(side), f"{what} {side}")
-                    for side in ("length", "width")
-                )
-                return length, width
-            if circle is not None:
-                across = 2 * real(self.path, circle.findtext("radius"), f"{what} radius")
-                return across, across
-        self.unsized += 1
-        return default_size(kind)
-
-    def tracks(self) -> tuple[Tracks, list[str]]:
-        """The obstacles as tracks, and notes on what was assumed."""
-        table = np.concatenate([np.zeros((0, 5)), *self.tables])
-        agent = np.array(self.agent, dtype=np.int64)
-        if self.standing:
-            times = np.unique(table[:, 0]) if len(table) else np.zeros(1)
-            if len(self.standing) * times.size > MAX_ROWS:
-                raise InputError(f"{self.path}: found more than {MAX_ROWS} obstacles times steps")
-            stood = np.array([row for _, row in self.standing])
-            rows = np.repeat(stood, times.size, axis=0)
-            rows[:, 0] = np.tile(times, len(stood))
-            table = np.concatenate([table, rows])
-            agent = np.append(agent, np.repeat([i for i, _ in self.standing], times.size))
-        sizes = np.array(self.sizes).reshape(-1, 2)
-        tracks = assemble(
-            self.path,
-            Rows(
-                agent=agent,
-                names=tuple(self.names),
-                time_s=table[:, 0],
-                x=table[:, 1],
-                y=table[:, 2],
-                heading=table[:, 3],
-                speed=table[:, 4],
-                length=sizes[:, 0],
-                width=sizes[:, 1],
-                kind=kind_codes(self.kinds),
-            ),
-        )
-        notes = []
-        if self.left_out:
-            names = ", ".join(sorted(self.left_out)) or "without a type"
-            notes.append(f"left out, because they are not road-agents: {names}")
-        if self.unsized:
-            notes.append("those without a size have the one usual for their kind")
-        return tracks, notes
+            left_out.add((element.findtext("type") or "without a type").strip()[:40])
+            continue
+        if name in names:
+            raise InputError(f"{path}: found obstacle {name} twice, expected it once")
+        names[name] = None
+        kinds.append(kind)
+        sizes.append(_size(path, element, name))
+        states, moves = _states(path, element, name, tables)
+        states[:, 0] = np.round(states[:, 0] * unit_s, DECIMALS)
+        # one that drives backwards: the format's speed has a sign, ours none
+        states[:, 4] = np.abs(states[:, 4])
+        seen.append(states if moves else states[:0])
+        if not moves:
+            standing.append((len(names) - 1, states))
+    times = np.unique(np.concatenate([[], *(table[:, 0] for table in seen)]))
+    for index, state in standing:  # those that stand have one state, which lasts
+        seen[index] = np.repeat(state, max(times.size, 1), axis=0)
+        seen[index][:, 0] = times if times.size else 0.0
+        seen[index][:, 4] = 0.0
+    table = np.concatenate([np.zeros((0, 5)), *seen])
+    agent = np.repeat(np.arange(len(names)), [len(one) for one in seen])
+    lengths = np.reshape(sizes, (-1, 2))
+    rows = Rows.of(
+        agent, tuple(names), table[:, 0], table[:, 1:3], table[:, 3], table[:, 4], kinds, lengths
+    )
+    notes = []
+    if left_out:
+        found = ", ".join(sorted(left_out))
+        notes.append(f"left out, because they are not road-agents: {found}")
+    if (lengths == 0).any():
+        notes.append("those without a size have the one usual for their kind")
+    return assemble(path, rows), notes
 
 
-def _center(position: Element) -> tuple[str | None, str | None]:
-    """The centre of an uncertain position, a rectangle or a circle."""
-    for center in position.iter("center"):
-        return center.findtext("x"), center.findtext("y")
-    return None, None
+def _states(
+    path: Path, element: Element, name: str, tables: list[FloatArray]
+) -> tuple[FloatArray, bool]:
+    """(k, 5) the states of an obstacle by `_COLUMNS`, times in the file's unit; does it move?"""
+    initial, trajectory = element.find("initialState"), element.find("trajectory")
+    rows = [] if initial is None else [_row(path, initial, f"obstacle {name}")]
+    found = [np.reshape(rows, (-1, 5))]
+    if trajectory is not None:
+        number = trajectory.get("table")
+        rows = [_row(path, one, f"obstacle {name}") for one in trajectory.iterfind("state")]
+        found.append(np.reshape(rows, (-1, 5)) if number is None else tables[int(number)])
+    table = np.concatenate(found)
+    if not len(table):
+        raise InputError(f"{path}: obstacle {name}: found no state, expected a trajectory")
+    static = "static" in ((element.findtext("role") or "").strip(), element.tag[:6])
+    return table, not (static and len(table) == 1)
+
+
+def _row(path: Path, state: Element, what: str) -> tuple[float, float, float, float, float]:
+    """Time, x, y, heading and speed of a state; NaN for a heading or speed that it lacks."""
+    values = {
+        part: math.nan if (found := state.find(part)) is None else _value(path, found, what)
+        for part in ("time", "orientation", "velocity")
+    }
+    position = state.find("position")
+    place = (
+        None
+        if position is None
+        else next((one for tag in ("point", "center") for one in position.iter(tag)), None)
+    )  # of an uncertain position, a rectangle or a circle, the centre
+    if place is None or math.isnan(values["time"]):
+        raise InputError(f"{path}: {what}: found a state without time or place")
+    x, y = (real(path, place.findtext(axis), f"{what} {axis}") for axis in "xy")
+    return values["time"], x, y, values["orientation"], values["velocity"]
+
+
+def _value(path: Path, part: Element, what: str) -> float:
+    """An exact value, or the middle of an interval."""
+    exact = part.findtext("exact")
+    bounds = [exact] if exact else [part.findtext(f"interval{end}") for end in ("Start", "End")]
+    return sum(real(path, bound, f"{what} {part.tag}") for bound in bounds) / len(bounds)
+
+
+def _size(path: Path, element: Element, name: str) -> tuple[float, float]:
+    """Length and width, m; 0 where the file does not say them."""
+    box, circle = element.find("shape/rectangle"), element.find("shape/circle")
+    if box is None and circle is None:
+        return 0.0, 0.0
+    if box is None:
+        assert circle is not None
+        across = 2 * real(path, circle.findtext("radius"), f"obstacle {name} radius")
+        return across, across
+    length, width = (
+        real(path, box.findtext(side), f"obstacle {name} {side}") for side in ("length", "width")
+    )
+    return length, width

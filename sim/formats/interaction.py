@@ -14,24 +14,17 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.csv_columns import Columns, read_columns
-from sim.formats.common.packed import beside, plain_name, stem
-from sim.formats.common.recording import (
-    MOVING_MPS,
-    Recording,
-    Rows,
-    default_size,
-    kind_codes,
-    recordings,
-)
+from sim.formats.common.motion import MOVING_MPS
+from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.tables import Table, read_csv
 from sim.frames import AgentKind
+from sim.input_files import beside, plain_name, stem
 from sim.road.files import read_road_file
 
 TYPES: Final[dict[str, AgentKind]] = {
@@ -46,11 +39,6 @@ TYPES: Final[dict[str, AgentKind]] = {
     "pedestrian/bicycle": AgentKind.PEDESTRIAN,
 }
 """``agent_type``, in lower case."""
-
-FREE_CASES, LEAST_ROWS = 100, 10
-"""A file with more cases than the first number must have at least the second number of rows per
-case on average (the dataset's have 40 and more), since each becomes a recording with files of its
-own."""
 
 MAX_REPEATED: Final = 0.02
 """Share of rows that may repeat an agent at one time (a tracker that splits vehicles makes some .5
@@ -85,8 +73,7 @@ def read(path: Path) -> Iterator[Recording]:
         if repeated:
             notes.append(f"{repeated} rows left out that have an agent twice at one time")
         name = f"{stem(path)}-{case}" if case else stem(path)
-        for recording in recordings(path, name, rows, tuple(notes), road):
-            yield replace(recording, origin=origin)
+        yield Recording(name, assemble(path, rows), tuple(notes), road, origin)
 
 
 def _once(rows: Rows) -> tuple[Rows, int]:
@@ -135,98 +122,79 @@ def _origin(path: Path) -> tuple[float, float] | None:
     if facts is None:
         return None
     names = ("originlat", "originlon")
-    columns = read_columns(facts, names, optional=names)
-    if not all(name in columns for name in names) or not len(columns):
+    table = read_csv(facts, names, optional=names)
+    if not all(name in table for name in names):
         return None
-    latitude, longitude = (float(columns.numbers(name)[0]) for name in names)
+    latitude, longitude = (float(table.numbers(name)[0]) for name in names)
     if abs(latitude) > 89 or abs(longitude) > 180:
         raise InputError(f"{facts}: found origin {latitude:g}, {longitude:g}, expected degrees")
     return latitude, longitude
 
 
 def _joined(parts: list[Rows], path: Path, walkers: Path) -> Rows:
-    offsets = np.cumsum([0, *(len(part.names) for part in parts)])
-    names = [name for part in parts for name in part.names]
+    """Vehicles and pedestrians together."""
+    if len(parts) == 1:
+        return parts[0]
+    one, other = parts
+    names = (*one.names, *other.names)
     if len(set(names)) != len(names):
         raise InputError(f"{walkers}: found an agent that {path.name} has too, expected others")
 
-    def joined(name: str) -> NDArray[np.float64]:
+    def both(name: str) -> NDArray[Any]:
         return np.concatenate([getattr(part, name) for part in parts])
 
     return Rows(
-        agent=np.concatenate([p.agent + o for p, o in zip(parts, offsets, strict=False)]),
-        names=tuple(names),
-        time_s=joined("time_s"),
-        x=joined("x"),
-        y=joined("y"),
-        heading=joined("heading"),
-        speed=joined("speed"),
-        length=joined("length"),
-        width=joined("width"),
-        kind=np.concatenate([part.kind for part in parts]),
-    )
+        np.concatenate([one.agent, other.agent + len(one.names)]), names, both("time_s"),
+        both("x"), both("y"), both("heading"), both("speed"), both("length"), both("width"),
+        both("kind"),
+    )  # fmt: skip
 
 
 def _cases(path: Path) -> dict[str, Rows]:
     """The rows of each case, by its name; of a file without cases, under no name."""
     words = ["track_id", "agent_type", "case_id"]
-    columns = read_columns(path, [*_COMMON, *_BOX], words, optional=[*_BOX, "case_id"])
-    if "case_id" not in columns:
-        return {"": _rows(path, columns)}
-    cases = columns.table.column("case_id").combine_chunks().dictionary_encode()
-    count = len(cases.dictionary)
-    if count > FREE_CASES and len(columns) < LEAST_ROWS * count:
-        raise InputError(
-            f"{path}: column case_id: found {count} cases in {len(columns)} rows, expected at "
-            f"least {LEAST_ROWS} rows of each"
-        )
-    code = cases.indices.to_numpy()
-    table = columns.table.take(pa.array(np.argsort(code, kind="stable")))
-    begins = np.cumsum([0, *np.bincount(code)])
+    table = read_csv(path, [*_COMMON, *_BOX], words, optional=[*_BOX, "case_id"])
+    if "case_id" not in table:
+        return {"": _rows(table)}
+    code, cases = table.codes("case_id")
+    order = np.argsort(code, kind="stable")
+    ends = np.cumsum(np.bincount(code)).tolist()
     return {
-        case: _rows(path, Columns(path, table.slice(begin, end - begin)))
-        for case, (begin, end) in zip(
-            cases.dictionary.to_pylist(), itertools.pairwise(begins.tolist()), strict=True
-        )
+        case: _rows(table.part(order[begin:end]))
+        for case, (begin, end) in zip(cases, itertools.pairwise([0, *ends]), strict=True)
     }
 
 
-def _rows(path: Path, columns: Columns) -> Rows:
-    agent, names = columns.names("track_id")
-    kinds = _kinds(path, columns, agent)
-    vx, vy = columns.numbers("vx"), columns.numbers("vy")
-    speed = np.hypot(vx, vy)
-    if "psi_rad" in columns:
-        heading = columns.numbers("psi_rad")
-    else:
-        heading = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
-    _, first = np.unique(agent, return_index=True)
-    length, width = np.array([default_size(kind) for kind in kinds]).T
-    if "length" in columns:
-        length = columns.numbers("length")[first]
-    if "width" in columns:
-        width = columns.numbers("width")[first]
-    return Rows(
-        agent=agent,
-        names=names,
-        time_s=columns.numbers("timestamp_ms") / 1000.0,
-        x=columns.numbers("x"),
-        y=columns.numbers("y"),
-        heading=heading,
-        speed=speed,
-        length=length,
-        width=width,
-        kind=kind_codes(kinds),
-    )
-
-
-def _kinds(path: Path, columns: Columns, agent: NDArray[np.int64]) -> list[AgentKind]:
+def _rows(table: Table) -> Rows:
+    """The rows of one case."""
+    agent, names = table.names("track_id")
     kinds = []
-    for word in columns.only("agent_type", agent):
+    for word in table.only("agent_type", agent):
         kind = TYPES.get(word.lower())
         if kind is None:
             raise InputError(
-                f"{path}: column agent_type: found {word!r:.60}, expected one of {', '.join(TYPES)}"
+                f"{table.path}: column agent_type: found {word!r:.60}, expected one of "
+                f"{', '.join(TYPES)}"
             )
         kinds.append(kind)
-    return kinds
+    vx, vy = table.numbers("vx"), table.numbers("vy")
+    speed = np.hypot(vx, vy)
+    if "psi_rad" in table:
+        heading = table.numbers("psi_rad")
+    else:
+        heading = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
+    _, first = np.unique(agent, return_index=True)
+    sides = [
+        table.numbers(side)[first] if side in table else np.zeros(len(names))
+        for side in ("length", "width")
+    ]
+    return Rows.of(
+        agent,
+        names,
+        table.numbers("timestamp_ms", "ms"),
+        np.stack([table.numbers("x"), table.numbers("y")], axis=1),
+        heading,
+        speed,
+        kinds,
+        np.stack(sides, axis=1),
+    )

@@ -20,16 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.packed import lines_of, opened, plain_name, stem
-from sim.formats.common.recording import (
-    Recording,
-    Rows,
-    assemble,
-    check_size,
-    kind_codes,
-)
+from sim.formats.common.recording import Recording, Rows, assemble
 from sim.frames import AgentKind
-from sim.written_numbers import real
+from sim.input_files import opened, plain_name, stem
 
 FloatArray = NDArray[np.float64]
 
@@ -50,23 +43,11 @@ TYPES: Final[dict[str, AgentKind]] = {
 
 LEFT_OUT: Final = frozenset({"Misc", "DontCare"})
 
-FIELDS: Final = (17, 18)
-"""Fields of a label: 17, and a score where a tracker wrote it."""
-
 LEAST_POSE: Final = 6
 """Fields of a pose that are read: latitude, longitude, altitude, roll, pitch, yaw."""
 
 EARTH_M: Final = 6378137.0
 """Radius of the earth that the Mercator projection of KITTI's tools takes, m."""
-
-MAX_FRAMES: Final = 10**6
-"""Most frames of a sequence (the longest has 1 059)."""
-
-MAX_LINE: Final = 4096
-"""Longest line, bytes (a pose has some 500)."""
-
-LONGEST_ID: Final = 20
-"""Most digits of an agent's id (real ones have up to three)."""
 
 EGO_SIZE_M: Final = (4.77, 1.82)
 """Length and width of the recording car, a Volkswagen Passat B6."""
@@ -121,17 +102,14 @@ def read(path: Path) -> Iterator[Recording]:
     ego_heading = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     n, frames = len(labels.names), np.arange(len(poses))
     heading = np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), ego_heading)
-    rows = Rows(
-        agent=np.append(labels.agent, np.full(frames.size, n)),
-        names=(*labels.names, "ego"),
-        time_s=np.append(labels.frame, frames).astype(np.float64) * PERIOD_S,
-        x=np.append(xy[:, 0], ego[:, 0]),
-        y=np.append(xy[:, 1], ego[:, 1]),
-        heading=heading,
-        speed=np.full(heading.size, np.nan),
-        length=np.append(labels.sizes[:, 0], EGO_SIZE_M[0]),
-        width=np.append(labels.sizes[:, 1], EGO_SIZE_M[1]),
-        kind=kind_codes([*labels.kinds, AgentKind.CAR]),
+    rows = Rows.of(
+        np.append(labels.agent, np.full(frames.size, n)),
+        (*labels.names, "ego"),
+        np.append(labels.frame, frames).astype(np.float64) * PERIOD_S,
+        np.concatenate([xy, ego]),
+        heading,
+        kinds=[*labels.kinds, AgentKind.CAR],
+        sizes=np.concatenate([labels.sizes, [EGO_SIZE_M]]),
     )
     notes = (
         "the recording car's motion is undone with its poses; it is the agent ego",
@@ -157,91 +135,64 @@ def _neighbour(path: Path, folder: str) -> Path:
     return found
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[bytes]]]:
-    """The number and the fields of every line that is not blank.
-
-    Raises:
-        InputError: if there are too many.
-    """
-    check_size(path)
+def _lines(path: Path) -> Iterator[tuple[str, list[str]]]:
+    """Where every line that is not blank stands, and its fields."""
     with opened(path) as file:
-        for line_number, line in lines_of(path, file, MAX_LINE):
-            if line_number > 100 * MAX_FRAMES:
-                raise InputError(f"{path}: found more than {100 * MAX_FRAMES} lines")
-            fields = line.split()
+        for number, line in enumerate(file, 1):
+            fields = line.decode("ascii", "replace").split()
             if fields:
-                yield line_number, fields
+                yield f"{path}: line {number}", fields
 
 
-def _numbers(where: str, fields: list[bytes]) -> list[float]:
+def _numbers(where: str, fields: list[str], count: int) -> list[float]:
+    """So many finite numbers."""
     try:
-        return [real(field) for field in fields]
+        found = [float(field) for field in fields]
     except ValueError:
         raise InputError(f"{where}: found {fields[0][:40]!r}..., expected numbers") from None
+    if len(found) != count or not np.isfinite(found).all():
+        raise InputError(f"{where}: found {len(found)} numbers, expected {count} finite ones")
+    return found
 
 
 def _labels(path: Path) -> _Labels:
+    """The boxes in a file of labels."""
     frames, agents, numbers = list[int](), list[int](), list[list[float]]()
     index: dict[str, int] = {}
     kinds, sizes = list[AgentKind](), list[list[float]]()
-    read = 0
-    for line_number, fields in _lines(path):
-        where, read = f"{path}: line {line_number}", line_number
-        if len(fields) not in FIELDS:
-            raise InputError(f"{where}: found {len(fields)} fields, expected {FIELDS[0]}")
-        word = fields[2].decode("ascii", "replace")
+    where = None
+    for where, fields in _lines(path):
+        if len(fields) < 17 or not fields[0].isdecimal():
+            raise InputError(f"{where}: found {fields[:2]}, expected a frame and 16 more fields")
+        word, name = fields[2], fields[1]
         if word in LEFT_OUT:
             continue
         if word not in TYPES:
             raise InputError(f"{where}: found {word[:40]!r}, expected one of {', '.join(TYPES)}")
-        for field, what, longest in ((fields[0], "frame", 6), (fields[1], "id", LONGEST_ID)):
-            if not field.isdigit() or len(field) > longest:
-                found = field[:40].decode("ascii", "replace")
-                raise InputError(
-                    f"{where}: found {found!r}, expected a{'n' * (what == 'id')} {what}, at most "
-                    f"{longest} digits"
-                )
-        name = fields[1].decode("ascii")
         if name not in index:
             index[name] = len(index)
             kinds.append(TYPES[word])
-            sizes.append(_numbers(where, [fields[12], fields[11]]))
-        values = _numbers(where, fields[13:17])
-        if not np.isfinite(values).all() or np.abs(values).max() > 1e4:
-            raise InputError(f"{where}: found place {values[:3]}, expected metres and an angle")
+            sizes.append(_numbers(where, [fields[12], fields[11]], 2))
         frames.append(int(fields[0]))
         agents.append(index[name])
-        numbers.append(values)
-    if not read:
+        numbers.append(_numbers(where, fields[13:17], 4))
+    if where is None:
         raise InputError(f"{path}: found no label, expected at least one")
-    table = np.array(numbers, dtype=np.float64).reshape(-1, 4)
+    table = np.reshape(numbers, (-1, 4))
     return _Labels(
-        np.array(frames, dtype=np.int64),
-        np.array(agents, dtype=np.int64),
-        table[:, :3],
-        table[:, 3],
-        tuple(index),
-        tuple(kinds),
-        np.array(sizes, dtype=np.float64).reshape(-1, 2),
-    )
+        np.array(frames, dtype=np.int64), np.array(agents, dtype=np.int64), table[:, :3],
+        table[:, 3], tuple(index), tuple(kinds), np.reshape(sizes, (-1, 2)),
+    )  # fmt: skip
 
 
 def _poses(path: Path) -> FloatArray:
     """(frames, 3, 4) rotation and place of the car at each frame, m from the first place."""
-    rows = []
-    for line_number, fields in _lines(path):
-        where = f"{path}: line {line_number}"
-        if len(fields) < LEAST_POSE:
-            raise InputError(f"{where}: found {len(fields)} fields, expected 30")
-        values = _numbers(where, fields[:LEAST_POSE])
-        if not np.isfinite(values).all() or abs(values[0]) > 89 or abs(values[1]) > 360:
-            raise InputError(f"{where}: found {values[:2]}, expected latitude and longitude")
-        rows.append(values)
-        if len(rows) > MAX_FRAMES:
-            raise InputError(f"{path}: found more than {MAX_FRAMES} poses")
+    rows = [_numbers(where, fields[:LEAST_POSE], LEAST_POSE) for where, fields in _lines(path)]
     if not rows:
         raise InputError(f"{path}: found no pose, expected one for each frame")
     latitude, longitude, altitude, roll, pitch, yaw = np.array(rows).T
+    if (np.abs(latitude) > 89).any():
+        raise InputError(f"{path}: found a latitude beyond 89 degrees")
     scale = np.cos(np.radians(latitude[0]))
     east = scale * EARTH_M * np.radians(longitude)
     north = scale * EARTH_M * np.log(np.tan(np.radians(90.0 + latitude) / 2))
@@ -263,23 +214,14 @@ def _turned(angle: FloatArray, axis: int) -> FloatArray:
 
 def _camera_to_car(path: Path) -> FloatArray:
     """(4, 4) from the rectified camera's frame to that of the car's measuring unit."""
-    found: dict[str, FloatArray] = {}
-    for line_number, fields in _lines(path):
-        name = fields[0].decode("ascii", "replace").rstrip(":")
-        size = {"R_rect": 9, "Tr_velo_cam": 12, "Tr_imu_velo": 12}.get(name)
-        if size is None:
-            continue
-        where = f"{path}: line {line_number}"
-        values = np.array(_numbers(where, fields[1:]))
-        if values.size != size or not (np.abs(values) < 1e4).all():
-            raise InputError(f"{where}: found {values.size} numbers, expected {size} in metres")
+    to_camera = np.eye(4)
+    found = {fields[0].rstrip(":"): (where, fields[1:]) for where, fields in _lines(path)}
+    for name, size in (("R_rect", 9), ("Tr_velo_cam", 12), ("Tr_imu_velo", 12)):
+        if name not in found:
+            raise InputError(f"{path}: found no {name}, expected it")
         matrix = np.eye(4)
-        matrix[:3, : size // 3] = values.reshape(3, size // 3)
-        found[name] = matrix
-    missing = {"R_rect", "Tr_velo_cam", "Tr_imu_velo"} - set(found)
-    if missing:
-        raise InputError(f"{path}: found no {min(missing)}, expected it")
-    to_camera = found["R_rect"] @ found["Tr_velo_cam"] @ found["Tr_imu_velo"]
+        matrix[:3, : size // 3] = np.reshape(_numbers(*found[name], size), (3, size // 3))
+        to_camera = to_camera @ matrix
     turn = to_camera[:3, :3]
     if not np.abs(turn @ turn.T - np.eye(3)).max() < 0.01:
         raise InputError(f"{path}: found a mounting that is no rotation, expected one")

@@ -11,27 +11,19 @@ References:
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.csv_columns import Columns, read_columns
-from sim.formats.common.packed import beside, plain_name, stem
-from sim.formats.common.recording import (
-    MOVING_MPS,
-    Recording,
-    Rows,
-    default_size,
-    kind_codes,
-    recordings,
-)
+from sim.formats.common.motion import MOVING_MPS
+from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.tables import Table, read_csv
 from sim.frames import AgentKind
+from sim.input_files import beside, plain_name, stem
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second where no ``XX_recordingMeta.csv`` says otherwise."""
@@ -51,56 +43,48 @@ CLASSES: Final[dict[str, AgentKind]] = {
 
 
 def _beside(path: Path, what: str) -> Path | None:
+    """The file of metadata beside the tracks."""
     return beside(path, plain_name(path).replace("_tracks.csv", f"_{what}.csv"))
 
 
 def _frame_rate(path: Path) -> float:
+    """Frames per second, from the metadata."""
     facts = _beside(path, "recordingMeta")
     if facts is None:
         return FRAME_RATE_HZ
-    rates = np.unique(read_columns(facts, ["framerate"]).numbers("framerate"))
-    if rates.size > 1:
-        raise InputError(
-            f"{facts}: column framerate: found {rates[0]:g} and {rates[1]:g}, expected one"
-        )
-    rate = float(rates[0])
-    if not 1 <= rate <= 1000:
-        raise InputError(f"{facts}: column framerate: found {rate:g}, expected 1 to 1000")
-    return rate
+    rates = np.unique(read_csv(facts, ["framerate"]).numbers("framerate")).tolist()
+    if len(rates) > 1 or not 1 <= rates[0] <= 1000:
+        found = " and ".join(f"{rate:g}" for rate in rates)
+        raise InputError(f"{facts}: column framerate: found {found}, expected one, 1 to 1000")
+    return float(rates[0])
 
 
 def _agents(
-    path: Path, columns: Columns, id_column: str
+    table: Table, id_column: str
 ) -> tuple[NDArray[np.int64], tuple[str, ...], NDArray[np.int64], list[AgentKind], list[str]]:
     """(m,) agent of each row; of each agent its name, first row and kind; and notes."""
-    agent, names = columns.names(id_column)
+    agent, names = table.names(id_column)
     _, first = np.unique(agent, return_index=True)
-    return agent, names, first, *_kinds(path, id_column, names)
-
-
-def _kinds(path: Path, id_column: str, names: tuple[str, ...]) -> tuple[list[AgentKind], list[str]]:
-    facts = _beside(path, "tracksMeta")
+    facts = _beside(table.path, "tracksMeta")
     if facts is None:
-        missing = plain_name(path).replace("_tracks.csv", "_tracksMeta.csv")
-        return [AgentKind.CAR] * len(names), [f"{missing} is not there: all are taken for cars"]
-    columns = read_columns(facts, [], [id_column, "class"])
-    ids, words = (columns.table.column(name).to_pylist() for name in (id_column, "class"))
-    word = dict(zip(ids, words, strict=True))
-    if len(word) < len(ids):
-        twice = next(name for name, count in Counter(ids).items() if count > 1)
-        raise InputError(f"{facts}: found agent {twice!r:.60} more than once, expected it once")
+        missing = plain_name(table.path).replace("_tracks.csv", "_tracksMeta.csv")
+        notes = [f"{missing} is not there: all are taken for cars"]
+        return agent, names, first, [AgentKind.CAR] * len(names), notes
+    meta = read_csv(facts, [], [id_column, "class"])
+    code, words = meta.names(id_column)
+    word = dict(zip(words, meta.only("class", code), strict=True))
     kinds = []
     for name in names:
-        found = word.get(name)
-        if found is None:
+        if name not in word:
             raise InputError(f"{facts}: found no row of agent {name}, expected one")
-        kind = CLASSES.get(found.lower())
+        kind = CLASSES.get(word[name].lower())
         if kind is None:
             raise InputError(
-                f"{facts}: column class: found {found!r:.60}, expected one of {CLASSES}"
+                f"{facts}: column class: found {word[name]!r:.60}, expected one of "
+                f"{', '.join(CLASSES)}"
             )
         kinds.append(kind)
-    return kinds, []
+    return agent, names, first, kinds, []
 
 
 def read_ind(path: Path) -> Iterator[Recording]:
@@ -115,38 +99,31 @@ def read_ind(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names file and column or row.
     """
-    columns = read_columns(
-        path,
-        ["frame", "xcenter", "ycenter", "heading", "width", "length", "xvelocity", "yvelocity"],
-        ["trackid", "recordingid"],
-        optional=["recordingid"],
-    )
-    if "recordingid" in columns:
-        several = pc.unique(columns.table.column("recordingid")).to_pylist()
+    numbers = ("frame", "xcenter", "ycenter", "heading", "width", "length", "xvelocity",
+               "yvelocity")  # fmt: skip
+    table = read_csv(path, numbers, ["trackid", "recordingid"], optional=["recordingid"])
+    if "recordingid" in table:
+        several = table.codes("recordingid")[1]
         if len(several) > 1:  # each recording counts frames and ids from its own start
             raise InputError(
                 f"{path}: column recordingid: found {several[0]} and {several[1]}, expected "
                 "one recording in a file"
             )
-    agent, names, first, kinds, notes = _agents(path, columns, "trackid")
-    length, width = columns.numbers("length")[first], columns.numbers("width")[first]
-    points = (length == 0) | (width == 0)  # pedestrians and bicycles have no box
-    usual = np.array([default_size(kind) for kind in kinds])
-    if points.any():
+    agent, names, first, kinds, notes = _agents(table, "trackid")
+    sizes = np.stack([table.numbers("length")[first], table.numbers("width")[first]], axis=1)
+    if (sizes == 0).any():
         notes.append("pedestrians and bicycles without a size have the usual one")
-    rows = Rows(
-        agent=agent,
-        names=names,
-        time_s=columns.numbers("frame") / _frame_rate(path),
-        x=columns.numbers("xcenter"),
-        y=columns.numbers("ycenter"),
-        heading=np.radians(columns.numbers("heading")),
-        speed=np.hypot(columns.numbers("xvelocity"), columns.numbers("yvelocity")),
-        length=np.where(points, usual[:, 0], length),
-        width=np.where(points, usual[:, 1], width),
-        kind=kind_codes(kinds),
+    rows = Rows.of(
+        agent,
+        names,
+        table.numbers("frame") / _frame_rate(path),
+        np.stack([table.numbers("xcenter"), table.numbers("ycenter")], axis=1),
+        table.numbers("heading", "deg"),
+        np.hypot(table.numbers("xvelocity"), table.numbers("yvelocity")),
+        kinds,
+        sizes,
     )
-    yield from recordings(path, stem(path), rows, notes)
+    yield Recording(stem(path), assemble(path, rows), tuple(notes))
 
 
 def read_highd(path: Path) -> Iterator[Recording]:
@@ -161,23 +138,22 @@ def read_highd(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names file and column or row.
     """
-    columns = read_columns(
-        path, ["frame", "x", "y", "width", "height", "xvelocity", "yvelocity"], ["id"]
-    )
-    agent, names, first, kinds, notes = _agents(path, columns, "id")
-    vx, vy = columns.numbers("xvelocity"), -columns.numbers("yvelocity")
+    numbers = ("frame", "x", "y", "width", "height", "xvelocity", "yvelocity")
+    table = read_csv(path, numbers, ["id"])
+    agent, names, first, kinds, notes = _agents(table, "id")
+    length, width = table.numbers("width"), table.numbers("height")
+    x, y = table.numbers("x") + 0.5 * length, -(table.numbers("y") + 0.5 * width)
+    vx, vy = table.numbers("xvelocity"), -table.numbers("yvelocity")
     speed = np.hypot(vx, vy)
-    rows = Rows(
-        agent=agent,
-        names=names,
-        time_s=columns.numbers("frame") / _frame_rate(path),
-        x=columns.numbers("x") + 0.5 * columns.numbers("width"),
-        y=-(columns.numbers("y") + 0.5 * columns.numbers("height")),
-        heading=np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan),
-        speed=speed,
-        length=columns.numbers("width")[first],
-        width=columns.numbers("height")[first],
-        kind=kind_codes(kinds),
+    rows = Rows.of(
+        agent,
+        names,
+        table.numbers("frame") / _frame_rate(path),
+        np.stack([x, y], axis=1),
+        np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan),
+        speed,
+        kinds,
+        np.stack([length[first], width[first]], axis=1),
     )
-    notes.append("headings are told from velocities")
-    yield from recordings(path, stem(path), rows, notes)
+    notes.append("headings are taken from velocities")
+    yield Recording(stem(path), assemble(path, rows), tuple(notes))

@@ -17,24 +17,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.csv_columns import Columns, read_columns, read_fields, read_header
-from sim.formats.common.packed import stem
-from sim.formats.common.recording import (
-    Recording,
-    Rows,
-    assemble,
-    check_size,
-    kind_codes,
-)
+from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.tables import Table, read_csv, read_header, read_text
 from sim.frames import AgentKind
-
-FOOT_M: Final = 0.3048
-"""The international foot, m."""
+from sim.input_files import stem
+from sim.units import in_si
 
 CLASSES: Final[dict[int, AgentKind]] = {
     1: AgentKind.MOTORCYCLE,
@@ -43,15 +33,9 @@ CLASSES: Final[dict[int, AgentKind]] = {
 }
 """``v_Class``."""
 
-BREAK_S: Final = 60.0
+BREAK_MS: Final = 60_000.0
 """After a break longer than this, in all rows or in those of an id, the id is another vehicle
-(vehicles are seen without a break, and periods of recording have 15 minutes)."""
-
-MAX_PERIODS: Final = 1000
-"""Most periods of recording at one place (NGSIM has up to three)."""
-
-MAX_PLACES: Final = 100
-"""Most places of recording in a file (NGSIM has four)."""
+(vehicles are seen without a break, and periods of recording have 15 minutes), ms."""
 
 NUMBERS: Final = (
     "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
@@ -78,98 +62,74 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or line.
     """
-    check_size(path)
     if "vehicle_id" not in read_header(path):
-        yield from _recordings(path, stem(path), read_fields(path, TEXT_COLUMNS, NUMBERS))
+        yield from _recordings(stem(path), read_text(path, TEXT_COLUMNS, NUMBERS))
         return
-    columns = read_columns(path, NUMBERS, ["location"], optional=["location"])
-    if "location" not in columns:
-        yield from _recordings(path, stem(path), columns)
+    table = read_csv(path, NUMBERS, ["location"], optional=["location"])
+    if "location" not in table:
+        yield from _recordings(stem(path), table)
         return
-    places = columns.table.column("location")
-    names = sorted(pc.unique(places).to_pylist())
-    if len(names) > MAX_PLACES:
-        raise InputError(
-            f"{path}: column location: found {len(names)} places, expected at most {MAX_PLACES}"
-        )
-    for place in names:
-        part = Columns(path, columns.table.filter(pc.equal(places, pa.scalar(place))))
-        yield from _recordings(path, f"{stem(path)}-{place}", part)
+    codes, places = table.codes("location")
+    for place in sorted(places):
+        here = np.flatnonzero(codes == places.index(place))
+        yield from _recordings(f"{stem(path)}-{place}", table.part(here))
 
 
-def _recordings(path: Path, name: str, columns: Columns) -> Iterator[Recording]:
+def _recordings(name: str, table: Table) -> Iterator[Recording]:
     """The recordings of one place: one for each period without a long break."""
-    time_ms = columns.numbers("global_time")
+    time_ms = table.numbers("global_time")
     order = np.argsort(time_ms, kind="stable")
-    breaks = np.flatnonzero(np.diff(time_ms[order]) > BREAK_S * 1000.0) + 1
-    if breaks.size >= MAX_PERIODS:
-        raise InputError(
-            f"{path}: column global_time: found {breaks.size} breaks of more than {BREAK_S:g} s, "
-            f"expected fewer than {MAX_PERIODS}"
-        )
-    parts = np.split(order, breaks)
+    parts = np.split(order, np.flatnonzero(np.diff(time_ms[order]) > BREAK_MS) + 1)
     for number, rows in enumerate(parts, 1):
         part_name = name if len(parts) == 1 else f"{name}-{number}"
-        yield _recording(
-            path, part_name, Columns(path, columns.table.take(pa.array(np.sort(rows))))
-        )
+        yield _recording(part_name, table.part(np.sort(rows)))
 
 
-def _whole(path: Path, column: str, values: NDArray[np.float64]) -> pa.Array:
-    """A column as whole numbers."""
-    bad = np.flatnonzero((np.abs(values) > 2**53) | (values != np.rint(values)))
-    if bad.size:
-        raise InputError(f"{path}: column {column}: found {values[bad[0]]}, expected whole numbers")
-    return pa.array(values.astype(np.int64))
+def _agents(table: Table) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """The agent of each row, and the agents' names.
 
+    Ids are used again for other vehicles: how long each is seen, and long breaks, tell them apart.
+    """
+    ids, frames = table.whole("vehicle_id"), table.whole("total_frames")
+    time_ms = table.numbers("global_time")
+    order = np.lexsort((time_ms, frames, ids))
+    other = np.ones(order.size, dtype=bool)
+    other[1:] = (np.diff(ids[order]) != 0) | (np.diff(frames[order]) != 0)
+    begins = other | (np.diff(time_ms[order], prepend=np.inf) > BREAK_MS)
+    agent = np.empty_like(ids)
+    agent[order] = np.cumsum(begins) - 1
 
-def _without_breaks(
-    agent: NDArray[np.int64], names: tuple[str, ...], time_ms: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Agents and their names; an id that returns after a long break is another agent."""
-    order = np.lexsort((time_ms, agent))
-    same = np.diff(agent[order], prepend=-1) == 0
-    again = same & (np.diff(time_ms[order], prepend=np.inf) > BREAK_S * 1000.0)
-    begins = np.flatnonzero(~same | again)
-    whose = agent[order[begins]]
-    earlier = np.arange(whose.size) - np.searchsorted(whose, whose)
-    told = tuple(
-        names[who] if turn == 0 else f"{names[who]}/{turn + 1}"
-        for who, turn in zip(whose.tolist(), earlier.tolist(), strict=True)
+    first, lasts = ids[order[begins]], frames[order[begins]]
+    place = np.arange(first.size)
+    turn = place - np.maximum.accumulate(np.where(other[begins], place, 0))
+    known, counts = np.unique(first[other[begins]], return_counts=True)
+    several = set(known[counts > 1].tolist())
+    names = tuple(
+        (f"{i}-{n}" if i in several else str(i)) + (f"/{k + 1}" if k else "")
+        for i, n, k in zip(first.tolist(), lasts.tolist(), turn.tolist(), strict=True)
     )
-    split = np.empty_like(agent)
-    split[order] = np.cumsum(~same | again) - 1
-    return split, told
+    return agent, names
 
 
-def _recording(path: Path, name: str, columns: Columns) -> Recording:
-    values = {column: columns.numbers(column) for column in NUMBERS}
-    whole = pa.table({c: _whole(path, c, values[c]) for c in ("vehicle_id", "total_frames")})
-    # Ids are used again for other vehicles; how long each is seen tells them apart.
-    agent, names = Columns(path, whole).names("vehicle_id", "total_frames")
-    agent, names = _without_breaks(agent, names, values["global_time"])
+def _recording(name: str, table: Table) -> Recording:
+    """The recording of one period."""
+    agent, names = _agents(table)
     _, first = np.unique(agent, return_index=True)
-    kinds = []
-    for code in values["v_class"][first].tolist():
-        if code not in CLASSES:
-            raise InputError(f"{path}: column v_class: found {code:g}, expected 1, 2 or 3")
-        kinds.append(CLASSES[int(code)])
-    length = values["v_length"][first] * FOOT_M
-    time_ms = values["global_time"] - values["global_time"].min()
-    nothing = np.full(len(columns), np.nan)
+    codes = table.whole("v_class")[first].tolist()
+    unknown = set(codes) - set(CLASSES)
+    if unknown:
+        raise InputError(f"{table.path}: column v_class: found {unknown.pop()}, expected 1, 2 or 3")
+    time_ms = table.numbers("global_time")
     # the heading follows from the motion of the front, the centre from the heading
-    rows = Rows(
-        agent=agent,
-        names=names,
-        time_s=time_ms / 1000.0,
-        x=values["local_x"] * FOOT_M,
-        y=values["local_y"] * FOOT_M,
-        heading=nothing,
-        speed=values["v_vel"] * FOOT_M,
-        length=length,
-        width=values["v_width"][first] * FOOT_M,
-        kind=kind_codes(kinds),
+    rows = Rows.of(
+        agent,
+        names,
+        in_si(time_ms - time_ms.min(), "ms"),
+        np.stack([table.numbers("local_x", "ft"), table.numbers("local_y", "ft")], axis=1),
+        speed=table.numbers("v_vel", "ft/s"),
+        kinds=[CLASSES[code] for code in codes],
+        sizes=np.stack([table.numbers(c, "ft")[first] for c in ("v_length", "v_width")], axis=1),
         rest_heading=math.pi / 2,
         ahead_lengths=0.5,
     )
-    return Recording(name, assemble(path, rows), ("headings are told from the motion",))
+    return Recording(name, assemble(table.path, rows), ("headings are taken from the motion",))

@@ -10,9 +10,9 @@ References:
 from __future__ import annotations
 
 import math
-import xml.parsers.expat
+import xml.etree.ElementTree as ET
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -22,26 +22,13 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from sim.files import write_whole
-from sim.formats.common.packed import BROKEN, opened
-from sim.formats.common.recording import (
-    MAX_BYTES,
-    MAX_NAMES,
-    MAX_ROWS,
-    Recording,
-    Rows,
-    check_size,
-    kind_codes,
-    recordings,
-)
-from sim.formats.common.recording import default_size as usual_size
-from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
-from sim.written_numbers import real
+from sim.formats.common.recording import Recording, Rows, assemble, default_size
+from sim.frames import KINDS, PEDESTRIAN, AgentKind, FloatArray, IntArray, Tracks
+from sim.input_files import opened
+from sim.xml_tree import refuse_declarations
 
-CHUNK_BYTES: Final = 2**20
-MAX_DEPTH: Final = 16
-"""Deepest nesting (FCD has 3)."""
-MAX_TOKEN_BYTES: Final = 2**23
-"""Longest single piece of XML (an element of FCD has some 200 bytes)."""
+HEAD_BYTES: Final = 2**16
+"""Beginning of a file in which declarations are looked for: they come before all elements."""
 
 CLASSES: Final[dict[str, AgentKind]] = {
     "passenger": AgentKind.CAR,
@@ -83,162 +70,51 @@ def angle_of(heading: float) -> float:
     return (90.0 - math.degrees(heading)) % 360.0
 
 
-def _parse(
-    path: Path,
-    start: Callable[[str, Mapping[str, str]], None],
-    ended: Callable[[str], None] = lambda name: None,
-) -> None:
-    """Call ``start`` and ``ended`` for every element; entities, depth and size are bounded."""
-    check_size(path)
-    parser = xml.parsers.expat.ParserCreate()
-    depth = 0
-
-    def started(name: str, attributes: Mapping[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAX_DEPTH:
-            raise InputError(
-                f"{path}: line {parser.CurrentLineNumber}: found elements {depth} deep, expected "
-                f"at most {MAX_DEPTH}"
-            )
+def _elements(path: Path, tag: str) -> Iterator[ET.Element]:
+    """Every element of a name, one at a time: the whole file never is in memory."""
+    with opened(path) as file:
+        refuse_declarations(path, file.read(HEAD_BYTES))
+        file.seek(0)
         try:
-            start(name, attributes)
-        except InputError as error:
-            raise InputError(f"{path}: line {parser.CurrentLineNumber}: {error}") from None
-
-    def closed(name: str) -> None:
-        nonlocal depth
-        depth -= 1
-        ended(name)
-
-    def refused(*declaration: object) -> None:
-        raise InputError(
-            f"{path}: line {parser.CurrentLineNumber}: found an entity declaration, expected none"
-        )
-
-    parser.StartElementHandler = started
-    parser.EndElementHandler = closed
-    parser.EntityDeclHandler = refused
-    read = 0
-    try:
-        with opened(path) as file:
-            while chunk := file.read(CHUNK_BYTES):
-                read += len(chunk)
-                if read > MAX_BYTES:
-                    raise InputError(f"{path}: found more than {MAX_BYTES} bytes inside")
-                parser.Parse(chunk, False)
-                if read - parser.CurrentByteIndex > MAX_TOKEN_BYTES:
-                    raise InputError(
-                        f"{path}: line {parser.CurrentLineNumber}: found no end of an element "
-                        f"within {MAX_TOKEN_BYTES} bytes"
-                    )
-            parser.Parse(b"", True)
-    except xml.parsers.expat.ExpatError as error:
-        raise InputError(f"{path}: {error}") from None
-    except BROKEN as error:
-        raise InputError(f"{path}: {error}") from None
-    except (UnicodeError, ValueError, LookupError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: {error}") from None
+            for _, element in ET.iterparse(file):
+                if element.tag == tag:
+                    yield element
+                    element.clear()
+        except ET.ParseError as error:
+            raise InputError(f"{path}: {error}, expected XML") from None
 
 
-def _number(attributes: Mapping[str, str], name: str) -> float:
-    text = attributes.get(name)
-    if text is None:
-        raise InputError(f"found no {name}, expected a number")
-    try:
-        value = real(text)
-    except ValueError:
-        raise InputError(f"{name}: found {text[:40]!r}, expected a number") from None
-    if not math.isfinite(value):
-        raise InputError(f"{name}: found {text[:40]!r}, expected a finite number")
-    return value
+def _numbers(where: str, element: ET.Element, names: tuple[str, ...]) -> tuple[float, ...]:
+    """Attributes as numbers."""
+    found = []
+    for name in names:
+        text = element.get(name, "")
+        try:
+            found.append(float(text))
+        except ValueError:
+            raise InputError(f"{where}: {name}: found {text[:40]!r}, expected a number") from None
+    return tuple(found)
 
 
-def read_types(path: Path) -> dict[str, tuple[AgentKind, float, float]]:
-    """Kind, length and width, m, of every vType in a SUMO file.
+def read_types(path: Path) -> dict[str, tuple[AgentKind, tuple[float, float]]]:
+    """Kind, and length and width, m, of every vType in a SUMO file.
 
     Raises:
         InputError: if the file is broken.
     """
-    types: dict[str, tuple[AgentKind, float, float]] = {}
-
-    def start(name: str, attributes: Mapping[str, str]) -> None:
-        if name == "vType" and "id" in attributes:
-            kind = CLASSES.get(attributes.get("vClass", "passenger"), AgentKind.CAR)
-            length, width = usual_size(kind)
-            types[attributes["id"]] = (
-                kind,
-                _number(attributes, "length") if "length" in attributes else length,
-                _number(attributes, "width") if "width" in attributes else width,
-            )
-
-    _parse(path, start)
+    types = {}
+    for element in _elements(path, "vType"):
+        kind = CLASSES.get(element.get("vClass", "passenger"), AgentKind.CAR)
+        length, width = default_size(kind)
+        usual = {"length": str(length), "width": str(width)}
+        sides = ET.Element("vType", usual | element.attrib)
+        name = element.get("id", "")
+        length, width = _numbers(f"{path}: vType {name:.60}", sides, ("length", "width"))
+        types[name] = kind, (length, width)
     return types
 
 
-class _Collector:
-    """Gathers the agents of a recording while it is parsed."""
-
-    def __init__(self) -> None:
-        self.time_s: float | None = None
-        self.last = -math.inf
-        self.index: dict[tuple[str, str], int] = {}  # vehicles and persons may share a name
-        self.names: dict[str, None] = {}
-        self.times_s: list[float] = []
-        self.types: list[str] = []
-        self.walks: list[bool] = []
-        self.behaviors: list[int] = []
-        self.agent = array("q")
-        self.columns = {name: array("d") for name in ("time", "x", "y", "angle", "speed")}
-
-    def start(self, name: str, attributes: Mapping[str, str]) -> None:
-        """One element."""
-        if name == "timestep":
-            if self.time_s is not None:
-                raise InputError("found a timestep inside of a timestep")
-            self.time_s = _number(attributes, "time")
-            if self.time_s <= self.last:
-                raise InputError(f"found time {self.time_s:g}, expected one after {self.last:g}")
-            self.last = self.time_s
-            self.times_s.append(self.time_s)
-        elif name in ("vehicle", "person"):
-            if self.time_s is None:
-                raise InputError(f"found a {name} outside of a timestep")
-            identity = attributes.get("id")
-            if not identity:
-                raise InputError(f"found a {name} without an id")
-            row = self.index.get((name, identity))
-            if row is None:
-                row = self._new(name, identity, attributes)
-            if len(self.agent) >= MAX_ROWS:
-                raise InputError(f"found more than {MAX_ROWS} agents and time steps")
-            self.agent.append(row)
-            self.columns["time"].append(self.time_s)
-            for column in ("x", "y", "angle", "speed"):
-                self.columns[column].append(_number(attributes, column))
-
-    def end(self, name: str) -> None:
-        """The end of an element."""
-        if name == "timestep":
-            self.time_s = None
-
-    def _new(self, element: str, identity: str, attributes: Mapping[str, str]) -> int:
-        if len(self.index) >= MAX_NAMES:
-            raise InputError(f"found more than {MAX_NAMES} agents")
-        behavior = attributes.get("behavior", "")
-        if behavior and behavior not in set(Behavior):
-            raise InputError(f"behavior: found {behavior[:40]!r}, expected one of {list(Behavior)}")
-        self.index[element, identity] = len(self.types)
-        name = identity
-        while name in self.names:
-            name = f"{element}-{name}"
-        self.names[name] = None
-        self.types.append(attributes.get("type", ""))
-        self.walks.append(element == "person")
-        self.behaviors.append(Behavior(behavior).code if behavior else -1)
-        return len(self.types) - 1
+_COLUMNS: Final = ("x", "y", "angle", "speed")
 
 
 def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
@@ -253,55 +129,101 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
         One recording, labelled where vehicles carry a ``behavior``.
 
     Raises:
-        InputError: if a file is broken; the message names file and line.
+        InputError: if a file is broken; the message names the file, the time and the agent.
     """
-    stem = path.name.removesuffix(".gz").removesuffix(".xml")
-    beside = path.with_name(stem + TYPES_SUFFIX)
+    name = path.name.removesuffix(".gz").removesuffix(".xml")
+    beside = path.with_name(name + TYPES_SUFFIX)
     types = types or (beside if beside.is_file() else None)
     known = {} if types is None else read_types(types)
-    found = _Collector()
-    _parse(path, found.start, found.end)
-    if not found.types:
-        raise InputError(f"{path}: found no vehicle and no person, expected some")
-    kinds: list[AgentKind] = []
-    sizes: list[tuple[float, float]] = []
-    assumed = 0
-    for name, walks in zip(found.types, found.walks, strict=True):
-        kind = AgentKind.PEDESTRIAN if walks else _kind_in(name)
-        size = usual_size(kind)
-        if name in known:
-            kind, *given = known[name]
-            size = (given[0], given[1])
+    index: dict[tuple[str, str], int] = {}  # vehicles and persons may share a name
+    agents: list[tuple[str, str, str, str]] = []  # element, id, type and behaviour
+    times, counts = array("d"), array("q")
+    agent, values = array("q"), array("d")
+    for step in _elements(path, "timestep"):
+        times.append(_numbers(f"{path}: timestep", step, ("time",))[0])
+        if len(times) > 1 and not times[-1] > times[-2]:
+            raise InputError(
+                f"{path}: timestep: found time {times[-1]:g}, expected one after {times[-2]:g}"
+            )
+        before = len(agent)
+        for element in step:
+            if element.tag not in ("vehicle", "person"):
+                continue
+            get = element.get
+            key = element.tag, get("id", "")
+            row = index.get(key)
+            if row is None:
+                row = index[key] = len(agents)
+                agents.append((*key, get("type", ""), get("behavior", "")))
+            agent.append(row)
+            try:
+                values.extend([float(get(column, "")) for column in _COLUMNS])
+            except ValueError:
+                _numbers(f"{path}: time {times[-1]:g}, {key[0]} {key[1]:.60}", element, _COLUMNS)
+        counts.append(len(agent) - before)
+    if not agents:
+        raise InputError(f"{path}: found no vehicle and no person in a timestep, expected some")
+    yield _recording(
+        path, name, agents, known,
+        np.asarray(times), np.asarray(counts), np.asarray(agent), np.asarray(values).reshape(-1, 4),
+    )  # fmt: skip
+
+
+def _recording(
+    path: Path,
+    name: str,
+    agents: list[tuple[str, str, str, str]],
+    types: dict[str, tuple[AgentKind, tuple[float, float]]],
+    times: FloatArray,
+    counts: IntArray,
+    agent: IntArray,
+    values: FloatArray,
+) -> Recording:
+    """The recording of what was gathered: times with so many rows each, rows of `_COLUMNS`."""
+    names: dict[str, None] = {}
+    kinds, sizes, codes, assumed = [], [], [], 0
+    for element, identity, kind_name, behavior in agents:
+        own = identity
+        while own in names:
+            own = f"{element}-{own}"
+        names[own] = None
+        if kind_name in types:
+            kind, size = types[kind_name]
         else:
-            assumed += 1
+            kind = AgentKind.PEDESTRIAN if element == "person" else _kind_in(kind_name)
+            size, assumed = default_size(kind), assumed + 1
         kinds.append(kind)
         sizes.append(size)
-    length = np.array([size[0] for size in sizes])
-    column = {name: np.array(values) for name, values in found.columns.items()}
-    agent = np.array(found.agent, dtype=np.int64)
-    heading = np.radians(90.0 - column["angle"])
-    back = 0.5 * length[agent]
-    behavior = np.array(found.behaviors, dtype=np.int8)
-    rows = Rows(
-        agent=agent,
-        names=tuple(found.names),
-        time_s=column["time"],
-        x=column["x"] - back * np.cos(heading),
-        y=column["y"] - back * np.sin(heading),
-        heading=heading,
-        speed=column["speed"],
-        length=length,
-        width=np.array([size[1] for size in sizes]),
-        kind=kind_codes(kinds),
-        behavior=behavior if (behavior >= 0).any() else None,
-        empty_s=tuple(set(found.times_s) - set(column["time"].tolist())),
+        if behavior and behavior not in set(Behavior):
+            raise InputError(
+                f"{path}: {element} {identity:.60}: behavior: found {behavior[:40]!r}, expected "
+                f"one of {', '.join(BEHAVIORS)}"
+            )
+        codes.append(Behavior(behavior).code if behavior else -1)
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        row, column = bad[0]
+        raise InputError(
+            f"{path}: {_COLUMNS[column]} of {list(names)[agent[row]]:.60}: found "
+            f"{values[row, column]}, expected a finite number"
+        )
+    heading = np.radians(90.0 - values[:, 2])
+    back = 0.5 * np.array(sizes)[agent, :1]
+    labelled = np.array(codes, dtype=np.int8)
+    rows = Rows.of(
+        agent,
+        tuple(names),
+        np.repeat(times, counts),
+        values[:, :2] - back * np.stack([np.cos(heading), np.sin(heading)], axis=1),
+        heading,
+        values[:, 3],
+        kinds,
+        np.array(sizes),
+        behavior=labelled if (labelled >= 0).any() else None,
+        empty_s=tuple(times[counts == 0].tolist()),
     )
-    notes = (
-        (f"{assumed} agents have no known vType: sizes usual for their kind are assumed (4.5 m)",)
-        if assumed
-        else ()
-    )
-    yield from recordings(path, stem, rows, notes)
+    notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
+    return Recording(name, assemble(path, rows), tuple(notes if assumed else ()))
 
 
 def _kind_in(name: str) -> AgentKind:

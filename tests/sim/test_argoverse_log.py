@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import gzip
 import io
 import json
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,8 +18,6 @@ from scipy.spatial.transform import Rotation
 from behaviors import InputError
 from experiments.data.exchange import import_recordings
 from sim.formats import formats_in, left_out_files, read_recordings, recognise
-from sim.formats.argoverse import feather as guard
-from sim.formats.argoverse.feather import read_feather
 from sim.formats.argoverse.sensor_log import CATEGORIES, EGO_CENTRE_M, read
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS
@@ -239,23 +235,6 @@ def test_a_listed_recording_car_is_there_once(tmp_path: Path) -> None:
     assert not any("EGO_VEHICLE" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize("compression", ["uncompressed", "lz4", "zstd"])
-@pytest.mark.parametrize("rows", [3, 1000])
-def test_every_way_to_write_a_table_is_read_alike(
-    tmp_path: Path, compression: str, rows: int
-) -> None:
-    boxes = table("annotations.feather")
-    for name in ("track_uuid", "category"):
-        place, values = boxes.schema.get_field_index(name), boxes[name]
-        kind = pa.dictionary(pa.uint32(), pa.string()) if rows == 3 else pa.large_string()
-        new = values.cast(kind)
-        boxes = boxes.set_column(place, name, new)
-    expected = only(put(tmp_path / "log"))
-    path = put(tmp_path / "log", annotations=feather_bytes(boxes, compression, rows))
-    assert only(path).tracks.names == expected.tracks.names
-    np.testing.assert_array_equal(only(path).tracks.xy, expected.tracks.xy)
-
-
 def test_packed_files(tmp_path: Path) -> None:
     for name, data in sensor_log().items():
         if name.endswith(".feather"):
@@ -320,21 +299,15 @@ def refused(path: Path) -> str:
     ("name", "column", "change", "told"),
     [
         ("annotations.feather", "qw", lambda v: [0.5] * len(v), "qw, qx, qy, qz: found length"),
-        ("annotations.feather", "tx_m", lambda v: [*v[:-1], np.nan], "column tx_m: found nan"),
         ("annotations.feather", "ty_m", lambda v: [*v[:-1], None], "ty_m: found an empty field"),
         ("annotations.feather", "tz_m", lambda v: [str(x) for x in v], "tz_m: found string"),
-        ("annotations.feather", "length_m", lambda v: [0.0] * len(v), "length of 00000000-0000"),
-        ("annotations.feather", "category", lambda v: [1] * len(v), "category: found int64"),
         ("annotations.feather", "category", lambda v: [*v[:-1], None], "category: found an empty"),
         ("annotations.feather", "track_uuid", lambda v: ["AV"] * len(v), "track_uuid: found AV"),
         ("annotations.feather", "track_uuid", lambda v: ["a"] * len(v), "agent a twice at time"),
-        ("annotations.feather", "track_uuid", lambda v: ["a" * 2000] * len(v), "of 2000 bytes"),
-        ("annotations.feather", "timestamp_ns", lambda v: [-1] * len(v), "no negative time"),
         ("annotations.feather", "timestamp_ns", lambda v: [7] * len(v), "found no pose at 7"),
-        ("annotations.feather", "timestamp_ns", lambda v: [0.5] * len(v), "found double"),
         (POSES, "timestamp_ns", lambda v: [v[0]] * len(v), "found no pose at 3159681125"),
         (POSES, "timestamp_ns", lambda v: [*v[:-1], v[0]], "found 315968112437425433 twice"),
-        (POSES, "qz", lambda v: [np.inf] * len(v), "column qz: found inf"),
+        (POSES, "qz", lambda v: [np.inf] * len(v), "column qz, row 2: found inf"),
     ],
 )  # fmt: skip
 def test_columns_that_cannot_be(
@@ -355,7 +328,7 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     empty = feather_bytes(table("annotations.feather").slice(0, 0))
     assert "found no rows" in refused(put(tmp_path / "c", annotations=empty))
     without = feather_bytes(table("annotations.feather").drop_columns(["qy"]))
-    assert "found no column qy" in refused(put(tmp_path / "d", annotations=without))
+    assert "expected a column qy" in refused(put(tmp_path / "d", annotations=without))
     twice = table("annotations.feather").append_column("qy", table("annotations.feather")["qx"])
     sink = io.BytesIO()
     with pa.ipc.new_file(sink, twice.schema) as writer:  # write_feather refuses such names
@@ -363,79 +336,4 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     assert "qy 2 times" in refused(put(tmp_path / "e", annotations=sink.getvalue()))
 
 
-def test_feather_of_version_1_is_named(tmp_path: Path) -> None:
-    path = put(tmp_path, annotations=b"FEA1" + bytes(100) + b"FEA1")
-    assert "Feather of version 1, expected version 2" in refused(path)
-    assert recognise(tmp_path) == "argoverse2-log"
-
-
-def test_texts_that_are_views_are_refused(tmp_path: Path) -> None:
-    # a few bytes of views repeat one long text in every row
-    old = table("annotations.feather")
-    views = old["category"].cast(pa.string_view())
-    data = feather_bytes(old.set_column(old.schema.get_field_index("category"), "category", views))
-    assert "category: found string_view, expected string" in refused(
-        put(tmp_path, annotations=data)
-    )
-
-
 # --- what a file says of its own sizes ----------------------------------------------------------
-
-
-def numbers(path: Path, data: bytes) -> pa.Table:
-    path.write_bytes(data)
-    return read_feather(path, (), (), ("a",), max_rows=10**6)
-
-
-def test_what_unpacks_to_too_much_is_refused_before_it_does(tmp_path: Path) -> None:
-    path = tmp_path / "a.feather"
-    bomb = feather_bytes(pa.table({"a": np.zeros(40_000_000)}), "zstd", 10**9)
-    assert len(bomb) < 20_000
-    before = pa.default_memory_pool().max_memory()
-    with pytest.raises(InputError, match="it has 40000000 rows, and 1000000 are allowed"):
-        numbers(path, bomb)
-    assert pa.default_memory_pool().max_memory() == before
-    text = feather_bytes(pa.table({"a": np.zeros(9), "b": ["x" * 2**25] * 9}), "zstd", 10**9)
-    with pytest.raises(InputError, match=f"it unpacks to more than {guard.MAX_UNPACKED} bytes"):
-        numbers(path, text)
-
-
-@pytest.mark.parametrize(
-    ("told", "reason"),
-    [
-        (9 << 30, "it unpacks to more than"),
-        (2**62, "it unpacks to more than"),
-        (-2, "a buffer has fewer than no bytes"),
-        (7999, "Destination buffer is too small"),
-        (8001, "Corrupt ZSTD"),
-    ],
-)
-def test_forged_sizes_of_a_buffer(tmp_path: Path, told: int, reason: str) -> None:
-    data = feather_bytes(pa.table({"a": np.arange(1000.0)}), "zstd")
-    size = struct.pack("<q", 8000)
-    assert data.count(size + b"\x28\xb5\x2f\xfd") == 1
-    with pytest.raises(InputError, match=reason):
-        numbers(tmp_path / "a.feather", data.replace(size, struct.pack("<q", told)))
-
-
-def test_every_cut_and_every_altered_byte(tmp_path: Path) -> None:
-    path, data = tmp_path / "a.feather", feather_bytes(pa.table({"a": np.arange(9.0)}), "lz4", 5)
-    read_whole = numbers(path, data)
-    assert read_whole["a"].to_pylist() == list(range(9))
-    for at in range(0, len(data), 3):
-        with pytest.raises(InputError):
-            numbers(path, data[:at])
-        altered = bytearray(data)
-        altered[at] ^= 255
-        with contextlib.suppress(InputError):
-            assert len(numbers(path, bytes(altered))) <= 10
-
-
-def test_batches_that_lie_on_each_other(tmp_path: Path) -> None:
-    # of two batches of 899 rows and 1, the footer says twice where the first is
-    data = feather_bytes(pa.table({"a": np.arange(900.0)}), "uncompressed", 899)
-    first = 16 + int.from_bytes(data[12:16], "little")  # behind the schema
-    blocks = data.rindex(struct.pack("<q", first))
-    forged = data[: blocks + 24] + data[blocks : blocks + 24] + data[blocks + 48 :]
-    with pytest.raises(InputError, match="its batches overlap"):
-        numbers(tmp_path / "a.feather", forged)

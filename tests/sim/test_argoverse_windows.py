@@ -256,50 +256,6 @@ def repeated(text: str) -> pa.Array:
     )
 
 
-def save(table: pa.Table, path: Path) -> Path:
-    pq.write_table(table, path, compression="zstd")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"track_id": repeated("a" * 500_000)}, "column track_id: found a text of 500000 bytes"),
-        ({"object_type": repeated("a" * 500_000)}, "column object_type: found a text of 500000"),
-        ({"position_x": repeated("1" * 500_000)}, "column position_x: found BYTE_ARRAY, expected"),
-        ({"track_id": pa.array([["1"]] * ROWS)}, "found no column track_id"),
-    ],
-    ids=["id", "type", "number", "list"],
-)
-def test_texts_repeated_for_every_row_are_not_spelled_out(
-    tmp_path: Path, columns: dict[str, pa.Array], message: str
-) -> None:
-    path = save(scenario(**columns), tmp_path / "scenario_s.parquet")
-    assert path.stat().st_size < 500_000
-    before = pa.default_memory_pool().max_memory()
-    with pytest.raises(InputError, match=message):
-        labels(path, "argoverse2")
-    assert pa.default_memory_pool().max_memory() - before < 10**8
-
-
-def test_texts_that_are_packed_too_well_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sim.arrow.budget.MAX_TEXT_BYTES", 10**6)
-    ids = pa.array([f"{i:0900d}" for i in range(ROWS)])
-    path = save(scenario(track_id=ids), tmp_path / "scenario_s.parquet")
-    with pytest.raises(InputError, match=r"column track_id: found 18[0-9]+ bytes, expected"):
-        labels(path, "argoverse2")
-
-
-def test_labels_repeated_for_every_row_are_not_spelled_out(tmp_path: Path) -> None:
-    path = written(tmp_path, "argoverse2")
-    ids = pa.array([str(i) for i in range(ROWS)])
-    save(pa.table({"track_id": ids, "behavior": repeated("a" * 500_000)}), beside(path))
-    with pytest.raises(InputError, match=r"behavior_.*column behavior: found a text of 500000"):
-        labels(path, "argoverse2")
-
-
 def test_texts_may_come_in_any_shape(tmp_path: Path) -> None:
     """As numbers, as bytes, as categories, in several groups of rows."""
     plain = scenario()

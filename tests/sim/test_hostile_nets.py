@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import random
 import re
 from pathlib import Path
 
@@ -11,16 +10,9 @@ import pytest
 
 import scenarios
 from behaviors.errors import InputError
-from graphrqi.predict.scene.paths import PathTable
-from sim.road.lane_graph import LaneGraph
 from sim.road.net import read_road
 
 NET = Path(scenarios.__file__).parent / "networks" / "four_way_intersection" / "road.net.xml"
-MUTANTS = 150
-VALUES = (
-    "", "0", "-1", "nan", "inf", "1e400", "9" * 30, "abc", "0,0 0,0", "5,5 nan,1", "\u0661", "rrr",
-    "internal", "crossing", "none", ":C_0_0",
-)  # fmt: skip
 
 
 def refused(path: Path) -> str:
@@ -81,39 +73,3 @@ def test_cut_packed_nets_are_refused(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "cut.net.xml.gz"
     path.write_bytes(gzip.compress(NET.read_bytes(), mtime=0)[:cut])
     refused(path)
-
-
-def test_mutants_are_read_or_refused(tmp_path: Path) -> None:
-    choose = random.Random(0)
-    whole = NET.read_text()
-    path = tmp_path / "mutant.net.xml"
-    read, messages = 0, list[str]()
-    for _ in range(MUTANTS):
-        text = whole
-        for _ in range(choose.choice([1, 1, 2, 5])):
-            values = [m.span() for m in re.finditer(r'"[^"]*"', text)]
-            begin, end = choose.choice(values)
-            other = choose.choice(values)
-            how = choose.randrange(4)
-            if how == 0:
-                text = f'{text[:begin]}"{choose.choice(VALUES)}"{text[end:]}'
-            elif how == 1:
-                text = text[:begin] + text[slice(*other)] + text[end:]
-            elif how == 2:  # an attribute less
-                text = text[: text.rfind(" ", 0, begin)] + text[end:]
-            else:  # a line less
-                lines = text.split("\n")
-                del lines[choose.randrange(len(lines))]
-                text = "\n".join(lines)
-        path.write_text(text)
-        try:
-            road = read_road(path, str(choose.random()))
-        except InputError as error:
-            messages.append(str(error))
-            continue
-        LaneGraph.of(road), PathTable.of(road)
-        for plan in road.signal_plans:
-            plan.state_at(3.0)
-        read += 1
-    assert 10 < read < MUTANTS - 10
-    assert not any("\n" in message for message in messages)

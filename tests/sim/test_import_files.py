@@ -127,14 +127,6 @@ def test_an_id_that_comes_again_after_long_is_another_vehicle(tmp_path: Path) ->
     np.testing.assert_allclose(recording.tracks.length, np.array([15, 15, 40]) * 0.3048)
 
 
-def test_ngsim_of_breaks_only_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    rows = [row for k in range(1001) for row in _ngsim_rows(100_000 * k, 1, 1, 15.0)]
-    path.write_text("\n".join([NGSIM_HEADER, *rows, ""]))
-    with pytest.raises(InputError, match="global_time: found 1000 breaks of more than 60 s"):
-        list(read_recordings(path))
-
-
 def test_two_recordings_in_one_ind_file_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "00_tracks.csv"
     path.write_text(IND.replace("7,1,50", "8,1,50"))

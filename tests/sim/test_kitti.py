@@ -42,10 +42,10 @@ def test_places_in_the_world(tmp_path: Path) -> None:
     [
         ("label_02", "Car 0", "Boat 0", "line 2: found 'Boat'"),
         ("label_02", "0 3 Car", "x 3 Car", "line 2"),
-        ("label_02", " 2 1.5 10 ", " 2 nan 10 ", "line 2: found place"),
+        ("label_02", " 2 1.5 10 ", " 2 nan 10 ", "line 2: found 4 numbers"),
         ("label_02", "1 3 Car", "0 3 Car", "twice at time"),
         ("label_02", "1 3 Car", "9 3 Car", "frame 9"),
-        ("oxts", "49.0 8.0", "490 8.0", "line 1"),
+        ("oxts", "49.0 8.0", "490 8.0", "latitude"),
         ("oxts", "49.0 8.0", "north 8.0", "line 1"),
         ("calib", "R_rect", "R_wrong", "found no R_rect"),
         ("calib", "R_rect 1", "R_rect 2", "no rotation"),

@@ -106,7 +106,7 @@ def test_sheets_beside_tracks_label_them(tmp_path):
 
 
 def test_a_missing_file_and_a_file_that_is_no_text_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"none\.csv: found no file, expected a CSV file"):
+    with pytest.raises(InputError, match=r"none\.csv: found no file"):
         read_driver_labels(tmp_path / "none.csv")
     (tmp_path / "odd.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"odd\.csv: found no text, expected a CSV file in UTF-8"):

@@ -144,21 +144,3 @@ def test_real_maps_lie_under_their_recordings(shared_data: Path) -> None:
         shares.append(map_fit(recording.road, recording.tracks).share)
     assert np.median(shares) > 0.95
     assert read_road_file(shared_data / "real/fzi_karlsruhe/maps/k733_2018-05-02.osm").lanes
-
-
-def test_many_lanelets_in_one_place_are_refused_soon(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sim.road.maps.lanelets.MAX_MEETINGS", 30_000)
-    corners = ((0, 3.5), (10, 3.5), (0, 0), (10, 0))
-    text = "".join(f'<node id="{i}" x="{x}" y="{y}"/>' for i, (x, y) in enumerate(corners, 1))
-    text += '<way id="11"><nd ref="1"/><nd ref="2"/></way>'
-    text += '<way id="12"><nd ref="3"/><nd ref="4"/></way>'
-    ways = '<member type="way" ref="11" role="left"/><member type="way" ref="12" role="right"/>'
-    text += "".join(
-        f'<relation id="{100 + i}">{ways}<tag k="type" v="lanelet"/></relation>' for i in range(90)
-    )
-    path = tmp_path / "a.osm"
-    path.write_text(f"<osm>{text}</osm>")
-    with pytest.raises(InputError, match="found more than 30000 pieces of lane that overlap"):
-        read_road_file(path)

@@ -12,8 +12,8 @@ import pytest
 from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
 from scenarios import SCENARIOS
-from sim.formats import read_recordings
-from sim.formats.common.stated_rate import displacement_over_speed, with_true_times
+from sim.formats import get_writer, read_recordings
+from sim.formats.common.motion import at_rate, doubt_of_times
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
@@ -21,6 +21,7 @@ from sim.road.map_fit import map_fit, shifted
 from sim.store.dataset import open_dataset
 
 STEPS = 60
+SHIFT_M = (40.0, -25.0)
 
 
 def traffic(road: Road, vehicles: int = 12, of_limit: float = 1.0) -> Tracks:
@@ -58,22 +59,8 @@ def road() -> Road:
 def test_traffic_on_its_own_map(road: Road) -> None:
     fit = map_fit(road, traffic(road))
     assert fit.share > 0.99
-    assert fit.shift_m == (0.0, 0.0)
     assert fit.limits_rule
     assert fit.fits
-
-
-@pytest.mark.parametrize("shift", [(3.0, -2.0), (-40.0, 25.0), (4_000.0, -70_000.0)])
-def test_one_translation_is_found(road: Road, shift: tuple[float, float]) -> None:
-    tracks = traffic(road)
-    fit = map_fit(road, dataclasses.replace(tracks, xy=tracks.xy + shift))
-    assert fit.share < 0.6
-    assert fit.shifted_share > 0.95
-    np.testing.assert_allclose(fit.shift_m, shift, atol=1.0)
-    assert "shifted" in fit.notes()[0]
-    moved = shifted(road, fit.shift_m)
-    again = map_fit(moved, dataclasses.replace(tracks, xy=tracks.xy + shift))
-    assert again.shift_m == (0.0, 0.0)
 
 
 def test_a_map_turned_or_of_another_place_does_not_fit(road: Road) -> None:
@@ -99,60 +86,55 @@ def test_nothing_can_be_told_of_those_who_stand(road: Road) -> None:
     assert fit.limits_rule
 
 
-def _interaction(path: Path, tracks: Tracks) -> None:
-    lines = ["track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"]
-    for i in range(len(tracks.names)):
-        for t in range(STEPS):
-            (x, y), h, v = tracks.xy[i, t], tracks.heading[i, t], tracks.speed[i, t]
-            speed = f"{v * math.cos(h)},{v * math.sin(h)}"
-            lines.append(f"{i},{t},{100 * t},car,{x},{y},{speed},{h},4.5,1.8")
-    path.write_text("\n".join([*lines, ""]))
+def exported(folder: Path, tracks: Tracks) -> Path:
+    """Traffic as a file of SUMO's."""
+    folder.mkdir()
+    return get_writer("sumo-fcd")(folder, "a", tracks, None)[0]
 
 
-def test_import_refuses_or_shifts_a_map(
-    tmp_path: Path, road: Road, capsys: pytest.CaptureFixture[str]
-) -> None:
-    tracks = traffic(road, of_limit=0.4)
-    recording = tmp_path / "vehicle_tracks_000.csv"
-    _interaction(recording, tracks)
-    import_recordings(recording, tmp_path / "a", net=road.source, quiet=True)
-    dataset = open_dataset(tmp_path / "a")
-    (entry,) = dataset.episodes()
-    kept = dataset.road(entry)
-    assert kept is not None
-    assert not kept.knows.limits_rule
-    assert np.isnan(LaneGraph.of(kept).limit).all()
-    assert "limits do not rule" in str(entry.options["notes"])
-
-    _interaction(recording, dataclasses.replace(tracks, xy=tracks.xy + np.array([30.0, 500.0])))
-    import_recordings(recording, tmp_path / "b", net=road.source, quiet=True)
-    dataset = open_dataset(tmp_path / "b")
-    kept = dataset.road(dataset.episodes()[0])
-    assert kept is not None
-    np.testing.assert_allclose(kept.bounds[:2], np.add(road.bounds[:2], (30, 500)), atol=1.0)
-
-    other = SCENARIOS["straight_road"]().road.source
-    with pytest.raises(InputError, match=r"straight_road.*% of the moving positions") as caught:
-        import_recordings(recording, tmp_path / "c", net=other, quiet=True)
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "c").exists()
+def test_a_shifted_map_is_refused_until_the_shift_is_given(road: Road, tmp_path: Path) -> None:
+    tracks = traffic(road)
+    file = exported(tmp_path / "in", dataclasses.replace(tracks, xy=tracks.xy + np.array(SHIFT_M)))
+    with pytest.raises(InputError, match=r"net\.xml: the map does not fit .* --shift X,Y"):
+        import_recordings(file, tmp_path / "out", net=road.source, quiet=True)
+    import_recordings(file, tmp_path / "out", net=road.source, quiet=True, shift_m=SHIFT_M)
+    (entry,) = (dataset := open_dataset(tmp_path / "out")).episodes()
+    stored = dataset.road(entry)
+    assert stored is not None
+    assert map_fit(stored, dataset.read(entry).tracks).share > 0.99
+    assert stored.lanes[0].centerline == pytest.approx(shifted(road, SHIFT_M).lanes[0].centerline)
 
 
-def test_a_wrong_step_is_found_and_said(road: Road) -> None:
-    tracks = traffic(road, of_limit=0.5)
-    assert displacement_over_speed(tracks) == pytest.approx(1.0, abs=0.02)
-    assert with_true_times(tracks)[0] is tracks
-    for stated_s, true_s in ((0.5, 0.1), (0.04, 0.1)):
-        told, notes = with_true_times(
-            dataclasses.replace(tracks, time_s=np.arange(STEPS) * stated_s)
-        )
-        assert told.step_s == pytest.approx(true_s)
-        assert f"said to be {stated_s:g} s" in notes[0]
-    assert notes
-    kmh, notes = with_true_times(dataclasses.replace(tracks, speed=3.6 * tracks.speed))
-    assert kmh.step_s == pytest.approx(0.1)
-    assert "km/h" in notes[0]
-    np.testing.assert_allclose(np.median(kmh.speed), np.median(tracks.speed), rtol=0.05)
+def test_a_wrong_rate_is_refused_until_the_rate_is_given(road: Road, tmp_path: Path) -> None:
+    tracks = traffic(road)
+    assert doubt_of_times(tracks) is None
+    file = exported(tmp_path / "in", dataclasses.replace(tracks, time_s=tracks.time_s / 4))
+    with pytest.raises(InputError, match=r"a\.xml: found agents that go 4\.00 times .* --rate HZ"):
+        import_recordings(file, tmp_path / "out", quiet=True)
+    import_recordings(file, tmp_path / "out", quiet=True, rate_hz=10.0)
+    (entry,) = (dataset := open_dataset(tmp_path / "out")).episodes()
+    stored = dataset.read(entry).tracks
+    assert stored.time_s == pytest.approx(tracks.time_s)
+    assert stored.speed == pytest.approx(tracks.speed)
+
+
+def test_speeds_that_follow_from_the_motion_follow_the_rate() -> None:
+    x = np.arange(30.0)
+    one = Tracks(
+        ids=np.arange(1), names=("a",), kind=np.zeros(1, np.int8), length=np.full(1, 4.5),
+        width=np.full(1, 1.8), time_s=x / 10, xy=np.stack([x, 0 * x], axis=1)[None],
+        heading=np.zeros((1, 30)), speed=np.full((1, 30), 10.0), valid=np.ones((1, 30), bool),
+        signals=np.empty((0, 30), np.int8),
+    )  # fmt: skip
+    slower = at_rate(one, 5.0)
+    assert slower.step_s == pytest.approx(0.2)
+    assert slower.speed == pytest.approx(np.full((1, 30), 5.0))
+
+
+def test_speeds_in_another_unit_are_named(road: Road) -> None:
+    tracks = traffic(road)
+    wrong = dataclasses.replace(tracks, speed=3.6 * tracks.speed)
+    assert "3.6 times what the motion shows, as in km/h" in str(doubt_of_times(wrong))
 
 
 def test_real_recordings_fit_their_maps_and_no_others(shared_data: Path) -> None:

@@ -216,8 +216,8 @@ def test_the_json_of_nocturne_and_gpudrive(tmp_path: Path, unit: float) -> None:
     ("change", "told"),
     [
         (lambda data: data[:-3], "record 1: found the file's end"),
-        (lambda data: data[:5], "record 1: found the file's end"),
-        (lambda data: b"\xff" + data[1:], "checksum of its length"),
+        (lambda data: data[:5], "no length with its checksum"),
+        (lambda data: b"\xff" + data[1:], "no length with its checksum"),
         (lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:], "checksum of its data"),
         (lambda data: data + data[:9], "record 2"),
         (lambda _: write_record(b"\xff\xff\xff"), "expected a Waymo scenario"),
@@ -234,28 +234,4 @@ def test_what_cannot_be_is_refused(tmp_path: Path, change: Any, told: str) -> No
     with pytest.raises(InputError, match=r"a\.tfrecord") as caught:
         list(read_recordings(path, "womd"))
     assert any(word in str(caught.value) for word in told.split("|")), caught.value
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('"tracks": [', '"tracks": 3, "x": ['),
-        ('"centerX": 1.0', '"centerX": "one"'),
-        ('"centerX": 1.0', '"centerX": NaN'),
-        ('"timestampsSeconds": [0.0, 0.1]', '"timestampsSeconds": [0.1, 0.0]'),
-        ('"timestampsSeconds": [0.0, 0.1]', '"timestampsSeconds": [0.0]'),
-        ('"speedLimitMph": 30.0', '"speedLimitMph": -30.0'),
-        ('"polyline": [{"x": 0.0', '"polyline": [{"x": null'),
-        ('"id": "22"', '"id": "21"'),
-        ("}]}", "}]"),
-    ],
-)
-def test_json_that_cannot_be_is_refused(tmp_path: Path, old: str, new: str) -> None:
-    text = json.dumps(protobuf_json())
-    assert old in text
-    path = tmp_path / "a.json"
-    path.write_text(text.replace(old, new, 1))
-    with pytest.raises(InputError, match=r"a\.json") as caught:
-        list(read_recordings(path, "womd"))
     assert "\n" not in str(caught.value)

@@ -19,7 +19,8 @@ from experiments.data.disturbances import (
     position_noise,
     renamed_tracks,
 )
-from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, motion
+from sim.formats.common.motion import motion
+from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M
 from sim.frames import Tracks
 
 STEPS_S: Final = (0.04, 0.05, 0.1, 0.1, 0.1, 0.2, 0.25, 0.3, 0.4)
@@ -91,7 +92,7 @@ class Sensor:
         """What the sensor records of the traffic.
 
         Headings and speeds are not measured: they follow from the positions, as in most
-        recordings (`sim.formats.common.recording.motion`).
+        recordings (`sim.formats.common.motion.motion`).
 
         Args:
             tracks: where everyone was, at the sensor's frame rate.

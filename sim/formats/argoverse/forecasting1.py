@@ -21,18 +21,11 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.csv_columns import read_columns
-from sim.formats.common.packed import stem
-from sim.formats.common.recording import (
-    CARS_ASSUMED,
-    MAX_NAMES,
-    Recording,
-    Rows,
-    recordings,
-)
+from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
+from sim.formats.common.tables import read_csv
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
-from sim.written_numbers import real
+from sim.input_files import stem
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""
@@ -60,30 +53,29 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    columns = read_columns(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
-    agent, names = columns.names("track_id")
-    time_s = columns.numbers("timestamp")
-    x, y = columns.numbers("x"), columns.numbers("y")
+    table = read_csv(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
+    agent, names = table.names("track_id")
+    time_s = table.numbers("timestamp")
+    xy = np.stack([table.numbers("x"), table.numbers("y")], axis=1)
     labels = _labels_beside(path, names)
-    rows = Rows.of_positions(agent, names, time_s - time_s.min(), x, y, labels)
-    notes = (CARS_ASSUMED, "headings and speeds are told from the motion")
-    yield from recordings(path, stem(path), rows, notes)
+    rows = Rows.of(agent, names, time_s - time_s.min(), xy, behavior=labels)
+    notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
+    yield Recording(stem(path), assemble(path, rows), notes)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
-    beside = path.with_suffix(LABELS_SUFFIX)
-    if not beside.is_file():
+    """Behaviours from the file beside a recording; None without one."""
+    labels = path.with_suffix(LABELS_SUFFIX)
+    if not labels.is_file():
         return None
-    columns = read_columns(beside, [], ["track_id", "behavior"])
-    if len(columns) > MAX_NAMES:
-        raise InputError(f"{beside}: found {len(columns)} rows, expected at most {MAX_NAMES}")
-    labelled, words = (columns.table.column(c).to_pylist() for c in ("track_id", "behavior"))
-    return behavior_codes(beside, names, labelled, words)
+    table = read_csv(labels, [], ["track_id", "behavior"])
+    return behavior_codes(labels, names, table.words("track_id"), table.words("behavior"))
 
 
 def _is_number(label: str) -> bool:
+    """Whether a spreadsheet takes a text for a number."""
     try:
-        real(label)
+        float(label)
     except ValueError:
         return False
     return True

@@ -13,30 +13,19 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.arrow.budget import Layout, check_budget, check_number
-from sim.arrow.parquet import opened, read_packed
 from sim.files import whole_folder
-from sim.formats.common.recording import (
-    MAX_NAMES,
-    Recording,
-    Rows,
-    check_size,
-    default_size,
-    kind_codes,
-    recordings,
-)
+from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.tables import read_parquet
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
@@ -103,17 +92,6 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
 """Columns of the file beside the official ones that holds the behaviours, which the format cannot
 hold."""
 
-MAX_ROWS: Final = 5 * 10**6
-"""Most rows of a scenario (45 000 agents seen in all of its 11 s)."""
-
-MAX_TEXT_BYTES: Final = 1000
-"""Longest track id, object type or behaviour (a UUID has 36)."""
-
-_TEXT_TYPES: Final = ("BYTE_ARRAY", "INT32", "INT64")
-_NUMBER_TYPES: Final = ("INT32", "INT64", "FLOAT", "DOUBLE")
-"""How Parquet stores what is read as texts and as numbers."""
-
-_TEXTS: Final = ("track_id", "object_type")
 _NUMBERS: Final = (
     "timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y",
 )  # fmt: skip
@@ -131,32 +109,22 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names file and column.
     """
-    table = _read_columns(path, _TEXTS, _NUMBERS, MAX_ROWS)
-    types, type_words = text_codes(path, table, "object_type")
-    ids, id_words = text_codes(path, table, "track_id")
+    table = read_parquet(path, _NUMBERS, ("track_id", "object_type"))
+    types, type_words = table.codes("object_type")
     road_agent = np.isin(type_words, list(OBJECT_TYPES))[types]
     left_out = sorted({type_words[code] for code in np.unique(types)} - set(OBJECT_TYPES))
-    kept, agent = np.unique(ids[road_agent], return_inverse=True)
+    agents = table.part(np.flatnonzero(road_agent))
+    agent, names = agents.names("track_id")
     _, first = np.unique(agent, return_index=True)
-    kinds = [OBJECT_TYPES[type_words[code]] for code in types[road_agent][first]]
-    sizes = np.array([default_size(kind) for kind in kinds]).reshape(-1, 2)
     name = path.stem.removeprefix("scenario_")
-    names = tuple(id_words[code] for code in kept)
-
-    def column(name: str) -> NDArray[np.float64]:
-        return np.asarray(table.column(name).to_numpy()[road_agent], dtype=np.float64)
-
-    rows = Rows(
-        agent=agent,
-        names=names,
-        time_s=column("timestep") / 10.0,
-        x=column("position_x"),
-        y=column("position_y"),
-        heading=column("heading"),
-        speed=np.hypot(column("velocity_x"), column("velocity_y")),
-        length=sizes[:, 0],
-        width=sizes[:, 1],
-        kind=kind_codes(kinds),
+    rows = Rows.of(
+        agent,
+        names,
+        agents.numbers("timestep") / 10.0,
+        np.stack([agents.numbers("position_x"), agents.numbers("position_y")], axis=1),
+        agents.numbers("heading"),
+        np.hypot(agents.numbers("velocity_x"), agents.numbers("velocity_y")),
+        [OBJECT_TYPES[type_words[code]] for code in types[road_agent][first]],
         behavior=_labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
     )
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
@@ -166,94 +134,15 @@ def read(path: Path) -> Iterator[Recording]:
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    yield from recordings(path, name, rows, notes, road)
+    yield Recording(name, assemble(path, rows), tuple(notes), road)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
+    """Behaviours from the file beside a scenario; None without one."""
     if not path.is_file():
         return None
-    table = _read_columns(path, ("track_id", "behavior"), (), MAX_NAMES, optional="behavior")
-    ids, id_words = text_codes(path, table, "track_id")
-    codes, words = text_codes(path, table, "behavior")
-    labels = [None if code < 0 else words[code] for code in codes]
-    return behavior_codes(path, names, [id_words[i] for i in ids], labels)
-
-
-def _read_columns(
-    path: Path,
-    texts: Sequence[str],
-    numbers: Sequence[str],
-    max_rows: int,
-    optional: str | None = None,
-) -> pa.Table:
-    """Some columns of a Parquet file; none but the optional one may have empty fields.
-
-    Texts stay dictionaries: a small file can repeat a long text for millions of rows.
-    """
-    check_size(path)
-    with opened(path) as (layout, source):
-        types = {name: _checked_type(path, layout, name, _TEXT_TYPES) for name in texts}
-        for name in numbers:
-            _checked_type(path, layout, name, _NUMBER_TYPES)
-        check_budget(path, layout, (*texts, *numbers), max_rows)
-        packed = [name for name in texts if types[name] == "BYTE_ARRAY"]
-        table = read_packed(source, packed, [*texts, *numbers])
-        for name in numbers:
-            check_number(path, table.schema.field(name))
-        columns = {name: table.column(name).cast(SCHEMA.field(name).type) for name in numbers}
-        for name in texts:
-            encoded = table.column(name).combine_chunks().dictionary_encode()
-            words = encoded.dictionary.cast(pa.string())
-            columns[name] = pa.DictionaryArray.from_arrays(encoded.indices, words)
-    for name, column in columns.items():
-        if column.null_count and name != optional:
-            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
-    return pa.table(columns)
-
-
-def _checked_type(path: Path, layout: Layout, name: str, allowed: Sequence[str]) -> str:
-    """How a column is stored, once it is known to be there."""
-    columns = [column for column in layout.columns if column.name == name]
-    if not columns:
-        raise InputError(f"{path}: found no column {name}, expected it")
-    if len(columns) > 1:
-        raise InputError(f"{path}: found column {name} {len(columns)} times, expected once")
-    (column,) = columns
-    if column.physical not in allowed or column.repeated:
-        kind = f"lists of {column.physical}" if column.repeated else column.physical
-        raise InputError(f"{path}: column {name}: found {kind}, expected {' or '.join(allowed)}")
-    return column.physical
-
-
-def text_codes(path: Path, table: pa.Table, name: str) -> tuple[NDArray[np.int64], list[str]]:
-    """Texts of a column as codes.
-
-    Args:
-        path: the file that they come from, for messages.
-        table: its columns.
-        name: a column that is a dictionary of texts.
-
-    Returns:
-        (rows,) place among the different texts (-1: empty), and those texts.
-
-    Raises:
-        InputError: if a text is too long, or there are too many different ones.
-    """
-    column = table.column(name).combine_chunks()
-    longest = pc.max(pc.binary_length(column.dictionary)).as_py() or 0
-    if longest > MAX_TEXT_BYTES:
-        raise InputError(
-            f"{path}: column {name}: found a text of {longest} bytes, expected at most "
-            f"{MAX_TEXT_BYTES}"
-        )
-    if len(column.dictionary) > MAX_NAMES:
-        raise InputError(
-            f"{path}: column {name}: found {len(column.dictionary)} different texts, expected at "
-            f"most {MAX_NAMES}"
-        )
-    different = column.dictionary.dictionary_encode()  # a file's own may have a text twice
-    places = np.append(different.indices.to_numpy(), -1)
-    return places[column.indices.fill_null(-1).to_numpy()], different.dictionary.to_pylist()
+    table = read_parquet(path, (), ("track_id", "behavior"), empty=("behavior",))
+    return behavior_codes(path, names, table.words("track_id"), table.words("behavior"))
 
 
 # --- writing ------------------------------------------------------------------------------------

@@ -17,15 +17,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.argoverse.feather import read_feather
-from sim.formats.argoverse.forecasting2 import text_codes
-from sim.formats.common.packed import beside
-from sim.formats.common.recording import Recording, Rows, kind_codes, recordings
+from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.tables import Table, read_feather
 from sim.frames import AgentKind
+from sim.input_files import beside
 from sim.road.maps.argoverse2 import read_map
 
 FloatArray = NDArray[np.float64]
@@ -64,9 +62,6 @@ EGO_CENTRE_M: Final = 1.34
 """How far the car's centre is ahead of its frame's origin, which is the rear axle's centre (an
 estimate, since the format does not tell: py123d takes 1.339 m for this car)."""
 
-MAX_ROWS: Final = 10**6
-"""Most boxes, and most poses, of a log (logs have some 15 000 and 2 700)."""
-
 UNIT_TOLERANCE: Final = 0.01
 """How far the length of a quaternion may be from one (rounding to six digits stays far below)."""
 
@@ -89,52 +84,41 @@ def read(path: Path) -> Iterator[Recording]:
         InputError: if a file is missing or broken, or a sweep has no pose; the message names file
             and column.
     """
-    boxes = read_feather(
-        path, ("track_uuid", "category"), ("timestamp_ns",),
-        (*_TURN, *_PLACE, "length_m", "width_m"), MAX_ROWS,
-    )  # fmt: skip
-    if not boxes.num_rows:
-        raise InputError(f"{path}: found no rows, expected at least one")
+    numbers = ("timestamp_ns", *_TURN, *_PLACE, "length_m", "width_m")
+    boxes = read_feather(path, numbers, ("track_uuid", "category"))
     poses = beside(path, POSES)
     if poses is None:
         raise InputError(
             f"{path}: found no {POSES} beside it, expected it: without it the recording car's "
             "motion cannot be undone"
         )
-    codes, categories = text_codes(path, boxes, "category")
-    ids, words = text_codes(path, boxes, "track_uuid")
-    stamp = _stamps(path, boxes)
-    sweeps, sweep = np.unique(stamp, return_inverse=True)
+    codes, categories = boxes.codes("category")
+    sweeps, sweep = np.unique(boxes.whole("timestamp_ns"), return_inverse=True)
     turn, place = _poses_at(poses, sweeps)
     time_s = (sweeps - sweeps[0]) / 1e9
-    box_turn, box_place = _rotations(path, boxes), _columns(boxes, _PLACE)
 
-    agents = np.flatnonzero(np.isin(categories, list(CATEGORIES))[codes])
-    at = sweep[agents]
-    kept, first, agent = np.unique(ids[agents], return_index=True, return_inverse=True)
-    names = tuple(words[code] for code in kept.tolist())
+    of_agents = np.flatnonzero(np.isin(categories, list(CATEGORIES))[codes])
+    agents, at = boxes.part(of_agents), sweep[of_agents]
+    agent, names = agents.names("track_uuid")
     if EGO_NAME in names:
         raise InputError(
             f"{path}: column track_uuid: found {EGO_NAME}, expected other ids: it is the "
             "recording car's"
         )
-    xy = np.einsum("nij,nj->ni", turn[at, :2], box_place[agents]) + place[at, :2]
-    ahead = np.einsum("nij,nj->ni", turn[at, :2], box_turn[agents, :, 0])
+    _, first = np.unique(agent, return_index=True)
+    xy = np.einsum("nij,nj->ni", turn[at, :2], _columns(agents, _PLACE)) + place[at, :2]
+    ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(agents)[:, :, 0])
     ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
     heading = np.concatenate([ahead, turn[:, :2, 0]])
-    kinds = [CATEGORIES[categories[code]] for code in codes[agents][first].tolist()]
-    sizes = _columns(boxes, ("length_m", "width_m"))[agents][first]
-    rows = Rows(
-        agent=np.append(agent, np.full(sweeps.size, len(names))),
-        names=(*names, EGO_NAME),
-        time_s=np.append(time_s[at], time_s),
-        x=np.append(xy[:, 0], ego[:, 0]),
-        y=np.append(xy[:, 1], ego[:, 1]),
-        heading=np.arctan2(heading[:, 1], heading[:, 0]),
-        speed=np.full(heading.shape[0], np.nan),
-        length=np.append(sizes[:, 0], EGO_SIZE_M[0]),
-        width=np.append(sizes[:, 1], EGO_SIZE_M[1]),
-        kind=kind_codes([*kinds, AgentKind.CAR]),
+    sizes = _columns(agents, ("length_m", "width_m"))[first]
+    rows = Rows.of(
+        np.append(agent, np.full(sweeps.size, len(names))),
+        (*names, EGO_NAME),
+        np.append(time_s[at], time_s),
+        np.concatenate([xy, ego]),
+        np.arctan2(heading[:, 1], heading[:, 0]),
+        kinds=[*(CATEGORIES[categories[c]] for c in codes[of_agents][first]), AgentKind.CAR],
+        sizes=np.concatenate([sizes, [EGO_SIZE_M]]),
     )
     notes = [
         f"the recording car's motion is undone with its poses; it is the agent {EGO_NAME}, a Ford "
@@ -151,7 +135,8 @@ def read(path: Path) -> Iterator[Recording]:
     road = maps[0] if len(maps) == 1 and read_map(maps[0]) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    yield from recordings(path, path.absolute().parent.name, rows, notes, road)
+    name = path.absolute().parent.name
+    yield Recording(name, assemble(path, rows), tuple(notes), road)
 
 
 def _maps_of(path: Path) -> list[Path]:
@@ -160,29 +145,19 @@ def _maps_of(path: Path) -> list[Path]:
     return [*home.glob("map/log_map_archive_*.json"), *home.glob("log_map_archive_*.json")]
 
 
-def _stamps(path: Path, table: pa.Table) -> NDArray[np.int64]:
-    """(rows,) times, ns."""
-    stamps = table.column("timestamp_ns").to_numpy()
-    if stamps.min(initial=0) < 0:
-        raise InputError(
-            f"{path}: column timestamp_ns: found {stamps.min()}, expected no negative time"
-        )
-    return np.asarray(stamps, dtype=np.int64)
-
-
-def _columns(table: pa.Table, names: tuple[str, ...]) -> FloatArray:
+def _columns(table: Table, names: tuple[str, ...]) -> FloatArray:
     """(rows, len(names)) numbers."""
-    return np.stack([table.column(name).to_numpy() for name in names], axis=1)
+    return np.stack([table.numbers(name) for name in names], axis=1)
 
 
-def _rotations(path: Path, table: pa.Table) -> FloatArray:
+def _rotations(table: Table) -> FloatArray:
     """(rows, 3, 3) rotations of a table's unit quaternions."""
     quaternion = _columns(table, _TURN)
     length = np.sqrt((quaternion**2).sum(axis=1))
     bad = np.flatnonzero(~(np.abs(length - 1) <= UNIT_TOLERANCE))
     if bad.size:
         raise InputError(
-            f"{path}: columns {', '.join(_TURN)}: found length {length[bad[0]]:g} in row "
+            f"{table.path}: columns {', '.join(_TURN)}: found length {length[bad[0]]:g} in row "
             f"{bad[0]}, expected 1"
         )
     w, x, y, z = (quaternion / length[:, None]).T
@@ -196,8 +171,8 @@ def _rotations(path: Path, table: pa.Table) -> FloatArray:
 
 def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """(sweeps, 3, 3) rotation and (sweeps, 3) place of the recording car at each sweep, m."""
-    poses = read_feather(path, (), ("timestamp_ns",), (*_TURN, *_PLACE), MAX_ROWS)
-    stamp = _stamps(path, poses)
+    poses = read_feather(path, ("timestamp_ns", *_TURN, *_PLACE), ())
+    stamp = poses.whole("timestamp_ns")
     order = np.argsort(stamp, kind="stable")
     first, last = (np.searchsorted(stamp[order], sweeps, side=side) for side in ("left", "right"))
     missing = np.flatnonzero(first == last)
@@ -212,4 +187,4 @@ def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatA
             f"{path}: column timestamp_ns: found {sweeps[twice[0]]} twice, expected it once"
         )
     used = order[first]
-    return _rotations(path, poses)[used], _columns(poses, _PLACE)[used]
+    return _rotations(poses)[used], _columns(poses, _PLACE)[used]

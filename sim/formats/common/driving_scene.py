@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble, kind_codes
+from sim.formats.common.recording import Recording, Rows, assemble
 from sim.frames import AgentKind, Signal
 from sim.road.maps.waymo import WaymoLane, waymo_road
-from sim.track_rows import MAX_CELLS
 
 FloatArray = NDArray[np.float64]
 
@@ -28,12 +27,6 @@ STATES: Final = (
 )  # fmt: skip
 """What lights show, by the format's number: unknown; stop, caution and go as arrows, then as discs;
 flashing stop and caution."""
-
-MAX_OBJECTS: Final = 10_000
-"""Most objects of a scenario (scenarios have some 100)."""
-
-MAX_STEPS: Final = 10_000
-"""Most steps of a scenario (scenarios have 91, or 198)."""
 
 ROWS: Final = ("x", "y", "heading", "speed", "length", "width")
 
@@ -75,11 +68,11 @@ def recording_of(scene: DrivingScene) -> Recording:
     """The scenario as a recording with its road.
 
     Raises:
-        InputError: if it is larger than any, its times do not increase, or an id is twice.
+        InputError: if its times do not increase, or an id is twice.
     """
     path = scene.path
-    if len(scene.names) * scene.time_s.size > MAX_CELLS:
-        raise InputError(f"{path}: found more than {MAX_CELLS} objects times steps")
+    if not scene.time_s.size:
+        raise InputError(f"{path}: found no timestamps, expected some")
     if not (np.diff(scene.time_s) > 0).all() or not (np.abs(scene.time_s) < 1e9).all():
         raise InputError(f"{path}: timestamps_seconds: found times that do not increase")
     seen = [i for i, steps in enumerate(scene.steps) if steps]
@@ -97,17 +90,15 @@ def recording_of(scene: DrivingScene) -> Recording:
     lights = sorted({lane for shown in scene.lights for lane in shown})
     tracks = assemble(
         path,
-        Rows(
-            agent=np.repeat(np.arange(len(seen)), counts),
-            names=tuple(names),
-            time_s=scene.time_s[step] - scene.time_s[0] if step.size else np.empty(0),
-            x=table[:, 0],
-            y=table[:, 1],
-            heading=table[:, 2],
-            speed=table[:, 3],
-            length=sizes[:, 0],
-            width=sizes[:, 1],
-            kind=kind_codes([scene.kinds[i] for i in seen]),
+        Rows.of(
+            np.repeat(np.arange(len(seen)), counts),
+            names,
+            scene.time_s[step] - scene.time_s[0],
+            table[:, :2],
+            table[:, 2],
+            table[:, 3],
+            [scene.kinds[i] for i in seen],
+            sizes,
             behavior=behavior,
             empty_s=tuple((scene.time_s - scene.time_s[0]).tolist()),
         ),
@@ -132,18 +123,3 @@ def _signals(scene: DrivingScene, lights: Sequence[int]) -> NDArray[np.int8]:
         for lane, state in shown.items():
             codes[group[lane], t] = STATES[state].code
     return codes
-
-
-def check_counts(where: str, objects: int, steps: int) -> None:
-    """Refuse scenarios that are too large, or have no times.
-
-    Raises:
-        InputError: if it is so.
-    """
-    if objects > MAX_OBJECTS or steps > MAX_STEPS:
-        raise InputError(
-            f"{where}: found {objects} objects and {steps} steps, expected at most {MAX_OBJECTS} "
-            f"and {MAX_STEPS}"
-        )
-    if steps == 0:
-        raise InputError(f"{where}: found no timestamps, expected some")

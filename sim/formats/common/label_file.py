@@ -8,6 +8,7 @@ behaviour or a style), ``behavior`` or ``style``; both of the latter may be ther
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,13 +21,10 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
 from sim.frames import Tracks
+from sim.input_files import broken_as_one_line, opened
 
-MAX_LABELS: Final = 10**6
-"""Most rows of a file (as many as a recording may have agents)."""
-
-_COLUMNS: Final = ("name", "recording", "label", "behavior", "style")
-_OTHER_WORDS: Final = {"behaviour": "behavior"}
-_EXPECTED: Final = "name and label (or behavior, or style), and at most recording"
+LABELS: Final = ("label", "behavior", "style")
+"""Columns that may say what a driver is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,30 +133,21 @@ def read_driver_labels(path: Path) -> DriverLabels:
         InputError: if the file is not such a table; the message names the line.
     """
     found: dict[tuple[str | None, str], DriverLabel] = {}
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            table = csv.DictReader(file, strict=True, skipinitialspace=True)
-            columns = _columns(path, table.fieldnames or ())
-            for row in table:
-                where = f"{path}: line {table.line_num}"
-                if len(found) == MAX_LABELS:
-                    raise InputError(f"{where}: found more than {MAX_LABELS} labels")
-                if None in row:
-                    raise InputError(f"{where}: found more cells than columns")
-                cells = {column: (row[raw] or "").strip() for column, raw in columns.items()}
-                place, name = cells.get("recording") or None, cells["name"]
-                if not name:
-                    raise InputError(f"{where}: name: found none, expected the driver's")
-                if (place, name) in found:
-                    raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
-                found[place, name] = _label(where, cells)
-    except FileNotFoundError:
-        raise InputError(f"{path}: found no file, expected a CSV file of labels") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: found no text, expected a CSV file in UTF-8") from None
-    except (OSError, csv.Error) as error:
-        said = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{path}: found {said}, expected a CSV file in UTF-8") from None
+    with broken_as_one_line(path, "a CSV file of labels in UTF-8"), opened(path) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
+        table = csv.DictReader(text, strict=True, skipinitialspace=True)
+        columns = _columns(path, table.fieldnames or ())
+        for row in table:
+            where = f"{path}: line {table.line_num}"
+            if None in row:
+                raise InputError(f"{where}: found more cells than columns")
+            cells = {column: (row[raw] or "").strip() for column, raw in columns.items()}
+            place, name = cells.get("recording") or None, cells["name"]
+            if not name:
+                raise InputError(f"{where}: name: found none, expected the driver's")
+            if (place, name) in found:
+                raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
+            found[place, name] = _label(where, cells)
     if not found:
         raise InputError(f"{path}: found no label, expected at least one")
     return DriverLabels(path, found)
@@ -167,40 +156,45 @@ def read_driver_labels(path: Path) -> DriverLabels:
 def _columns(path: Path, header: Iterable[str]) -> dict[str, str]:
     """The file's own heading of each known column."""
     given = list(header)
-    columns = {_OTHER_WORDS.get(key, key): raw for raw in given for key in (raw.strip().lower(),)}
-    labels = {"label"} & set(columns) or {"behavior", "style"} & set(columns)
-    known = set(columns) <= {"name", "recording", *labels} and set(columns) <= set(_COLUMNS)
-    if "name" not in columns or not labels or not known or len(columns) != len(given):
+    columns = {raw.strip().lower().replace("behaviour", "behavior"): raw for raw in given}
+    labels = set(LABELS) & set(columns)
+    known = set(columns) <= {"name", "recording", *labels} and len(columns) == len(given)
+    if "name" not in columns or not known or labels not in _LABELLED:
         raise InputError(
-            f"{path}: found the columns {', '.join(given)!r:.200}, expected {_EXPECTED}"
+            f"{path}: found the columns {', '.join(given)!r:.200}, expected name and label (or "
+            "behavior, or style), and at most recording"
         )
     return columns
 
 
+_LABELLED: Final = ({"label"}, {"behavior"}, {"style"}, {"behavior", "style"})
+"""Which columns may say what a driver is, together."""
+
+
 def _label(where: str, cells: Mapping[str, str]) -> DriverLabel:
-    said = {key: cells[key].lower() for key in ("label", "behavior", "style") if cells.get(key)}
-    labels = [_word(where, key, word) for key, word in said.items()]
-    if not labels:
-        column = next(key for key in ("label", "behavior", "style") if key in cells)
-        _word(where, column, "")
+    """What the cells of a row say of its driver."""
+    columns = [column for column in LABELS if column in cells]
+    stated = [column for column in columns if cells[column]] or columns[:1]
+    labels = [_word(where, column, cells[column].lower()) for column in stated]
     if len({label.style for label in labels}) > 1:
         raise InputError(
-            f"{where}: style: found {said['style']!r:.60}, expected that of {said['behavior']}"
+            f"{where}: style: found {cells['style']!r:.60}, expected that of {cells['behavior']}"
         )
     return labels[0]
 
 
 def _word(where: str, column: str, word: str) -> DriverLabel:
-    styles = () if column == "behavior" else tuple(Style)
-    behaviors = () if column == "style" else BEHAVIORS
-    for style in styles:
-        if word == style.value:
-            return DriverLabel(style)
-    for behavior in behaviors:
-        if word == behavior.value:
-            return DriverLabel(behavior.style, behavior)
-    expected = ", ".join([*(s.value for s in styles), *(b.value for b in behaviors)])
-    raise InputError(f"{where}: {column}: found {word!r:.60}, expected one of {expected}")
+    """The label that a word of a column stands for."""
+    known: dict[str, DriverLabel] = {}
+    if column != "behavior":
+        known |= {style.value: DriverLabel(style) for style in Style}
+    if column != "style":
+        known |= {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
+    if word not in known:
+        raise InputError(
+            f"{where}: {column}: found {word!r:.60}, expected one of {', '.join(known)}"
+        )
+    return known[word]
 
 
 def relabelled(

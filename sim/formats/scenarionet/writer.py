@@ -1,8 +1,7 @@
-"""ScenarioNet: one dictionary per episode, for MetaDrive and the tools around it. Written only.
+"""Writes ScenarioNet's dictionaries, one per episode, for MetaDrive and the tools around it.
 
 The format is defined as pickled dictionaries: one for each episode, ``dataset_summary.pkl`` with
-what each of them holds, and ``dataset_mapping.pkl`` with where it is. Pickles run code when they
-are read, so we write them when asked to and never read one.
+what each of them holds, and ``dataset_mapping.pkl`` with where it is.
 
 References:
     Li et al. (2023), ScenarioNet, NeurIPS Datasets and Benchmarks.

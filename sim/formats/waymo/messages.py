@@ -22,7 +22,7 @@ _KINDS: Final = {
     "int32": descriptor_pb2.FieldDescriptorProto.TYPE_INT32,
     "int64": descriptor_pb2.FieldDescriptorProto.TYPE_INT64,
     "bool": descriptor_pb2.FieldDescriptorProto.TYPE_BOOL,
-    "string": descriptor_pb2.FieldDescriptorProto.TYPE_BYTES,  # UTF-8 is checked when it is used
+    "string": descriptor_pb2.FieldDescriptorProto.TYPE_STRING,
 }
 
 MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
@@ -36,12 +36,12 @@ MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
         "velocity_y": (10, "float"),
         "valid": (11, "bool"),
     },
-    "Track": {"id": (1, "int32"), "object_type": (2, "int32"), "states": (3, "*ObjectState")},
+    "Track": {"id": (1, "int32"), "object_type": (2, "ObjectType"), "states": (3, "*ObjectState")},
     "MapPoint": {"x": (1, "double"), "y": (2, "double")},
     "LaneNeighbor": {"feature_id": (1, "int64")},
     "LaneCenter": {
         "speed_limit_mph": (1, "double"),
-        "type": (2, "int32"),
+        "type": (2, "LaneType"),
         "interpolating": (3, "bool"),
         "polyline": (8, "*MapPoint"),
         "entry_lanes": (9, "*int64"),
@@ -57,7 +57,7 @@ MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
         "stop_sign": (7, "StopSign"),
         "crosswalk": (8, "Crosswalk"),
     },
-    "TrafficSignalLaneState": {"lane": (1, "int64"), "state": (2, "int32")},
+    "TrafficSignalLaneState": {"lane": (1, "int64"), "state": (2, "State")},
     "DynamicMapState": {"lane_states": (1, "*TrafficSignalLaneState")},
     "Scenario": {
         "timestamps_seconds": (1, "*double"),
@@ -69,6 +69,22 @@ MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
     },
 }
 """Number and kind of every field that is read, by message; ``*`` marks what repeats."""
+
+
+ENUMS: Final[dict[str, tuple[str, ...]]] = {
+    "Track.ObjectType": (
+        "TYPE_UNSET", "TYPE_VEHICLE", "TYPE_PEDESTRIAN", "TYPE_CYCLIST", "TYPE_OTHER",
+    ),
+    "LaneCenter.LaneType": (
+        "TYPE_UNDEFINED", "TYPE_FREEWAY", "TYPE_SURFACE_STREET", "TYPE_BIKE_LANE",
+    ),
+    "TrafficSignalLaneState.State": (
+        "LANE_STATE_UNKNOWN", "LANE_STATE_ARROW_STOP", "LANE_STATE_ARROW_CAUTION",
+        "LANE_STATE_ARROW_GO", "LANE_STATE_STOP", "LANE_STATE_CAUTION", "LANE_STATE_GO",
+        "LANE_STATE_FLASHING_STOP", "LANE_STATE_FLASHING_CAUTION",
+    ),
+}  # fmt: skip
+"""The names of numbers from 0 on, by message and enumeration; JSON has the names."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -90,8 +106,15 @@ def scenario_class() -> Any:
                     else descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL
                 ),
             )
+            values = ENUMS.get(f"{name}.{plain}")
             if plain in _KINDS:
                 field.type = _KINDS[plain]
+            elif values is not None:
+                field.type = descriptor_pb2.FieldDescriptorProto.TYPE_ENUM
+                field.type_name = f".{PACKAGE}.{name}.{plain}"
+                enum = message.enum_type.add(name=plain)
+                for value, word in enumerate(values):
+                    enum.value.add(name=word, number=value)
             else:
                 field.type = descriptor_pb2.FieldDescriptorProto.TYPE_MESSAGE
                 field.type_name = f".{PACKAGE}.{plain}"

@@ -19,19 +19,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.driving_scene import STATES, DrivingScene, check_counts, recording_of
-from sim.formats.common.packed import stem
+from sim.formats.common.driving_scene import DrivingScene, recording_of
 from sim.formats.common.recording import Recording
-from sim.formats.waymo.messages import scenario_class
-from sim.formats.waymo.tfrecord import MAX_RECORD_BYTES, read_records
+from sim.formats.waymo.messages import ENUMS, scenario_class
+from sim.formats.waymo.tfrecord import read_records
 from sim.frames import AgentKind
+from sim.input_files import plain_name, read_bytes, stem
 from sim.road.maps.waymo import WaymoLane, with_neighbours
-from sim.written_numbers import real, whole
-from sim.xml_tree import read_bytes
 
 FloatArray = NDArray[np.float64]
 
@@ -46,16 +45,7 @@ WORDS: Final = {
     "pedestrian": AgentKind.PEDESTRIAN,
     "cyclist": AgentKind.BICYCLE,
 }
-"""The same in words; of ``TYPE_VEHICLE`` and its like, the end."""
-
-STATE_WORDS: Final = (
-    "unknown", "arrow_stop", "arrow_caution", "arrow_go", "stop", "caution", "go",
-    "flashing_stop", "flashing_caution",
-)  # fmt: skip
-"""The same in words, as JSON has it."""
-
-LANE_WORDS: Final = {"type_undefined": 0, "type_freeway": 1, "type_surface_street": 2}
-"""Types of lanes in words; ``type_bike_lane`` is 3."""
+"""The same in Nocturne's words."""
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -70,8 +60,7 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file, record and field.
     """
-    name = path.name.lower().removesuffix(".gz")
-    if name.endswith(".json"):
+    if plain_name(path).lower().endswith(".json"):
         yield recording_of(_from_json(path))
         return
     message = scenario_class()
@@ -79,9 +68,8 @@ def read(path: Path) -> Iterator[Recording]:
         try:
             scenario = message.FromString(record)
         except DecodeError as error:
-            reason = " ".join(str(error).split())
             raise InputError(
-                f"{path}: record {number}: {reason}, expected a Waymo scenario"
+                f"{path}: record {number}: {error}, expected a Waymo scenario"
             ) from None
         yield recording_of(_from_message(path, scenario, number))
 
@@ -91,10 +79,9 @@ def read(path: Path) -> Iterator[Recording]:
 
 def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
     where = f"{path}: record {number}"
-    check_counts(where, len(scenario.tracks), len(scenario.timestamps_seconds))
     scene = DrivingScene(
         path,
-        scenario.scenario_id.decode("utf-8", "replace")[:100] or f"{stem(path)}-{number}",
+        scenario.scenario_id[:100] or f"{stem(path)}-{number}",
         np.array(scenario.timestamps_seconds, dtype=np.float64),
         [], [], [], [], [], {}, [],
     )  # fmt: skip
@@ -143,9 +130,7 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
             outline = np.array([(p.x, p.y) for p in feature.crosswalk.polygon]).reshape(-1, 2)
             scene.crosswalks[str(feature.id)] = outline
     for shown in scenario.dynamic_map_states:
-        scene.lights.append(
-            {s.lane: s.state for s in shown.lane_states if 0 <= s.state < len(STATES)}
-        )
+        scene.lights.append({s.lane: s.state for s in shown.lane_states})
     scene.lanes = with_neighbours(scene.lanes)
     return scene
 
@@ -154,157 +139,48 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
 
 
 def _from_json(path: Path) -> DrivingScene:
-    data = read_bytes(path, MAX_RECORD_BYTES)
-    try:
-        found = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: {' '.join(str(error).split())[:200]}") from None
+    """A scenario in either kind of JSON."""
+    found = json.loads(read_bytes(path))
     if not isinstance(found, dict):
         raise InputError(f"{path}: found {type(found).__name__}, expected an object of a scenario")
-    try:
-        if "objects" in found:
-            return _from_nocturne(path, found)
-        return _from_protobuf_json(path, found)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = f"{type(error).__name__} {' '.join(str(error).split())[:120]}"
-        raise InputError(f"{path}: expected a Waymo scenario, found another: {reason}") from None
-
-
-def _real(value: Any) -> float:
-    """A number; protobuf's JSON may write it as text."""
-    return real(value) if isinstance(value, str) else float(value)
-
-
-def _whole(value: Any) -> int:
-    """A whole number; protobuf's JSON writes long ones as text."""
-    return whole(value) if isinstance(value, str) else int(value)
-
-
-def _field(part: Mapping[str, Any], name: str, default: Any = None) -> Any:
-    """A field of a message in JSON, whose names are in snake_case or camelCase."""
-    if name in part:
-        return part[name]
-    head, *rest = name.split("_")
-    return part.get(head + "".join(word.capitalize() for word in rest), default)
-
-
-def _from_protobuf_json(path: Path, found: Mapping[str, Any]) -> DrivingScene:
-    times = [_real(t) for t in _field(found, "timestamps_seconds", [])]
-    tracks = _field(found, "tracks", [])
-    check_counts(str(path), len(tracks), len(times))
-    name = str(_field(found, "scenario_id", stem(path)))[:100]
-    scene = DrivingScene(path, name, np.array(times), [], [], [], [], [], {}, [])
-    for track in tracks:
-        kind = _kind(_field(track, "object_type", 0))
-        states = _field(track, "states", [])
-        if kind is None or len(states) > len(times):
-            if kind is not None:
-                raise InputError(f"{path}: found {len(states)} states, expected {len(times)}")
-            scene.left_out += 1
-            continue
-        scene.names.append(str(_whole(_field(track, "id", 0))))
-        scene.kinds.append(kind)
-        seen = [(t, s) for t, s in enumerate(states) if _field(s, "valid", False) is True]
-        scene.steps.append([t for t, _ in seen])
-        scene.values.append([_state(s) for _, s in seen])
-    features = _field(found, "map_features", [])
-    stops = {
-        _whole(lane) for f in features if (sign := _field(f, "stop_sign"))
-        for lane in _field(sign, "lane", [])
-    }  # fmt: skip
-    for feature in features:
-        identity = _whole(_field(feature, "id", 0))
-        lane, crosswalk = _field(feature, "lane"), _field(feature, "crosswalk")
-        if lane is not None:
-            beside = [_field(lane, f"{side}_neighbors", []) for side in ("left", "right")]
-            left, right = (_whole(_field(b[0], "feature_id")) if b else None for b in beside)
-            scene.lanes.append(
-                WaymoLane(
-                    id=identity,
-                    line=_xy(_field(lane, "polyline", [])),
-                    limit_mph=_real(_field(lane, "speed_limit_mph", 0.0)),
-                    type=_lane_type(_field(lane, "type", 0)),
-                    interpolating=bool(_field(lane, "interpolating", False)),
-                    before=tuple(_whole(i) for i in _field(lane, "entry_lanes", [])[:16]),
-                    after=tuple(_whole(i) for i in _field(lane, "exit_lanes", [])[:16]),
-                    left=left,
-                    right=right,
-                    stops=identity in stops,
-                )
-            )
-        elif crosswalk is not None:
-            scene.crosswalks[str(identity)] = _xy(_field(crosswalk, "polygon", []))
-    for shown in _field(found, "dynamic_map_states", []):
-        scene.lights.append(
-            {
-                _whole(_field(s, "lane")): _light(_field(s, "state", 0))
-                for s in _field(shown, "lane_states", [])
-            }
-        )
-    scene.lanes = with_neighbours(scene.lanes)
-    return scene
-
-
-def _state(state: Mapping[str, Any]) -> tuple[float, ...]:
-    x, y, heading, vx, vy, length, width = (
-        _real(_field(state, name, 0.0))
-        for name in ("center_x", "center_y", "heading", "velocity_x", "velocity_y", "length",
-                     "width")
-    )  # fmt: skip
-    return x, y, heading, math.hypot(vx, vy), length, width
+    if "objects" in found:
+        return _from_nocturne(path, found)
+    message = json_format.ParseDict(found, scenario_class()(), ignore_unknown_fields=True)
+    if not message.scenario_id:
+        message.scenario_id = stem(path)
+    return _from_message(path, message, 1)
 
 
 def _xy(points: Sequence[Mapping[str, Any]]) -> FloatArray:
-    return np.array([(_real(p["x"]), _real(p["y"])) for p in points]).reshape(-1, 2)
-
-
-def _kind(word: Any) -> AgentKind | None:
-    if isinstance(word, str):
-        return WORDS.get(word.lower().removeprefix("type_"))
-    return KINDS.get(word)
-
-
-def _lane_type(word: Any) -> int:
-    if isinstance(word, str):
-        return LANE_WORDS.get(word.lower(), 3 if word.lower().endswith("bike_lane") else 0)
-    return _whole(word)
-
-
-def _light(word: Any) -> int:
-    if isinstance(word, str):
-        plain = word.lower().removeprefix("lane_state_")
-        return STATE_WORDS.index(plain) if plain in STATE_WORDS else 0
-    return _whole(word) if 0 <= _whole(word) < len(STATES) else 0
+    """(P, 2) the points of a line, m."""
+    return np.array([(float(p["x"]), float(p["y"])) for p in points]).reshape(-1, 2)
 
 
 def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     objects = found["objects"]
     steps = max((len(one["position"]) for one in objects), default=0)
-    check_counts(str(path), len(objects), steps)
     name = str(found.get("scenario_id") or found.get("name") or stem(path))[:100]
     times = np.arange(steps, dtype=np.float64) * PERIOD_S
     scene = DrivingScene(path, name.removesuffix(".json"), times, [], [], [], [], [], {}, [])
     headings, courses = list[float](), list[float]()
     for index, one in enumerate(objects):
-        kind = _kind(one["type"])
+        kind = WORDS.get(str(one["type"]).lower().removeprefix("type_"))
         if kind is None:
             scene.left_out += 1
             continue
-        scene.names.append(str(_whole(one.get("id", index))))
+        scene.names.append(str(int(one.get("id", index))))
         scene.kinds.append(kind)
-        length, width = _real(one["length"]), _real(one["width"])
+        length, width = float(one["length"]), float(one["width"])
         seen, values = list[int](), list[tuple[float, ...]]()
         for t, (place, heading, velocity, valid) in enumerate(
             zip(one["position"], one["heading"], one["velocity"], one["valid"], strict=True)
         ):
             if not valid:
                 continue
-            vx, vy = _real(velocity["x"]), _real(velocity["y"])
-            speed, angle = math.hypot(vx, vy), _real(heading)
+            vx, vy = float(velocity["x"]), float(velocity["y"])
+            speed, angle = math.hypot(vx, vy), float(heading)
             seen.append(t)
-            values.append((_real(place["x"]), _real(place["y"]), angle, speed, length, width))
+            values.append((float(place["x"]), float(place["y"]), angle, speed, length, width))
             headings.append(angle)
             courses.append(math.atan2(vy, vx) if 1.0 < speed < 1e9 else math.nan)
         scene.steps.append(seen)
@@ -332,15 +208,22 @@ def _nocturne_map(scene: DrivingScene, found: Mapping[str, Any]) -> None:
     """The lanes and lights of such a JSON: of lanes it has lines only."""
     for index, road in enumerate(found.get("roads") or []):
         if road["type"] == "lane":
-            identity = _whole(road.get("id", index))
+            identity = int(road.get("id", index))
             scene.lanes.append(WaymoLane(id=identity, line=_xy(road["geometry"])))
         elif road["type"] == "crosswalk":
             scene.crosswalks[str(road.get("id", index))] = _xy(road["geometry"])
     known = {lane.id for lane in scene.lanes}
     scene.lights = [{} for _ in range(scene.time_s.size)]
     for lane, shown in (found.get("tl_states") or {}).items():
-        if _whole(lane) not in known:
+        if int(lane) not in known:
             continue
         for t, state in zip(shown["time_index"], shown["state"], strict=True):
-            if 0 <= _whole(t) < len(scene.lights):
-                scene.lights[_whole(t)][_whole(lane)] = _light(state)
+            if 0 <= int(t) < len(scene.lights):
+                scene.lights[int(t)][int(lane)] = _light(state)
+
+
+def _light(word: Any) -> int:
+    """What a light shows, as the format's number."""
+    words = ENUMS["TrafficSignalLaneState.State"]
+    name = f"LANE_STATE_{str(word).upper().removeprefix('LANE_STATE_')}"
+    return words.index(name) if name in words else 0

@@ -14,11 +14,7 @@ from typing import Final
 import google_crc32c
 
 from behaviors.errors import InputError
-from sim.formats.common.packed import opened
-from sim.formats.common.recording import check_size
-
-MAX_RECORD_BYTES: Final = 2**25
-"""Largest record that is read (32 MiB; a Waymo scenario has some 1 to 8)."""
+from sim.input_files import opened
 
 _HEAD: Final = struct.Struct("<QI")
 _TAIL: Final = struct.Struct("<I")
@@ -48,23 +44,14 @@ def read_records(path: Path) -> Iterator[bytes]:
     Raises:
         InputError: naming the file and the record that is broken.
     """
-    check_size(path)
     with opened(path) as file:
         number = 0
         while head := file.read(_HEAD.size):
             number += 1
             where = f"{path}: record {number}"
-            if len(head) < _HEAD.size:
-                raise InputError(f"{where}: found the file's end, expected a whole record")
-            size, checksum = _HEAD.unpack(head)
-            if masked_checksum(head[:8]) != checksum:
-                raise InputError(
-                    f"{where}: found another checksum of its length, expected a TFRecord"
-                )
-            if size > MAX_RECORD_BYTES:
-                raise InputError(
-                    f"{where}: found {size} bytes, expected at most {MAX_RECORD_BYTES}"
-                )
+            if len(head) < _HEAD.size or masked_checksum(head[:8]) != _HEAD.unpack(head)[1]:
+                raise InputError(f"{where}: found no length with its checksum, expected a TFRecord")
+            size = _HEAD.unpack(head)[0]
             data, tail = file.read(size), file.read(_TAIL.size)
             if len(data) < size or len(tail) < _TAIL.size:
                 raise InputError(f"{where}: found the file's end, expected a whole record")

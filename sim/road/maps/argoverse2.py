@@ -10,40 +10,23 @@ References:
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from sim.input_files import read_bytes, read_once
 from sim.invalid_fields import first_wrong_field
-from sim.road import Crossing, Lane, MapKnowledge, Road
-from sim.road.maps.lanelets import (
-    MAX_COORDINATE_M,
-    MAX_FOLLOWING,
-    Lanelet,
-    between,
-    check_length,
-    connections_of,
-    lanes_of,
-    pieces,
-)
-
-MAX_MAP_BYTES: Final = 2**23
-"""Largest map that is read (8 MiB; those of scenarios have some 0.2)."""
-
-MAX_SEGMENTS, MAX_CROSSWALKS = 5_000, 500
-"""Most lane segments and most crosswalks of a map (scenarios have some 100 and 10)."""
-
+from sim.road import Crossing, Lane, Road
+from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
 
 # --- reading ------------------------------------------------------------------------------------
 
-_Number = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M, allow_inf_nan=False)]
 _Identity = Annotated[int, Field(ge=0, lt=2**63)]
 
 
@@ -54,8 +37,8 @@ class _Part(BaseModel):
 
 
 class _Point(_Part):
-    x: _Number
-    y: _Number
+    x: float
+    y: float
 
 
 _Line = Annotated[list[_Point], Field(min_length=2)]
@@ -65,12 +48,12 @@ class _Segment(_Part):
     id: _Identity
     is_intersection: bool
     lane_type: str
-    centerline: _Line | None = None  # maps of sensor logs have none
+    centerline: _Line | None = None
     left_lane_boundary: _Line
     right_lane_boundary: _Line
     left_neighbor_id: _Identity | None
     right_neighbor_id: _Identity | None
-    successors: Annotated[list[_Identity], Field(max_length=MAX_FOLLOWING)]
+    successors: list[_Identity]
 
 
 class _Crosswalk(_Part):
@@ -80,10 +63,11 @@ class _Crosswalk(_Part):
 
 
 class _Archive(_Part):
-    lane_segments: Annotated[dict[str, _Segment], Field(max_length=MAX_SEGMENTS)]
-    pedestrian_crossings: Annotated[dict[str, _Crosswalk], Field(max_length=MAX_CROSSWALKS)]
+    lane_segments: dict[str, _Segment]
+    pedestrian_crossings: dict[str, _Crosswalk]
 
 
+@read_once
 def read_map(path: Path, name: str | None = None) -> Road | None:
     """Read a map.
 
@@ -96,43 +80,19 @@ def read_map(path: Path, name: str | None = None) -> Road | None:
         without lane segments.
 
     Raises:
-        InputError: if the file is missing, too large or no such map; names the place in it.
+        InputError: if the file is missing or no such map; names the place in it.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: found no file, expected a map (log_map_archive_<id>.json)")
-    stat = path.stat()
-    if stat.st_size > MAX_MAP_BYTES:
-        raise InputError(f"{path}: found {stat.st_size} bytes, expected at most {MAX_MAP_BYTES}")
-    return _read(path.absolute(), name, stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=16)
-def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road | None:
-    """The road in a map's file: read once as long as the file stays as it is."""
     try:
-        archive = _Archive.model_validate_json(path.read_bytes())
+        archive = _Archive.model_validate_json(read_bytes(path))
     except ValidationError as error:
         raise InputError(f"{path}: {first_wrong_field(error)}") from None
     segments = _by_id(path, archive.lane_segments)
     _by_id(path, archive.pedestrian_crossings)
     if not segments:
         return None
-    lines = {i: _centerline(segment) for i, segment in segments.items()}
-    if not any(pieces(line).size for line in lines.values()):
-        raise InputError(f"{path}: lane_segments: found no centre line of any length")
-    crossings = tuple(_crossing(c) for c in archive.pedestrian_crossings.values())
-    together = [*lines.values(), *(crossing.centerline for crossing in crossings)]
-    check_length(path, together)
-    lanelets = _lanelets(segments, lines)
-    return Road(
-        name=name if name is not None else path.stem,
-        lanes=tuple(lanes_of(lanelets)),
-        connections=tuple(connections_of(path, lanelets)),
-        crossings=crossings,
-        signal_groups=(),
-        source=path,
-        knows=MapKnowledge(limits=False, signals=False, priority=False),
-    )
+    lanelets = {i: _lanelet(segment) for i, segment in segments.items()}
+    crossings = [_crossing(c) for c in archive.pedestrian_crossings.values()]
+    return road_of_lanelets(path, path.stem if name is None else name, lanelets, crossings)
 
 
 def _by_id(path: Path, parts: Mapping[str, Any]) -> dict[int, Any]:
@@ -149,32 +109,21 @@ def _array(line: list[_Point]) -> NDArray[np.float64]:
     return points
 
 
-def _centerline(segment: _Segment) -> NDArray[np.float64]:
-    if segment.centerline is not None:
-        return _array(segment.centerline)
-    borders = (segment.left_lane_boundary, segment.right_lane_boundary)
-    return between(*map(_array, borders))[0]
-
-
-def _lanelets(
-    segments: dict[int, _Segment], lines: dict[int, NDArray[np.float64]]
-) -> dict[int, Lanelet]:
-    """Every segment as a lanelet."""
-    found = {}
-    for i, segment in segments.items():
-        ends = _array(segment.left_lane_boundary)[[0, -1]]
-        across = ends - _array(segment.right_lane_boundary)[[0, -1]]
-        found[i] = Lanelet(
-            id=i,
-            centerline=lines[i],
-            width_m=float(np.hypot(*across.T).mean()),  # of its beginning and its end
-            successors=tuple(segment.successors),
-            internal=segment.is_intersection,
-            left=segment.left_neighbor_id,
-            right=segment.right_neighbor_id,
-            use=segment.lane_type,
-        )
-    return found
+def _lanelet(segment: _Segment) -> Lanelet:
+    """A segment as a lanelet; its width is the mean of its ends."""
+    borders = _array(segment.left_lane_boundary), _array(segment.right_lane_boundary)
+    own = segment.centerline  # maps of sensor logs have none
+    across = borders[0][[0, -1]] - borders[1][[0, -1]]
+    return Lanelet(
+        id=segment.id,
+        centerline=between(*borders)[0] if own is None else _array(own),
+        width_m=float(np.hypot(*across.T).mean()),
+        successors=tuple(segment.successors),
+        internal=segment.is_intersection,
+        left=segment.left_neighbor_id,
+        right=segment.right_neighbor_id,
+        use=segment.lane_type,
+    )
 
 
 def _crossing(crosswalk: _Crosswalk) -> Crossing:

@@ -24,20 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.road import Crossing, MapKnowledge, Road
-from sim.road.maps.lanelets import (
-    MAX_COORDINATE_M,
-    MAX_LANELETS,
-    MAX_POINTS,
-    Lanelet,
-    between,
-    check_length,
-    connections_of,
-    lanes_of,
-    with_junctions,
-)
+from sim.input_files import read_once
+from sim.road import Crossing, Road
+from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets, with_junctions
 from sim.road.maps.transverse_mercator import to_metres, zone_of
-from sim.written_numbers import real
+from sim.units import in_si
 from sim.xml_tree import read_tree, whole_number
 
 FloatArray = NDArray[np.float64]
@@ -56,12 +47,13 @@ CROSSING: Final = frozenset({"crosswalk"})
 NOT_FOR_CARS: Final = frozenset({"bicycle_lane", "bikelane", "bus_lane", "rail"})
 """Subtypes of lanelets; all others are driven by cars."""
 
-UNITS: Final = {"": 1 / 3.6, "km/h": 1 / 3.6, "kmh": 1 / 3.6, "mph": 0.44704, "m/s": 1.0}
-"""Units of speed limits; without one they are km/h."""
+UNITS: Final = {"": "km/h", "km/h": "km/h", "kmh": "km/h", "mph": "mph", "m/s": ""}
+"""Units of speed limits, as `sim.units.in_si` takes them; without one they are km/h."""
 
 _SPEED: Final = re.compile(r"^\s*(?:de\s*:?\s*)?([0-9]{1,3}(?:\.[0-9]{1,6})?)\s*([a-z/]*)\s*$")
 
 
+@read_once
 def read_map(path: Path, name: str | None = None, origin: Origin | None = None) -> Road:
     """Read a map.
 
@@ -77,15 +69,6 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     Raises:
         InputError: if the file is broken or has no lanelet; names the file and the element.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: found no file, expected a Lanelet2 map (.osm)")
-    stat = path.stat()
-    return _read(path.absolute(), name, origin, stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=16)
-def _read(path: Path, name: str | None, origin: Origin | None, changed_ns: int, size: int) -> Road:
-    """The road in a map's file: read once as long as the file stays as it is."""
     root = read_tree(path)
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
@@ -98,8 +81,6 @@ def _read(path: Path, name: str | None, origin: Origin | None, changed_ns: int, 
         identity = whole_number(path, relation, "id")
         if identity in borders:
             raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
-        if len(borders) >= MAX_LANELETS:
-            raise InputError(f"{path}: found more than {MAX_LANELETS} lanelets")
         left, right = borders[identity] = _borders(path, relation, ways)
         centerline, width_m = between(left.line, right.line)
         tags = _tags(relation)
@@ -122,24 +103,10 @@ def _read(path: Path, name: str | None, origin: Origin | None, changed_ns: int, 
             must_stop=identity in rules.stops,
             yields_to=rules.yields.get(identity, ()),
         )
-    if not any(one.cars for one in found.values()):
-        raise InputError(f"{path}: found no lanelet for cars, expected at least one")
-    if sum(len(one.centerline) for one in found.values()) > MAX_POINTS:
-        raise InputError(f"{path}: found more than {MAX_POINTS} points of lanelets")
-    check_length(path, [i.centerline for i in found.values()] + [c.centerline for c in crossings])
     found = _related(found, borders)
     if not any(one.internal for one in found.values()):
-        found = with_junctions(path, found)
-    limits = any(math.isfinite(one.limit_mps) for one in found.values())
-    return Road(
-        name=name if name is not None else path.name.split(".")[0],
-        lanes=tuple(lanes_of(found)),
-        connections=tuple(connections_of(path, found)),
-        crossings=tuple(crossings),
-        signal_groups=(),
-        source=path,
-        knows=MapKnowledge(limits=limits, signals=False, priority=bool(rules.yields)),
-    )
+        found = with_junctions(found)
+    return road_of_lanelets(path, name, found, crossings, priority=bool(rules.yields))
 
 
 def _tags(element: Element) -> dict[str, str]:
@@ -158,27 +125,24 @@ def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, tuple
         raise InputError(f"{path}: found no node, expected some")
     first = _tags(nodes[0])
     if "x" in nodes[0].attrib and "y" in nodes[0].attrib:
-        table = _table(path, [(n.get("x"), n.get("y")) for n in nodes], MAX_COORDINATE_M)
+        table = _table(path, [(n.get("x"), n.get("y")) for n in nodes])
     elif "local_x" in first and "local_y" in first:
         tags = [_tags(node) for node in nodes]
-        pairs = [(t.get("local_x"), t.get("local_y")) for t in tags]
-        table = _table(path, pairs, MAX_COORDINATE_M)
+        table = _table(path, [(t.get("local_x"), t.get("local_y")) for t in tags])
     else:
-        degrees = _table(path, [(n.get("lat"), n.get("lon")) for n in nodes], 360.0)
-        if not (np.abs(degrees[:, 0]) < 89.0).all():
-            raise InputError(f"{path}: lat: found a node beyond 89 degrees")
+        degrees = _table(path, [(n.get("lat"), n.get("lon")) for n in nodes])
+        if not ((np.abs(degrees) < (89.0, 361.0)).all()):
+            raise InputError(f"{path}: found a node beyond 89 and 360 degrees")
         table = _projected(degrees, origin)
     return dict(zip(identity, ((float(x), float(y)) for x, y in table), strict=True))
 
 
-def _table(path: Path, pairs: list[tuple[str | None, str | None]], most: float) -> FloatArray:
+def _table(path: Path, pairs: list[tuple[str | None, str | None]]) -> FloatArray:
+    """(n, 2) numbers in text."""
     try:
-        table = np.array([(real(a or ""), real(b or "")) for a, b in pairs])
+        return np.array([(float(a or ""), float(b or "")) for a, b in pairs])
     except ValueError:
         raise InputError(f"{path}: found a node whose place is no number") from None
-    if not (np.abs(table) <= most).all():
-        raise InputError(f"{path}: found a node beyond {most:g}")
-    return table
 
 
 def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
@@ -294,12 +258,12 @@ def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
     if not text:
         return math.nan
     match = _SPEED.match(text.lower().replace(",", "."))
-    factor = UNITS.get(match.group(2)) if match else None
-    if match is None or factor is None:
+    unit = UNITS.get(match.group(2)) if match else None
+    if match is None or unit is None:
         if text.lower() in ("none", "unlimited", "signals", "variable"):
             return math.nan
         raise InputError(f"{path}: speed limit: found {text[:40]!r}, expected as in 50 km/h")
-    limit = float(match.group(1)) * factor
+    limit = in_si(float(match.group(1)), unit)
     return limit if limit > 0 else math.nan
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -24,34 +24,16 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from sim.road import Connection, Lane
+from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 
 FloatArray = NDArray[np.float64]
 
 MAX_COORDINATE_M: Final = 1e9
 """Largest absolute coordinate (beyond any UTM coordinate)."""
 
-MAX_LANELETS: Final = 5_000
-"""Most lanelets of a map (scenes have some 100, a city district 2 000)."""
-
-MAX_POINTS: Final = 2_000_000
-"""Most points of all borders of a map together."""
-
-MAX_FOLLOWING: Final = 16
-"""Most lanelets that one may lead to (five are common)."""
-
-MAX_WAYS: Final = 100_000
-"""Most ways through junctions of a map."""
-
 MAX_LENGTH_M: Final = 1e7
 """Longest that all lanes and crossings of a map may be together, m (a city's streets are some
 thousand km): what is drawn of them stays small."""
-
-LEAST_MEETINGS: Final = 10
-"""Pieces as which two lines count at least: short ones take 25 us too (measured)."""
-
-MAX_MEETINGS: Final = 3_000_000
-"""Most pairs of pieces of centre lines that are compared to find junctions."""
 
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
 """A way that turns by less than the first goes straight, by more than the second goes back (about
@@ -104,15 +86,21 @@ class Lanelet:
     yields_to: tuple[int, ...] = ()
 
 
-def check_length(path: Path, lines: list[FloatArray]) -> None:
-    """Refuse a map whose lines are longer than any place, or have no length at all.
+def check_lines(path: Path, lines: Sequence[FloatArray]) -> None:
+    """Refuse a map with lines of one point, or beyond any place.
 
     Raises:
         InputError: naming the file.
     """
+    if any(len(line) < 2 for line in lines):
+        raise InputError(f"{path}: found a line of one point, expected 2 or more")
+    if not all((np.abs(line) <= MAX_COORDINATE_M).all() for line in lines):
+        raise InputError(f"{path}: found a point beyond {MAX_COORDINATE_M:g} m, expected metres")
     length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
-    if length_m > MAX_LENGTH_M:
-        raise InputError(f"{path}: found {length_m:.3g} m of lanes, expected {MAX_LENGTH_M:g}")
+    if not 0 < length_m <= MAX_LENGTH_M:
+        raise InputError(
+            f"{path}: found {length_m:.3g} m of lanes, expected up to {MAX_LENGTH_M:g}"
+        )
 
 
 def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
@@ -156,6 +144,46 @@ def pieces(line: FloatArray) -> FloatArray:
     """(k, 2) the steps along a line that lead anywhere, m."""
     step = np.diff(line, axis=0)
     return np.asarray(step[np.hypot(step[:, 0], step[:, 1]) > 1e-9])
+
+
+def road_of_lanelets(
+    path: Path,
+    name: str | None,
+    lanelets: Mapping[int, Lanelet],
+    crossings: Sequence[Crossing],
+    priority: bool = False,
+    signal_groups: tuple[str, ...] = (),
+    signal_plans: tuple[SignalPlan, ...] = (),
+) -> Road:
+    """A road of lanelets.
+
+    Args:
+        path: the map.
+        name: what to call the road; None for the file's name without its ending.
+        lanelets: by id.
+        crossings: of the map.
+        priority: whether the map says who yields to whom.
+        signal_groups: the names of the lights.
+        signal_plans: their programmes, if they are known.
+
+    Raises:
+        InputError: if there is no lanelet for cars, or a line is none.
+    """
+    if not any(one.cars and not one.walking for one in lanelets.values()):
+        raise InputError(f"{path}: found no lanelet for cars, expected at least one")
+    lines = [one.centerline for one in lanelets.values()]
+    check_lines(path, lines + [crossing.centerline for crossing in crossings])
+    limits = any(math.isfinite(one.limit_mps) for one in lanelets.values())
+    return Road(
+        name=name if name is not None else path.name.split(".")[0],
+        lanes=tuple(lanes_of(lanelets)),
+        connections=tuple(connections_of(lanelets)),
+        crossings=tuple(crossings),
+        signal_groups=signal_groups,
+        source=path,
+        signal_plans=signal_plans,
+        knows=MapKnowledge(limits=limits, signals=bool(signal_groups), priority=priority),
+    )
 
 
 def lanes_of(lanelets: Mapping[int, Lanelet]) -> Iterator[Lane]:
@@ -222,18 +250,14 @@ def _junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, int]:
     return {i: int(number[k]) for i, k in place.items()}
 
 
-def connections_of(path: Path, lanelets: Mapping[int, Lanelet]) -> list[Connection]:
+def connections_of(lanelets: Mapping[int, Lanelet]) -> list[Connection]:
     """Every way from a lane over a junction to the next, and what of such a way the map shows.
 
     Args:
-        path: the map, for messages.
         lanelets: by id.
 
     Returns:
         The ways that vehicles have, in order of their lanes' numbers.
-
-    Raises:
-        InputError: if there are more than any junction has.
     """
     driven = {i: one for i, one in lanelets.items() if not one.walking}
     following = {i: [j for j in s.successors if j in driven] for i, s in driven.items()}
@@ -251,8 +275,6 @@ def connections_of(path: Path, lanelets: Mapping[int, Lanelet]) -> list[Connecti
                 chains += [[*chain, j] for j in onward]
             else:
                 found.append(chain)
-            if len(found) + len(chains) > MAX_WAYS:
-                raise InputError(f"{path}: found more than {MAX_WAYS} ways through junctions")
     found.sort(key=lambda c: (c[0], [*c[1:-1], c[-1]]))
     ways = [_connection(chain, driven) for chain in found]
     return _with_priority(ways, found, driven)
@@ -297,24 +319,20 @@ def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection
     )  # fmt: skip
 
 
-def with_junctions(path: Path, lanelets: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
+def with_junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
     """Lanelets of a map that does not say which are part of a junction, told from their lines.
 
     A lanelet is part of one if its centre line crosses that of another at more than
     `CROSSING_RAD`, or if it parts from, or joins, one that does.
 
     Args:
-        path: the map, for messages.
         lanelets: by id.
 
     Returns:
         The same lanelets, ``internal`` set.
-
-    Raises:
-        InputError: if more lines overlap than on any road.
     """
     driven = [one for one in lanelets.values() if not one.walking]
-    inside = _crossing_ids(path, driven)
+    inside = _crossing_ids(driven)
     before: dict[int, list[int]] = {}
     for one in driven:
         for j in one.successors:
@@ -329,23 +347,19 @@ def with_junctions(path: Path, lanelets: Mapping[int, Lanelet]) -> dict[int, Lan
     return {i: dataclasses.replace(one, internal=i in inside) for i, one in lanelets.items()}
 
 
-def _crossing_ids(path: Path, lanelets: list[Lanelet]) -> set[int]:
+def _crossing_ids(lanelets: list[Lanelet]) -> set[int]:
     """Ids of the lanelets whose centre line crosses another's."""
     if len(lanelets) < 2:
         return set()
     lines = [_thinned(one.centerline) for one in lanelets]
     low = np.array([line.min(axis=0) for line in lines])
     high = np.array([line.max(axis=0) for line in lines])
-    count = np.array([len(line) - 1 for line in lines])
     segments = _Segments.of(lines)
-    compared, inside = 0, set[int]()
+    inside = set[int]()
     for i, one in enumerate(lanelets[:-1]):
         rest = slice(i + 1, None)
         meets = ((low[rest] <= high[i]) & (high[rest] >= low[i])).all(axis=1)
         others = np.flatnonzero(meets) + i + 1
-        compared += int((LEAST_MEETINGS + count[i] * count[others]).sum())
-        if compared > MAX_MEETINGS:
-            raise InputError(f"{path}: found more than {MAX_MEETINGS} pieces of lane that overlap")
         crossed = segments.crossed(i, others)
         if crossed:
             inside |= {one.id, *(lanelets[j].id for j in crossed)}

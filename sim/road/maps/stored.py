@@ -9,18 +9,19 @@ from __future__ import annotations
 import functools
 import json
 import math
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, get_type_hints
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, ValidationError, create_model
 
 from behaviors.errors import InputError
-from sim.frames import SIGNALS
+from sim.input_files import read_bytes
+from sim.invalid_fields import first_wrong_field
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
-from sim.road.maps.lanelets import MAX_COORDINATE_M, check_length
-from sim.xml_tree import read_bytes
+from sim.road.maps.lanelets import check_lines
 
 SUFFIX: Final = ".road.json"
 """How the names of such files end."""
@@ -28,73 +29,33 @@ SUFFIX: Final = ".road.json"
 VERSION: Final = 1
 """Version of the layout of such a file."""
 
-_Number = Annotated[float, Field(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M, allow_inf_nan=False)]
-_Name = Annotated[str, Field(max_length=200)]
-_Index = Annotated[int, Field(ge=-1, le=10**6)]
-_Line = Annotated[list[tuple[_Number, _Number]], Field(min_length=2)]
+_STORED_TYPES: Final = {
+    "centerline": list[tuple[float, float]],
+    "speed_limit_mps": float | None,  # None where it is unknown
+}
+"""Types of fields that are stored in another form than a road has them."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+def _as_stored(part: type) -> Any:
+    """What checks that a part of a road has all its fields, of their types."""
+    types = get_type_hints(part) | _STORED_TYPES
+    named: dict[str, Any] = {field.name: (types[field.name], ...) for field in fields(part)}
+    config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    return create_model(part.__name__, __config__=config, **named)
 
 
-class _Lane(_Part):
-    id: _Name
-    edge: _Name
-    index: _Index
-    centerline: _Line
-    width_m: Annotated[float, Field(ge=0, le=1e4)]
-    speed_limit_mps: Annotated[float, Field(gt=0, le=1e3)] | None
-    walking: bool
-    internal: bool
-    opposite: _Name
-    cars: bool
-
-
-class _Connection(_Part):
-    from_lane: _Name
-    to_lane: _Name
-    via: tuple[_Name, ...]
-    direction: Literal["straight", "left", "right", "turnaround"]
-    signal: _Index
-    must_yield: bool
-    must_stop: bool
-    yields_to: tuple[_Index, ...]
-
-
-class _Crossing(_Part):
-    id: _Name
-    centerline: _Line
-    width_m: Annotated[float, Field(ge=0, le=1e4)]
-    edges: tuple[_Name, ...]
-    signal: _Index
-    priority: bool
-
-
-class _Plan(_Part):
-    id: _Name
-    groups: tuple[_Index, ...]
-    links: tuple[_Index, ...]
-    duration_s: tuple[Annotated[float, Field(gt=0, le=1e6)], ...]
-    states: tuple[tuple[Annotated[int, Field(ge=0, lt=len(SIGNALS))], ...], ...]
-    offset_s: _Number
-
-
-class _Knows(_Part):
-    limits: bool
-    signals: bool
-    priority: bool
-    limits_rule: bool
-
-
-class _Stored(_Part):
-    version: Literal[1]
-    lanes: Annotated[list[_Lane], Field(min_length=1)]
-    connections: list[_Connection]
-    crossings: list[_Crossing]
-    signal_groups: tuple[_Name, ...]
-    signal_plans: list[_Plan]
-    knows: _Knows
+_PARTS: Final[dict[str, Any]] = {
+    "version": (int, ...),
+    "lanes": (list.__class_getitem__(_as_stored(Lane)), ...),
+    "connections": (list.__class_getitem__(_as_stored(Connection)), ...),
+    "crossings": (list.__class_getitem__(_as_stored(Crossing)), ...),
+    "signal_groups": (tuple[str, ...], ...),
+    "signal_plans": (list.__class_getitem__(_as_stored(SignalPlan)), ...),
+    "knows": (_as_stored(MapKnowledge), ...),
+}
+_Stored: Final = create_model(
+    "Stored", __config__=ConfigDict(strict=True, extra="forbid"), **_PARTS
+)
 
 
 def encode_road(road: Road) -> bytes:
@@ -143,7 +104,7 @@ def read_stored(path: Path, name: str | None = None) -> Road:
         The road as it was.
 
     Raises:
-        InputError: if the file is missing, too large or broken; names the place in it.
+        InputError: if the file is missing or broken; names the place in it.
     """
     if not path.is_file():
         raise InputError(f"{path}: found no file, expected a road ({SUFFIX})")
@@ -155,68 +116,54 @@ def read_stored(path: Path, name: str | None = None) -> Road:
 def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road:
     """The road in a file: read once as long as the file stays as it is."""
     try:
-        stored = _Stored.model_validate_json(read_bytes(path))
+        stored = _Stored.model_validate_json(read_bytes(path)).model_dump()
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(str(part) for part in first["loc"])[:200] or "JSON"
-        raise InputError(f"{path}: {where}: {' '.join(first['msg'].split())}") from None
-    lanes = tuple(
-        Lane(
-            **{
-                **lane.model_dump(),
-                "centerline": _line(lane.centerline),
-                "speed_limit_mps": (
-                    math.nan if lane.speed_limit_mps is None else lane.speed_limit_mps
-                ),
-            }
-        )
-        for lane in stored.lanes
-    )
-    crossings = tuple(
-        Crossing(**{**crossing.model_dump(), "centerline": _line(crossing.centerline)})
-        for crossing in stored.crossings
-    )
-    check_length(path, [lane.centerline for lane in lanes] + [c.centerline for c in crossings])
-    _check_references(path, stored)
-    return Road(
+        raise InputError(f"{path}: {first_wrong_field(error)}") from None
+    if stored["version"] != VERSION:
+        raise InputError(f"{path}: version: found {stored['version']}, expected {VERSION}")
+    road = Road(
         name=name if name is not None else path.name.removesuffix(SUFFIX),
-        lanes=lanes,
-        connections=tuple(Connection(**c.model_dump()) for c in stored.connections),
-        crossings=crossings,
-        signal_groups=stored.signal_groups,
+        lanes=tuple(Lane(**_with_line(lane)) for lane in stored["lanes"]),
+        connections=tuple(Connection(**link) for link in stored["connections"]),
+        crossings=tuple(Crossing(**_with_line(one)) for one in stored["crossings"]),
+        signal_groups=stored["signal_groups"],
         source=path,
-        signal_plans=tuple(SignalPlan(**plan.model_dump()) for plan in stored.signal_plans),
-        knows=MapKnowledge(**stored.knows.model_dump()),
+        signal_plans=tuple(SignalPlan(**plan) for plan in stored["signal_plans"]),
+        knows=MapKnowledge(**stored["knows"]),
     )
+    lines = [lane.centerline for lane in road.lanes]
+    check_lines(path, lines + [crossing.centerline for crossing in road.crossings])
+    _check_references(path, road)
+    return road
 
 
-def _line(points: list[tuple[float, float]]) -> np.ndarray:
-    line = np.array(points, dtype=np.float64)
+def _with_line(part: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a lane or crossing, its line as an array and an unknown limit as NaN."""
+    line = np.array(part["centerline"], dtype=np.float64).reshape(-1, 2)
     line.flags.writeable = False
-    return line
+    limit = {"speed_limit_mps": math.nan} if part.get("speed_limit_mps", 0.0) is None else {}
+    return {**part, "centerline": line, **limit}
 
 
-def _check_references(path: Path, stored: _Stored) -> None:
-    """Refuse lanes, ways and signals that are not there."""
-    lanes = {lane.id for lane in stored.lanes}
-    if len(lanes) != len(stored.lanes):
-        raise InputError(f"{path}: lanes: found an id twice, expected each once")
-    for way in stored.connections:
-        missing = {way.from_lane, *way.via, way.to_lane} - lanes
-        if missing:
-            raise InputError(f"{path}: connections: found {min(missing)!r:.60}, expected a lane")
-        if any(not 0 <= i < len(stored.connections) for i in way.yields_to):
-            raise InputError(f"{path}: yields_to: found a way that is not there")
-    groups = len(stored.signal_groups)
-    used = [way.signal for way in stored.connections] + [c.signal for c in stored.crossings]
-    controlled = [group for plan in stored.signal_plans for group in plan.groups]
-    if len(set(controlled)) != len(controlled):
-        raise InputError(f"{path}: signal_plans: found a group twice, expected one plan for each")
-    used += controlled
-    for plan in stored.signal_plans:
-        if not plan.duration_s or len(plan.duration_s) != len(plan.states):
-            raise InputError(f"{path}: signal_plans: found durations that do not fit the states")
-        if any(len(state) != len(plan.groups) for state in plan.states):
-            raise InputError(f"{path}: signal_plans: found states that do not fit the groups")
-    if any(signal >= groups for signal in used):
-        raise InputError(f"{path}: signals: found a group beyond the {groups} there are")
+def _check_references(path: Path, road: Road) -> None:
+    """Refuse lanes, ways and signals that are not there, and plans that do not fit."""
+
+    def require(holds: bool, where: str, expected: str) -> None:
+        if not holds:
+            raise InputError(f"{path}: {where}: found others, expected {expected}")
+
+    require(0 < len(road.lane_index) == len(road.lanes), "lanes", "each id once")
+    ways, groups = len(road.connections), len(road.signal_groups)
+    for way in road.connections:
+        named = {way.from_lane, *way.via, way.to_lane}
+        require(named <= road.lane_index.keys(), "connections", "lanes of the road")
+        require(all(0 <= i < ways for i in way.yields_to), "yields_to", "ways of the road")
+    controlled = [group for plan in road.signal_plans for group in plan.groups]
+    used = [way.signal for way in road.connections] + [c.signal for c in road.crossings]
+    require(all(-1 <= i < groups for i in used), "signals", f"one of the {groups} groups")
+    require(sorted(controlled) == sorted({*controlled} & {*range(groups)}), "signal_plans",
+            "each group once")  # fmt: skip
+    for plan in road.signal_plans:
+        fits = len(plan.duration_s) == len(plan.states) > 0 and min(plan.duration_s) > 0
+        fits &= all(len(state) == len(plan.groups) for state in plan.states)
+        require(fits, "signal_plans", "a duration above 0 and a state of each group per phase")

@@ -19,21 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.road import Crossing, MapKnowledge, Road
-from sim.road.maps.lanelets import (
-    MAX_COORDINATE_M,
-    MAX_LANELETS,
-    MAX_POINTS,
-    Lanelet,
-    check_length,
-    connections_of,
-    lanes_of,
-    with_junctions,
-)
+from sim.road import Crossing, Road
+from sim.road.maps.lanelets import MAX_COORDINATE_M, Lanelet, road_of_lanelets, with_junctions
+from sim.units import FACTORS
 
 FloatArray = NDArray[np.float64]
 
-MPS_PER_MPH: Final = 0.44704
+MPS_PER_MPH: Final = FACTORS["mph"]
 
 WIDTH_M: Final = 3.5
 """Width of a lane without a neighbour, m (urban lanes have 3.3, freeways 3.7)."""
@@ -103,18 +95,11 @@ def waymo_road(
     Raises:
         InputError: if an id is twice, or the map is larger than any.
     """
-    if len(lanes) > MAX_LANELETS:
-        raise InputError(f"{path}: found {len(lanes)} lanes, expected at most {MAX_LANELETS}")
-    if sum(len(lane.line) for lane in lanes) > MAX_POINTS:
-        raise InputError(f"{path}: found more than {MAX_POINTS} points of lanes")
     by_id = {lane.id: lane for lane in lanes if len(lane.line) >= 2}
     if len({lane.id for lane in lanes}) != len(lanes):
         raise InputError(f"{path}: map_features: found an id twice, expected each once")
     if not any(lane.type != BIKE_LANE for lane in by_id.values()):
         return None
-    for lane in by_id.values():
-        if not (np.abs(lane.line) <= MAX_COORDINATE_M).all():
-            raise InputError(f"{path}: lane {lane.id}: found a point beyond {MAX_COORDINATE_M:g} m")
     signal = {lane: group for group, lane in enumerate(lights)}
     following = _following(by_id)
     found = {
@@ -135,24 +120,9 @@ def waymo_road(
         for i in sorted(by_id)
     }
     crossings = [_crossing(path, label, line) for label, line in crosswalks.items()]
-    check_length(
-        path, [one.centerline for one in found.values()] + [c.centerline for c in crossings]
-    )
     if all(lane.interpolating is None for lane in by_id.values()):
-        found = with_junctions(path, found)
-    return Road(
-        name=name,
-        lanes=tuple(lanes_of(found)),
-        connections=tuple(connections_of(path, found)),
-        crossings=tuple(crossings),
-        signal_groups=tuple(str(lane) for lane in lights),
-        source=path,
-        knows=MapKnowledge(
-            limits=any(math.isfinite(one.limit_mps) for one in found.values()),
-            signals=bool(lights),
-            priority=False,
-        ),
-    )
+        found = with_junctions(found)
+    return road_of_lanelets(path, name, found, crossings, signal_groups=tuple(map(str, lights)))
 
 
 def _kept(line: FloatArray) -> FloatArray:

@@ -1,0 +1,184 @@
+"""Files of unknown origin are read in a child process with limits of memory and time.
+
+A broken file may crash the library that reads it, unpack to more than fits into memory, or keep it
+busy for ever. The command line therefore reads what it did not write with `guarded`: whatever
+happens to the child is one line that names the file. Python programs call readers directly.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import IO, Any, Final, TypeVar
+
+from behaviors.errors import InputError
+from experiments.console.notices import LOGGER
+
+T = TypeVar("T")
+
+MEMORY_BYTES, MEMORY_PER_BYTE = 2**31 - 2**28, 16
+"""Memory that a child may use: so many bytes, and so many for each byte of the files it reads."""
+
+TIME_S, TIME_S_PER_BYTE = 50.0, 5e-6
+"""Time that a child may take for each answer, s: so much, and so much for each byte it reads."""
+
+THREADS: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+"""Settings of the child: each thread of a library would reserve memory of its own."""
+
+_GUARDING: ContextVar[bool] = ContextVar("guarding", default=False)
+
+
+@contextmanager
+def guarding() -> Iterator[None]:
+    """In the block, `guarded` uses a child process; the command line is such a block."""
+    token = _GUARDING.set(True)
+    try:
+        yield
+    finally:
+        _GUARDING.reset(token)
+
+
+def is_guarding() -> bool:
+    """Whether `guarded` uses a child process here."""
+    return _GUARDING.get()
+
+
+def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
+    """What a function yields, in a child process with limits inside a block of `guarding`.
+
+    Args:
+        source: the file or folder that the function reads; its size decides the limits.
+        function: of a module; a path that it yields names the file that it reads next and is not
+            handed on.
+        arguments: of the function; they are pickled, as is each answer.
+
+    Yields:
+        The function's answers, one at a time.
+
+    Raises:
+        InputError: the function's own, or one line that names the file and says what happened.
+    """
+    if not is_guarding():
+        yield from (one for one in function(*arguments) if not isinstance(one, Path))
+        return
+    size = _size(source)
+    memory, time_s = MEMORY_BYTES + MEMORY_PER_BYTE * size, TIME_S + TIME_S_PER_BYTE * size
+    child = subprocess.Popen(
+        [sys.executable, "-c", "from experiments.guard import child; child()"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        env=os.environ | THREADS | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )  # fmt: skip
+    assert child.stdin is not None
+    assert child.stdout is not None
+    file = source
+    try:
+        with child.stdin as request:
+            pickle.dump(memory, request)
+            pickle.dump((function, arguments), request)
+        while True:
+            what, found = _answer(child, child.stdout, time_s, file)
+            if what == "end":
+                return
+            if what == "file":
+                file = found
+            elif what == "error":
+                raise InputError(found)
+            elif what == "broken":
+                LOGGER.debug("%s: %s", file, found)
+                last = found.strip().splitlines()[-1]
+                raise InputError(f"{file}: found a broken file ({last:.200})")
+            else:
+                yield found
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
+
+
+def guarded_call(source: Path, function: Callable[..., T], *arguments: Any) -> T:
+    """What a function returns, as `guarded` has it.
+
+    Args:
+        source: the file that the function reads.
+        function: of a module.
+        arguments: of the function.
+
+    Raises:
+        InputError: as `guarded`.
+    """
+    found: list[T] = list(guarded(source, _once, function, *arguments))
+    return found[0]
+
+
+def _once(function: Callable[..., T], *arguments: Any) -> Iterator[T]:
+    yield function(*arguments)
+
+
+def _size(source: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = source.rglob("*") if source.is_dir() else [source]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _answer(
+    child: subprocess.Popen[bytes], stream: IO[bytes], time_s: float, file: Path
+) -> tuple[str, Any]:
+    """The child's next answer; a child that dies or takes too long is an error."""
+    late = threading.Event()
+
+    def stop() -> None:
+        late.set()
+        child.kill()
+
+    timer = threading.Timer(time_s, stop)
+    timer.start()
+    try:
+        answer: tuple[str, Any] = pickle.load(stream)
+    except (EOFError, pickle.UnpicklingError):
+        if late.is_set():
+            why = f"reading took more than {time_s:.0f} s"
+        else:
+            number = -child.wait()
+            ended = signal.Signals(number).name if number > 0 else f"exit code {-number}"
+            why = f"reading broke off ({ended})"
+        raise InputError(f"{file}: {why}, expected a file that can be read") from None
+    finally:
+        timer.cancel()
+    return answer
+
+
+def child() -> None:
+    """Answer the one request on stdin; the main function of a child process."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no answer
+
+    def send(what: str, found: Any = None) -> None:
+        pickle.dump((what, found), answers, protocol=pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+
+    memory = pickle.load(sys.stdin.buffer)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    try:
+        function, arguments = pickle.load(sys.stdin.buffer)
+        for one in function(*arguments):
+            send("file" if isinstance(one, Path) else "answer", one)
+    except InputError as error:
+        send("error", str(error))
+    except MemoryError:
+        send("broken", f"it needs more than {memory / 2**30:.2g} GB of memory")
+    except Exception:  # of a broken file, anything may come
+        import traceback
+
+        send("broken", traceback.format_exc())
+    else:
+        send("end")

@@ -1,0 +1,185 @@
+"""What positions tell of motion: headings, speeds, and whether a recording's times fit it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.frames import Tracks
+
+FloatArray = NDArray[np.float64]
+
+MOVING_MPS: Final = 0.5
+"""From this speed on, the direction of motion is taken for the heading (noise of some centimetres
+at 10 Hz is slower)."""
+
+SHORTEST_S: Final = 1e-6
+"""Times closer than this give no velocity, s (far below any sampling interval)."""
+
+TOLERATED: Final = 1.25
+"""Displacement over speed times time may be off by this factor (noise, and speeds that are
+filtered, stay below; the next usual rate is at least 1.25 away)."""
+
+COMPARED_MPS: Final = 2.0
+"""Only faster agents are compared, m/s (noise hides what slower ones do)."""
+
+LEAST_STEPS, LEAST_M = 20, 20.0
+"""Steps and metres of motion below which times are not compared with it."""
+
+BREAK_STEPS: Final = 3.0
+"""A time between two frames is a break if it is more than this many times the usual one."""
+
+SPEED_UNITS: Final = {"km/h": 1 / 3.6, "miles/h": 0.44704, "feet/s": 0.3048}
+"""Speeds in these units look like a wrong rate; they are recognised by their exact factor."""
+
+UNIT_NEAR: Final = 0.03
+"""How near, relatively, to a unit's factor."""
+
+
+def motion(
+    xy: FloatArray, time_s: FloatArray, rest_heading: float
+) -> tuple[FloatArray, FloatArray]:
+    """Heading and speed from positions, as `row_motion` has them.
+
+    Args:
+        xy: (n, t, 2) m; NaN where not valid.
+        time_s: (t,) s.
+        rest_heading: rad.
+
+    Returns:
+        (n, t) heading, rad, and (n, t) speed, m/s; NaN where not valid.
+    """
+    agent, step = np.nonzero(np.isfinite(xy[..., 0]))
+    found = row_motion(agent, xy[agent, step], time_s[step], rest_heading)
+    heading, speed = np.full(xy.shape[:2], np.nan), np.full(xy.shape[:2], np.nan)
+    heading[agent, step], speed[agent, step] = found
+    return heading, speed
+
+
+def row_motion(
+    agent: NDArray[np.int64], xy: FloatArray, time_s: FloatArray, rest_heading: float
+) -> tuple[FloatArray, FloatArray]:
+    """Heading and speed from positions.
+
+    The velocity at each time is the difference of the neighbouring positions of the agent
+    (one-sided at the ends). Below ``MOVING_MPS`` the heading is that of the last time it moved,
+    before the first such time that of the first, and ``rest_heading`` for those that never move.
+
+    Args:
+        agent: (m,) ascending.
+        xy: (m, 2) m.
+        time_s: (m,) s, ascending for each agent.
+        rest_heading: rad.
+
+    Returns:
+        (m,) heading, rad, and (m,) speed, m/s.
+    """
+    m = agent.size
+    row = np.arange(m)
+    same = agent[1:] == agent[:-1]
+    before, after = row.copy(), row.copy()
+    before[1:][same] -= 1
+    after[:-1][same] += 1
+    passed = time_s[after] - time_s[before]
+    moved = xy[after] - xy[before]
+    velocity = np.divide(
+        moved, passed[:, None], out=np.zeros_like(moved), where=passed[:, None] > SHORTEST_S
+    )
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    direction = np.arctan2(velocity[:, 1], velocity[:, 0])
+    return hold_heading(agent, direction, speed >= MOVING_MPS, rest_heading), speed
+
+
+def hold_heading(
+    agent: NDArray[np.int64],
+    direction: FloatArray,
+    moving: NDArray[np.bool_],
+    rest_heading: float,
+) -> FloatArray:
+    """Fill the times without motion with the last heading in motion.
+
+    Args:
+        agent: (m,) ascending.
+        direction: (m,) rad; meaningful where moving.
+        moving: (m,) where it is.
+        rest_heading: for agents that never move, rad.
+
+    Returns:
+        (m,) rad.
+    """
+    m = agent.size
+    row = np.arange(m)
+    begin = np.searchsorted(agent, agent)  # of its agent's rows
+    last = np.maximum.accumulate(np.where(moving, row, -1))
+    following = np.minimum.accumulate(np.where(moving, row, m)[::-1])[::-1]
+    source = np.where(last >= begin, last, following)
+    end = np.searchsorted(agent, agent, side="right")
+    return np.where(source < end, direction[np.minimum(source, m - 1)], rest_heading)
+
+
+def displacement_over_speed(tracks: Tracks) -> float:
+    """How far moving agents go, over speed times time; 1 where times are right.
+
+    Args:
+        tracks: any recording.
+
+    Returns:
+        The median over the agents; NaN where too little moves to compare.
+    """
+    rows = tracks.as_rows()
+    agent, step = rows.index.agent, rows.index.step
+    at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+    if tracks.time_s.size < 2 or not at.size:
+        return float("nan")
+    who, speed, speed_then = agent[at], rows.speed[at], rows.speed[at + 1]
+    step_s = tracks.time_s[step[at + 1]] - tracks.time_s[step[at]]
+    stated = (speed + speed_then) / 2 * step_s
+    # nobody knows how an agent went that was lost during a break
+    going_on = (step_s > SHORTEST_S) & (step_s <= BREAK_STEPS * tracks.step_s)
+    used = going_on & (stated > 0) & (np.minimum(speed, speed_then) > COMPARED_MPS)
+    way = np.hypot(*(rows.xy[at + 1] - rows.xy[at])[used].T)
+    n, who = tracks.ids.size, who[used]
+    gone, said = np.bincount(who, way, n), np.bincount(who, stated[used], n)
+    if who.size < LEAST_STEPS or gone.sum() < LEAST_M:
+        return float("nan")
+    enough = (said > 0) & (gone > 0) & (np.bincount(who, minlength=n) >= 3)
+    return float(np.median(gone[enough] / said[enough])) if enough.any() else float("nan")
+
+
+def doubt_of_times(tracks: Tracks) -> str | None:
+    """What contradicts the times of a recording, with the likeliest cause; None where they fit.
+
+    Args:
+        tracks: as read; speeds that readers took from the motion fit by themselves.
+    """
+    ratio = displacement_over_speed(tracks)
+    if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
+        return None
+    for unit, factor in SPEED_UNITS.items():
+        if abs(ratio / factor - 1) < UNIT_NEAR:
+            return f"found speeds {1 / ratio:.3g} times what the motion shows, as in {unit}"
+    step_s = tracks.step_s
+    return (
+        f"found agents that go {ratio:.2f} times as far as their speeds say, at a step of "
+        f"{step_s:.3g} s, as if it were {step_s * ratio:.3g} s"
+    )
+
+
+def at_rate(tracks: Tracks, rate_hz: float) -> Tracks:
+    """The tracks with times stretched to another rate.
+
+    Speeds that are those of the motion are taken from it again; stated ones stay.
+
+    Args:
+        tracks: as read, at two times at least.
+        rate_hz: frames per second that the recording really has.
+    """
+    first, rows = tracks.time_s[0], tracks.as_rows()
+    time_s = first + (tracks.time_s - first) / (rate_hz * tracks.step_s)
+    agent, step = rows.index.agent, rows.index.step
+    before, after = (row_motion(agent, rows.xy, t[step], 0.0)[1] for t in (tracks.time_s, time_s))
+    speed = np.where(np.isclose(rows.speed, before, rtol=1e-9), after, rows.speed)
+    return tracks.changed(rows=replace(rows, speed=speed), time_s=time_s)

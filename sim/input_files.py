@@ -1,0 +1,142 @@
+"""Files that other programs wrote: unpacked where they are gzipped, and one line where broken."""
+
+from __future__ import annotations
+
+import functools
+import gzip
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Concatenate, Final, ParamSpec, TypeVar, cast
+
+from behaviors.errors import InputError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+PACKED: Final = ".gz"
+"""How the names of packed files end."""
+
+
+@contextmanager
+def broken_as_one_line(path: Path, expected: str) -> Iterator[None]:
+    """Turn whatever a broken file raises in the block into one line that names the file.
+
+    Args:
+        path: the file.
+        expected: what it is expected to be: "a SUMO net".
+
+    Raises:
+        InputError: instead of any other exception, which is its cause; a `MemoryError` stays.
+    """
+    try:
+        yield
+    except MemoryError:
+        raise
+    except InputError as error:
+        folder, said = str(path.parent), str(error)
+        if path.name in said or (path.parent.name and folder in said):  # the file, or one beside
+            raise
+        raise InputError(f"{path}: {error}") from error
+    except Exception as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        reason = f"no {said}" if isinstance(error, KeyError) and " " not in said else said
+        raise InputError(f"{path}: found a broken file ({reason:.200}), expected {expected}") from (
+            error
+        )
+
+
+def opened(path: Path) -> IO[bytes]:
+    """A file to read, unpacked where its name ends in ``.gz``.
+
+    Raises:
+        InputError: if it is no file.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: found no file, expected one")
+    if path.suffix.lower() == PACKED:
+        return cast("IO[bytes]", gzip.open(path))
+    return path.open("rb")
+
+
+def read_bytes(path: Path, most: int | None = None) -> bytes:
+    """A file's content, unpacked where its name ends in ``.gz``.
+
+    Args:
+        path: the file.
+        most: bytes that it may have, unpacked; None for any number.
+
+    Raises:
+        InputError: if the file is missing, larger, or not packed as its name says.
+    """
+    try:
+        with opened(path) as file:
+            data = file.read() if most is None else file.read(most + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(f"{path}: {error}, expected a file that gzip unpacks") from None
+    if most is not None and len(data) > most:
+        raise InputError(f"{path}: found more than {most} bytes inside, expected at most that")
+    return data
+
+
+def stem(path: Path) -> str:
+    """A file's name without its ending.
+
+    Examples:
+        >>> stem(Path("vehicle_tracks_000.csv.gz"))
+        'vehicle_tracks_000'
+    """
+    return Path(plain_name(path)).stem
+
+
+def plain_name(path: Path) -> str:
+    """A file's name as if it were not packed."""
+    return path.name[: -len(PACKED)] if path.suffix.lower() == PACKED else path.name
+
+
+def beside(path: Path, name: str) -> Path | None:
+    """The file of this name, or of this name packed, in a file's folder; None without one.
+
+    Args:
+        path: the file.
+        name: what the other is called, not packed.
+    """
+    files = (path.with_name(name), path.with_name(name + PACKED))
+    return next((file for file in files if file.is_file() and file != path), None)
+
+
+def read_once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[Path, P], T]:
+    """A reader of maps that reads a file once, as long as the file stays as it is.
+
+    Args:
+        read: from a path, and options that can be hashed, what is in the file.
+
+    Returns:
+        The same function; it raises `InputError` where there is no file.
+    """
+    kept = functools.lru_cache(maxsize=16)(lambda path, changed_ns, size, call: call(path))
+
+    @functools.wraps(read)
+    def once(path: Path, *args: P.args, **kwargs: P.kwargs) -> T:
+        if not path.is_file():
+            raise InputError(f"{path}: found no file, expected a map")
+        stat = path.stat()
+        call = _Call(read, args, tuple(kwargs.items()))
+        found: T = kept(path.absolute(), stat.st_mtime_ns, stat.st_size, call)
+        return found
+
+    return cast("Callable[Concatenate[Path, P], T]", once)
+
+
+@dataclass(frozen=True)
+class _Call:
+    """A function with its options; equal calls are equal."""
+
+    function: Callable[..., Any]
+    args: tuple[Any, ...]
+    kwargs: tuple[tuple[str, Any], ...]
+
+    def __call__(self, path: Path) -> Any:
+        return self.function(path, *self.args, **dict(self.kwargs))
