@@ -1,1 +1,0 @@
-"""Tables of unknown origin: looked through before Arrow reads them."""
