@@ -87,7 +87,6 @@ VALUES = {
     "manual_control": [{"manual_control": True}],
     "real_time_rendering": [{"real_time_rendering": True, **DRAWN}],
     "goal": [{"goal": "left"}, {"goal": "right"}],
-    "compiled": [{"compiled": False}, {"compiled": True, "flow": "dense"}],
 }
 """Settings to check, by the option that they are about; all of them have a default."""
 

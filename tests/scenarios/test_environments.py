@@ -455,8 +455,8 @@ def test_refuses_bad_options_at_reset_and_a_bad_goal():
         env.reset(options={"config": {"observation": "posterior", "classifier": "os:getcwd"}})
     with pytest.raises(InputError, match="did you mean 'straight'"):
         gymnasium.make("graphrqi/FourWayIntersection-v0", config={"goal": "strait"})
-    with pytest.raises(InputError, match="compiled: found 'yes'"):
-        gymnasium.make("graphrqi/StraightRoad-v0", config={"compiled": "yes"})
+    with pytest.raises(InputError, match="manual_control: found 'yes'"):
+        gymnasium.make("graphrqi/StraightRoad-v0", config={"manual_control": "yes"})
 
 
 def test_traffic_is_drawn_from_a_population():
