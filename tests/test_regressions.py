@@ -18,7 +18,6 @@ from behaviors.errors import LONGEST, InputError
 from behaviors.populations.files import read_population
 from experiments.generate.configuration import read_config
 from experiments.replay.beliefs import read_beliefs
-from experiments.report.source import read_source
 from scenarios import get_scenario
 from sim.formats import get_reader
 from sim.frames import Frame, Tracks
@@ -72,12 +71,11 @@ def read_dataset(folder: Path) -> None:
 
 READERS = {
     "road": read_road,
-    "study": read_config,
+    "study": lambda path: read_config(path).scenario("straight_road"),
     "scenario": lambda path: get_scenario(str(path))(),
     "population": read_population,
     "labels": read_labels_of_two_cars,
     "dataset": read_dataset,
-    "report": lambda path: {"rows": sum(map(len, read_source(path).rows.values()))},
 }
 
 

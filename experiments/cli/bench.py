@@ -47,7 +47,7 @@ def behaviors(
 ) -> None:
     """Measure which behaviour shows which trait, in every scenario."""
     from experiments.benchmarks.behaviors import measure
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     seeds, duration_s = ((0,), 60.0) if quick else (tuple(range(5)), 600.0)
     show_parts("behaviors", measure(scenario or (), engine, seeds, duration_s, jobs), json)
@@ -76,7 +76,7 @@ def classification(
 ) -> None:
     """Score methods and the plain rival on unseen drivers, scenarios, engines, noise."""
     from experiments.benchmarks.classification import OURS, measure
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     chosen, duration_s = (method or [], 150.0)
     if quick:
@@ -104,7 +104,7 @@ def real_data(
     from behaviors.errors import lookup
     from experiments.benchmarks import real_data as behavior
     from experiments.benchmarks import recorded_prediction as prediction
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     lookup({"behavior": 0, "prediction": 1}, task, "task")
     if task == "prediction":
@@ -132,7 +132,7 @@ def prediction(
 ) -> None:
     """Measure every predictor's errors on unseen episodes, and who is predicted to yield."""
     from experiments.benchmarks.prediction import QUICK, measure
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     names = predictor or (QUICK if quick else ())
     duration_s = 30.0 if quick else None
@@ -157,7 +157,7 @@ def spectrum(
 ) -> None:
     """Measure every eigenvalue algorithm on the same graphs, in one process."""
     from experiments.benchmarks.spectrum import measure, table
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     sizes = size or ([25] if quick else [25, 100, 400, 1000, 4000, 20000])
     graphs = graph or ("road", "crossing")
@@ -181,7 +181,7 @@ def loop(
     from itertools import chain
 
     from experiments.benchmarks.loop import measure_cities, measure_road, stock_rows
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     engines = engine or ["sumo", "highway"]
     if city:
@@ -198,7 +198,7 @@ def loop(
 def generate(quick: Quick = False, json: Json = None) -> None:
     """Measure the cost of generating data."""
     from experiments.benchmarks.generate import measure
-    from experiments.console.parts import show_parts
+    from experiments.score.parts import show_parts
 
     parts = measure(1, 30.0, 2) if quick else measure()
     show_parts("generate", parts, json)

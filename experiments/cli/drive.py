@@ -53,8 +53,8 @@ def drive(
     quiet: Quiet = False,
 ) -> None:
     """Test how driving policies do in every scenario among drivers of every kind."""
-    from experiments.console.parts import show_parts
     from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
+    from experiments.score.parts import show_parts
 
     given: dict[str, Any] = {
         "policies": tuple(policy or ()), "scenarios": tuple(scenario or ()),

@@ -9,7 +9,6 @@ from typing import Final
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.data.parallel import all_in_parallel
-from experiments.generate.configuration import RANDOM_WORLD
 from graphrqi.methods import make_observer
 from graphrqi.other_traffic import Traffic, check_traffic
 from graphrqi.samples import NoSamplesError, Samples, collect
@@ -29,8 +28,8 @@ def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
     """Where an episode's positions come from.
 
     Args:
-        entry: the episode. The engines' are simulated, imported ones recorded; random worlds and
-            what other simulations wrote are other traffic.
+        entry: the episode. The engines' episodes are simulated and imported ones recorded.
+            Random worlds and what other simulations wrote are other traffic.
         said: what the user says instead; None for nothing.
 
     Raises:
@@ -38,7 +37,7 @@ def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
     """
     if said is not None:
         return check_traffic(said)
-    if entry.scenario == RANDOM_WORLD or entry.engine in SIMULATED_FORMATS:
+    if "family" in entry.options or entry.engine in SIMULATED_FORMATS:
         return "other"
     return "simulated" if entry.recording is None else "recorded"
 

@@ -16,7 +16,7 @@ from sim.frames import EventKind
 from sim.highway.crossings import walk
 from sim.highway.driving import STANDING_MPS
 from sim.highway.junctions import EVENT_KINDS
-from sim.highway.scene import Scene, next_stretch, onward, record
+from sim.highway.scene import Scene, leg_at, next_stretch, onward, record
 from sim.highway.tables import project
 
 WRONG_WAY = EVENT_KINDS.index(EventKind.WRONG_WAY)
@@ -108,6 +108,7 @@ def _update_lane(i: int, scene: Scene) -> None:
         then = onward(i, me.lane, scene)
         if then >= 0:
             me.lane = me.target = me.wanted = then
+            me.leg = max(me.leg, leg_at(i, then, me.leg + 1, scene))
 
 
 @in_place(inner=True)

@@ -130,8 +130,8 @@ class HighwayNetwork:
         """The stretches that a route of edges runs over.
 
         Raises:
-            InputError: if an edge is not of this road, two stretches are not connected, or one is
-                driven over again.
+            InputError: if an edge is not of this road, two stretches are not connected, or an
+                edge follows itself.
         """
         found: list[tuple[str, str]] = []
         reached_m = 0.0
@@ -142,9 +142,9 @@ class HighwayNetwork:
                 )
             stretch = self.stretch_of[edge]
             begin_m = dict(self.edge_at[stretch])[edge]
-            if stretch not in found:
+            if not found or found[-1] != stretch:
                 found.append(stretch)
-            elif found[-1] != stretch or begin_m <= reached_m:
+            elif begin_m <= reached_m:
                 raise InputError(
                     f"route: found edge {edge!r} again or behind the one before, expected one "
                     "further along"

@@ -141,10 +141,17 @@ def distance_on(i: int, lane: int, scene: Scene) -> float:
 @in_place(inner=True)
 def next_stretch(i: int, lane: int, scene: Scene) -> int:
     """The stretch that a vehicle wants to reach after a lane's; -1 at the end of its way."""
+    at = leg_at(i, lane, scene.vehicles[i].leg, scene)
+    return int(scene.routes[scene.vehicles[i].route, at + 1]) if at >= 0 else -1
+
+
+@in_place(inner=True)
+def leg_at(i: int, lane: int, first: int, scene: Scene) -> int:
+    """Which stretch of a vehicle's route a lane belongs to, counted from ``first`` on; or -1."""
     routes, route, stretch = scene.routes, scene.vehicles[i].route, scene.net.lanes[lane].stretch
-    for at in range(routes.shape[1] - 1):
+    for at in range(first, routes.shape[1] - 1):
         if routes[route, at] == stretch:
-            return int(routes[route, at + 1])
+            return at
     return -1
 
 

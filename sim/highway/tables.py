@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 from sim.compiled import in_place
 from sim.highway.lanes import BLEND_M, LaneIndex, PolylineLane, corners, is_wrong_side
 from sim.road.cells import Cells, boxes_of, cells_of
-
-if TYPE_CHECKING:
-    from sim.highway.network import HighwayNetwork
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -43,6 +40,28 @@ lorry's)."""
 
 ROUNDING_M: Final = 1e-3
 """Lanes are searched this much farther from vehicles than they can be, m."""
+
+
+class LaneNetwork(Protocol):
+    """What the tables are made of: `sim.highway.network.HighwayNetwork`."""
+
+    @property
+    def road(self) -> Any: ...  # noqa: D102
+
+    @property
+    def info(self) -> Mapping[LaneIndex, Any]: ...  # noqa: D102
+
+    @property
+    def lanes(self) -> Mapping[LaneIndex, Any]: ...  # noqa: D102
+
+    @property
+    def onward(self) -> Mapping[tuple[LaneIndex, tuple[str, str]], LaneIndex]: ...  # noqa: D102
+
+    @property
+    def exit_of(self) -> Mapping[LaneIndex, LaneIndex]: ...  # noqa: D102
+
+    @property
+    def wrong_side(self) -> Mapping[LaneIndex, LaneIndex]: ...  # noqa: D102
 
 
 def record_type(**fields: str) -> np.dtype[Any]:
@@ -121,7 +140,7 @@ class LaneTables:
         network: the road in highway-env's terms.
     """
 
-    def __init__(self, network: HighwayNetwork) -> None:
+    def __init__(self, network: LaneNetwork) -> None:
         self.network = network
         self.keys: list[LaneIndex] = list(network.lanes)
         self.number: dict[LaneIndex, int] = {key: k for k, key in enumerate(self.keys)}

@@ -36,7 +36,7 @@ MOST_MET: Final = 4
 """A driver remembers the pedestrians at this many crossings, until it has passed them."""
 
 VEHICLE: Final = record_type(
-    agent="i8", kind="i8", profiled="?", length="f8", width="f8", route="i8", key="u8",
+    agent="i8", kind="i8", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",
     # its driver: the row of `driver_parameters`, and what the profile says of rules and manoeuvres
     parameters=f"{driving.PARAMETERS}f8", krauss="?",
     yellow_run_s="f8", gap_acceptance_s="f8", insistence="f8", crossing_gap_s="f8",
@@ -60,7 +60,8 @@ VEHICLE: Final = record_type(
 )  # fmt: skip
 """A vehicle; lengths in m, times in s, angles in rad, highway-env's axes, -1 for none.
 
-``profiled``: whether a `Profile` drives it; ``target``: the lane that it changes to, or the present
+``profiled``: whether a `Profile` drives it; ``leg``: the last stretch of its route that it came to;
+``target``: the lane that it changes to, or the present
 one; ``wanted``: the same from the next step on; ``go_at``: when it may start, after standing;
 ``standing_since``: infinite while it moves; ``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``:
 how many times each was drawn; ``last_path``: the junction path that it was on last, until it has
@@ -250,6 +251,7 @@ class ProfileVehicle(ControlledVehicle):  # type: ignore[misc]
     @stretches.setter
     def stretches(self, stretches: tuple[Stretch, ...]) -> None:
         self._stretches = stretches
+        self.table["leg"][self.row] = 0
         self.table["route"][self.row] = self.road.route_number(stretches)
 
     @property

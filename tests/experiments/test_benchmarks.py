@@ -11,7 +11,7 @@ import pytest
 from experiments.benchmarks import generate, loop, spectrum
 from experiments.benchmarks.graph_sequences import city_blocks, traffic, traffic_positions
 from experiments.benchmarks.prediction import compare
-from experiments.console.parts import show_parts
+from experiments.score.parts import show_parts
 from experiments.score.predictions import GROUPS, MEASURES, Errors
 from experiments.score.rows import Row, tidy_row
 from graphrqi.graph import TrafficGraph

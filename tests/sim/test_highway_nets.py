@@ -115,7 +115,12 @@ def test_cars_drive_round_a_ring(tmp_path: Path, engine: str, first: int) -> Non
     assert {*np.sign(np.concatenate(places)[:, 1])} == {-1.0, 1.0}
 
 
-def test_a_second_round_is_refused(tmp_path: Path) -> None:
+def test_who_drives_a_second_round_leaves_after_it(tmp_path: Path) -> None:
     road = ring(tmp_path / "ring.net.xml")
-    with pytest.raises(InputError, match="route: found edge 'e0' again or behind"):
-        drive("highway", road, "e0", "e1", "e2", "e3", "e0")
+    route = ("e0", "e1", "e2", "e3", "e0", "e1")
+    scenario = Scenario("here", road, (RouteFlow(route, 1200.0),), duration_s=90.0)
+    agents = sample_agents(scenario, 3)[:2]
+    frames = list(get_engine("highway")(scenario, agents, 3))
+    mine = np.array([f.xy[f.ids == agents[0].id][0] for f in frames if agents[0].id in f.ids])
+    turned = np.unwrap(np.arctan2(mine[:, 1], mine[:, 0]))
+    assert (turned[-1] - turned[0]) / (2.0 * math.pi) == pytest.approx(1.5, abs=0.05)
