@@ -20,7 +20,6 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
 
-from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 
 T = TypeVar("T")
@@ -67,6 +66,8 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
     Raises:
         InputError: the function's own, or one line that names the file and says what happened.
     """
+    from behaviors.errors import InputError
+
     if not is_guarding():
         yield from (one for one in function(*arguments) if not isinstance(one, Path))
         return
@@ -133,6 +134,8 @@ def _answer(
     child: subprocess.Popen[bytes], stream: IO[bytes], time_s: float, file: Path
 ) -> tuple[str, Any]:
     """The child's next answer; a child that dies or takes too long is an error."""
+    from behaviors.errors import InputError
+
     late = threading.Event()
 
     def stop() -> None:
@@ -158,6 +161,8 @@ def _answer(
 
 def child() -> None:
     """Answer the one request on stdin; the main function of a child process."""
+    from behaviors.errors import InputError
+
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what libraries print is no answer
 

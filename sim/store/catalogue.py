@@ -128,13 +128,15 @@ def read_header(place: Place) -> tuple[Header, int]:
         raise InputError(_why_none(place))
     with opened(place, EPISODES) as parquet:
         metadata = parquet.metadata
-    version = re.search(
-        rb'"schema_version": (\d+)', (metadata.metadata or {}).get(METADATA_KEY, b"")
-    )
-    if version is not None and int(version[1]) != SCHEMA_VERSION:
-        newer = int(version[1]) > SCHEMA_VERSION
+    try:
+        said = json.loads((metadata.metadata or {}).get(METADATA_KEY, b"{}"))
+    except (ValueError, RecursionError):
+        said = {}  # `metadata_of` names what is wrong
+    version = said.get("schema_version") if isinstance(said, dict) else None
+    if isinstance(version, int) and version != SCHEMA_VERSION:
+        newer = version > SCHEMA_VERSION
         raise InputError(
-            f"{path}: found schema_version {int(version[1])}, expected {SCHEMA_VERSION}; "
+            f"{path}: found schema_version {version}, expected {SCHEMA_VERSION}; "
             + ("a newer graphrqi reads it" if newer else "make it again")
         )
     return metadata_of(path, metadata, Header), metadata.num_rows
