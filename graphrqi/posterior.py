@@ -51,13 +51,13 @@ class Posterior:
             that can be believed. It follows from ``probability`` where it is not given.
 
     Examples:
-        >>> p = Posterior(ids=[7], probability=[[0.1, 0.5, 0.1, 0.1, 0.1, 0.1]])
+        >>> p = Posterior(ids=[7], probability=[[0.1, 0.7, 0.1, 0.1, 0.0, 0.0]])
         >>> p.most_likely.tolist()
         [1]
         >>> p
         Posterior(1 driver, most likely: 1 reckless)
         >>> p.unknown.round(1), p.behaviors
-        (array([0.6]), (<Behavior.RECKLESS: 'reckless'>,))
+        (array([0.2]), (<Behavior.RECKLESS: 'reckless'>,))
     """
 
     ids: NDArray[np.int64]

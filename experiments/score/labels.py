@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -213,16 +212,11 @@ def answer_episodes(
     return found
 
 
-@lru_cache(maxsize=4)
-def _opened(folder: Path) -> Dataset:
-    return open_dataset(folder)
-
-
 def _answers(
     model: Model, folder: Path, entry: EpisodeEntry, every_frame: bool, traffic: str | None
 ) -> tuple[tuple[str, ...], pa.Table]:
     """Names of an episode's agents, and answers at every frame or the last ones."""
-    episode = _opened(folder).read(entry)
+    episode = open_dataset(folder).read(entry)
     table = label_episode(episode, model, traffic)
     return episode.tracks.names, table if every_frame else _last_answers(table)
 

@@ -83,7 +83,7 @@ def make_scene():
             )
         entry = EpisodeEntry(
             scenario=scenario, engine="sumo", id="0" * 16, frames=time_s.size, agents=agents,
-            agent_steps=int(valid.sum()), 
+            agent_steps=int(valid.sum()),
         )  # fmt: skip
         specs = {
             int(i): AgentSpec(

@@ -29,7 +29,7 @@ def test_rows_are_kept_after_every_part(tmp_path: Path, capsys) -> None:
 
     rows = show_parts("echo", parts(), path)
     assert counts == [1, 2]
-    assert {row["bench"] for row in rows} == {"echo"}
+    assert {row["command"] for row in rows} == {"echo"}
     assert "who" in capsys.readouterr().out
     show_parts("echo", [], Path("-"))
     assert json.loads(capsys.readouterr().out) == []

@@ -221,7 +221,7 @@ def test_the_page_opens_a_folder_with_every_tool(data: Path, tmp_path: Path) -> 
     (tmp_path / "data").symlink_to(data)
     script = examples("## Opening it with other tools")
     assert all(tool in script for tool in ("duckdb.sql", "pl.scan_parquet", "pd.read_parquet",
-                                           "load_dataset", "num_workers=2"))  # fmt: skip
+                                           "load_dataset"))  # fmt: skip
     steps = open_dataset(data).scan("steps", split="test").count_rows()
     told = shown(script, tmp_path)
     assert f"num_rows: {steps}" in told

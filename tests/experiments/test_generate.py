@@ -454,9 +454,7 @@ def test_a_scenario_takes_other_options(tmp_path):
     folder = tmp_path / "data"
     words = ["--scenario", "straight_road", "--episodes", "1", "--duration-s", "2", "--quiet"]
     with pytest.raises(SystemExit, match="0"):
-        main(
-            ["generate", *words, "--set", "lanes=2", "--set", "kinds=truck=1", "--out", f"{folder}"]
-        )
+        main(["generate", *words, "--set", "lanes=2", "--kinds", "truck=1", "--out", f"{folder}"])
     manifest = open_dataset(folder).manifest
     (entry,) = manifest.episodes
     assert entry.options["lanes"] == 2

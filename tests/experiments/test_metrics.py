@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.score.metrics import auc_within, calibration_error, confusion, reliability
+from experiments.benchmarks.statistics import auc_within
+from experiments.score.metrics import calibration_error, confusion, reliability
 
 
 def test_calibration_of_answers_that_are_as_sure_as_right():

@@ -45,7 +45,7 @@ def test_nobody_is_told_where_outlines_overlap(tmp_path, capsys, overlapping, be
 def test_where_nobody_is_seen_for_a_second_it_is_said(tmp_path, capsys):
     recording(tmp_path, 0, frames=4)
     assert call("classify", tmp_path, "-q") == 0
-    assert "nobody is seen for 1 s or more, so that there is no answer" in capsys.readouterr().err
+    assert "no driver is seen for 1 s or longer, so there is no answer" in capsys.readouterr().err
     labels = tmp_path.parent / "labels.csv"
     labels.write_text("name,label\n1,timid\n")
     assert call("evaluate", "graphrqi-plus", tmp_path, "--labels", labels, "-q") == 2

@@ -35,10 +35,8 @@ def hostile_graphs(count: int, largest: int = 400, seed: int = 0) -> Iterator[tu
     while done < count:
         d = int(np.exp(rng.uniform(0.0, np.log(largest))))
         kind = ("accumulated", "instantaneous")[rng.integers(2)]
-        radius = float(rng.choice([15.0, 40.0])) if rng.random() < 0.3 else None
-        scale = float(rng.choice([5.0, 20.0])) if rng.random() < 0.4 else None
         traffic = TrafficGraph.empty(
-            int(rng.integers(1, 6)), int(rng.integers(3, 12)), cast(Any, kind), radius, scale
+            int(rng.integers(1, 6)), int(rng.integers(3, 12)), cast(Any, kind)
         )
         xy = rng.random((2 * d, 2)) * [[4.0 * d, 12.0]]
         if rng.random() < 0.5:

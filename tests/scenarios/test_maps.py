@@ -264,7 +264,7 @@ def test_the_command_writes_a_net_a_picture_and_a_scenario(tmp_path):
     path.write_text(crossroads_osm())
     done = CliRunner().invoke(app, ["road", str(path), "--out", str(out), "--json", "-"])
     assert done.exit_code == 0, done.output
-    values = {row["what"]: row["value"] for row in json.loads(done.stdout)}
+    values = {row["metric"]: row["text"] or row["value"] for row in json.loads(done.stdout)}
     assert (values["map"], values["lacks"], values["warnings"]) == ("OpenStreetMap", "nothing", 0)
     assert (tmp_path / "town.svg").read_text().startswith("<svg")
     from scenarios import get_scenario

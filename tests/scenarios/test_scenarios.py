@@ -21,7 +21,7 @@ def test_each_scenario_is_a_command_of_its_name(tmp_path):
     command = [sys.executable, "-m", "scenarios.all_way_stop", "--duration-s", "5", "--quiet"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "all_way_stop" in done.stdout
+    assert "simulated_s" in done.stdout
     for name in SCENARIOS:
         assert f'run_as_command("{name}")' in (build.FOLDER.parent / f"{name}.py").read_text()
 

@@ -176,7 +176,7 @@ def test_a_failed_import_leaves_nothing_and_may_be_tried_again(tmp_path: Path) -
         (source / f"0{number}_tracks.csv").write_text(content)
     with pytest.raises(InputError, match="02_tracks"):
         import_recordings(source, out, quiet=True)
-    assert not (tmp_path / "deep").exists()
+    assert not out.exists()
     out.mkdir(parents=True)
     with pytest.raises(InputError, match="02_tracks"):
         import_recordings(source, out, quiet=True)
