@@ -104,7 +104,7 @@ def answers(folder: Path) -> Named:
     command("classify", data, "--out", folder / "labels.parquet", "--quiet")
     yield "classify", of_bytes((folder / "labels.parquet").read_bytes())
     names = ("constant-velocity", "constant-acceleration", "car-following-blind", "car-following",
-             "car-following-wary", "behavior-mixture", "oracle", "shuffled", "lstm", "mlp",
+             "behavior-mixture", "oracle", "shuffled", "lstm", "mlp",
              "graphrqi-predict", "graphrqi-predict-unlabelled")  # fmt: skip
     for name in names:
         command("predict", data, "--predictors", name, "--json", folder / "rows.json", "--quiet",

@@ -34,7 +34,6 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
         "kalman": "graphrqi.predict.recorded.rivals:kalman_predictor",
         "car-following-blind": "graphrqi.predict.rollout.following:blind",
         "car-following": "graphrqi.predict.rollout.following:aware",
-        "car-following-wary": "graphrqi.predict.rollout.following:wary_following",
         "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
         "oracle": "graphrqi.predict.rollout.following:oracle",
         "shuffled": "graphrqi.predict.rollout.following:shuffled",

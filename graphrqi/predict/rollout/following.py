@@ -13,7 +13,6 @@ from graphrqi.predict.rollout.driver_parameters import (
     DriverParameters,
     average_parameters,
     expected_parameters,
-    with_caution,
 )
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table
 from graphrqi.predict.rollout.rollout import positions, roll
@@ -41,11 +40,6 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
     return aware_with(scene, posterior.worth(scene.ids), default_table())
 
 
-def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `car-following`, and conservative drivers keep away from aggressive neighbours."""
-    return wary_with(scene, posterior.worth(scene.ids), default_table())
-
-
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
     """`blind` with the given numbers."""
     return _driven(scene, average_parameters(scene, table), table.average_decay_s)
@@ -54,12 +48,6 @@ def blind_with(scene: Scene, table: DriverTable) -> Prediction:
 def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
     """`aware` with the given numbers and (n, 6) beliefs."""
     return _driven(scene, expected_parameters(scene, probability, table), table.decay_s)
-
-
-def wary_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
-    """`wary_following` with the given numbers and (n, 6) beliefs."""
-    drivers = with_caution(expected_parameters(scene, probability, table), probability)
-    return _driven(scene, drivers, table.decay_s)
 
 
 def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Prediction:
