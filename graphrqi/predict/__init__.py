@@ -28,21 +28,11 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
     {
         "constant-velocity": "graphrqi.predict.constant:constant_velocity",
         "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
-        "fading": "graphrqi.predict.recorded.rivals:fading_predictor",
-        "turn-rate": "graphrqi.predict.recorded.rivals:turn_rate_predictor",
-        "lane-rule": "graphrqi.predict.recorded.rivals:lane_predictor",
         "kalman": "graphrqi.predict.recorded.rivals:kalman_predictor",
-        "car-following-blind": "graphrqi.predict.rollout.following:blind",
         "car-following": "graphrqi.predict.rollout.following:aware",
-        "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
-        "oracle": "graphrqi.predict.rollout.following:oracle",
-        "shuffled": "graphrqi.predict.rollout.following:shuffled",
+        "car-following-blind": "graphrqi.predict.rollout.following:blind",
         "lstm": "graphrqi.predict.learned.predictors:lstm",
-        "mlp": "graphrqi.predict.learned.predictors:mlp",
         "graphrqi-predict": "graphrqi.predict.learned.predictors:graphrqi_predict",
-        "graphrqi-predict-unlabelled": "graphrqi.predict.learned.predictors:unlabelled_predict",
-        "graphrqi-predict-oracle": "graphrqi.predict.learned.predictors:oracle_predict",
-        "graphrqi-predict-shuffled": "graphrqi.predict.learned.predictors:shuffled_predict",
     },
 )
 """Every predictor by name."""

@@ -140,13 +140,18 @@ def made_up(ade: float, collisions: float = 0.1) -> Errors:
 
 
 def test_ratios_and_shares_compare_what_was_run() -> None:
-    blind, told, truth = (f"graphrqi-predict{suffix}" for suffix in ("-unlabelled", "", "-oracle"))
+    told = "graphrqi-predict"
     episodes = [
-        {"constant-velocity": made_up(4 * d, 0.4), blind: made_up(1.4 * d), told: made_up(1.1 * d),
-         truth: made_up(1.0 * d)}
+        {("constant-velocity", "classifier"): made_up(4 * d, 0.4),
+         (told, "uniform"): made_up(1.4 * d), (told, "classifier"): made_up(1.1 * d),
+         (told, "truth"): made_up(1.0 * d), (told, "shuffled"): made_up(2.8 * d)}
         for d in (0.8, 1.0, 1.2)
     ]  # fmt: skip
-    value = {(r["predictor"], r["metric"]): r for r in compare(episodes, "here", "test")}
+    rows = compare(episodes, "here", "test")
+    value = {(r["predictor"], r["metric"]): r for r in rows if r["beliefs"] == "classifier"}
+    shuffled = [r for r in rows if r["beliefs"] == "shuffled"]
+    assert [r["metric"] for r in shuffled] == ["ade_m_over_uniform_beliefs"]
+    assert shuffled[0]["value"] == pytest.approx(2.0)
     assert value[told, "ade_m_over_constant-velocity"]["value"] == pytest.approx(0.275)
     assert value[told, "collisions_over_constant-velocity"]["value"] == pytest.approx(0.25)
     assert value[told, "label_gain_share"]["value"] == pytest.approx(0.75)

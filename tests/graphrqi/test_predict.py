@@ -399,7 +399,7 @@ def test_tables_need_pandas(monkeypatch):
         Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]]).to_pandas()
 
 
-@pytest.mark.parametrize("name", ["lstm", "mlp", "graphrqi-predict"])
+@pytest.mark.parametrize("name", ["lstm", "graphrqi-predict"])
 def test_networks_go_on_after_their_last_knot(name, straight):
     place, heading = on_lane(straight, "east_in_1", 60.0)
     past = history([place], [heading], [10.0])

@@ -65,13 +65,13 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
     first = scene.with_path(choice[row, order[:, 0]])
     likeliest, second_likely = likely[row, order[:, 0]], np.zeros(row.size)
     anchors = np.empty((row.size, ANCHORS, KNOTS, 2))
-    main = roll(first, drivers, table.decay_s, None, KNOTS, KNOT_S)
+    main = roll(first, drivers, table.decay_s, KNOTS, KNOT_S)
     anchors[:, :2] = _at_knots(first, main)[:, None]
     if choice.shape[1] > 1:
         second_likely = likely[row, order[:, 1]]
         open_to = second_likely > 1e-3
         second = scene.with_path(choice[row, order[:, 1]])
-        driven = roll(second, drivers, table.decay_s, None, KNOTS, KNOT_S)
+        driven = roll(second, drivers, table.decay_s, KNOTS, KNOT_S)
         anchors[open_to, 1] = _at_knots(second, driven)[open_to]
     beside = on_lane_beside(first, 1), on_lane_beside(first, -1)
     following, ignores = parameters_of_each(scene, table)

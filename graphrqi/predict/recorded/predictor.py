@@ -21,7 +21,7 @@ from graphrqi.predict.recorded.along_lanes import join_lanes
 from graphrqi.predict.recorded.features import features_of
 from graphrqi.predict.recorded.gaps import plausible
 from graphrqi.predict.recorded.lanes_ahead import lanes_ahead
-from graphrqi.predict.recorded.motion import Motion, bent, fading
+from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
     MODES,
     RecordedNetwork,
@@ -120,4 +120,4 @@ def _fan(motion: Motion, time_s: FloatArray) -> FloatArray:
     return out
 
 
-__all__ = ["bent", "predict_recorded", "predict_unmapped"]
+__all__ = ["predict_recorded", "predict_unmapped"]

@@ -16,17 +16,8 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict.constant import inertial_distance
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import (
-    SLOPE_FADE_S,
-    SLOPE_SHARE,
-    YAW_FADE_S,
-    YAW_SHARE,
-    Motion,
-    bent,
-    fading,
     tracked,
 )
-from graphrqi.predict.rollout.lane_positions import along_path
-from graphrqi.predict.rollout.rollout import on_lanes
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN, Tracks
 
@@ -40,20 +31,6 @@ def constant_velocity(history: Tracks, steps: int) -> Prediction:
     facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     ahead = history.speed[:, -1][:, None] * time_s
     return _one(history, history.xy[:, -1][:, None] + ahead[..., None] * facing[:, None])
-
-
-def faded(history: Tracks, steps: int) -> Prediction:
-    """The base of the predictor for recordings: acceleration and yaw rate fade."""
-    motion = Motion.of(history)
-    return _one(history, motion.from_own_frame(fading(motion, _times(steps))))
-
-
-def turning(history: Tracks, steps: int) -> Prediction:
-    """Everyone keeps the speed, and the yaw rate fades."""
-    motion = Motion.of(history)
-    none = np.zeros_like(motion.speed)
-    own = bent(motion.speed, none, 1.0, YAW_SHARE * motion.yaw_rate, YAW_FADE_S, _times(steps))
-    return _one(history, motion.from_own_frame(own))
 
 
 def kalman(history: Tracks, steps: int) -> Prediction:
@@ -74,41 +51,14 @@ def kalman(history: Tracks, steps: int) -> Prediction:
 
 WITHOUT_MAP: Final[dict[str, Callable[[Tracks, int], Prediction]]] = {
     "constant-velocity": constant_velocity,
-    "fading": faded,
-    "turn-rate": turning,
     "kalman": kalman,
 }
 """The predictors that need no map."""
 
 
-def fading_predictor(scene: Scene, posterior: Posterior) -> Prediction:
-    """Acceleration and yaw rate fade: the base of the predictor for recordings."""
-    return faded(scene.history, scene.steps)
-
-
-def turn_rate_predictor(scene: Scene, posterior: Posterior) -> Prediction:
-    """Everyone keeps the speed, and the yaw rate fades."""
-    return turning(scene.history, scene.steps)
-
-
 def kalman_predictor(scene: Scene, posterior: Posterior) -> Prediction:
     """A Kalman filter of constant acceleration."""
     return kalman(scene.history, scene.steps)
-
-
-def lane_predictor(scene: Scene, posterior: Posterior) -> Prediction:
-    """Accelerations fade along the likeliest lanes; agents on no lane keep the base."""
-    history = scene.history
-    motion = Motion.of(history)
-    none = np.zeros_like(motion.speed)
-    ahead = bent(
-        motion.speed, SLOPE_SHARE * motion.accel, SLOPE_FADE_S, none, YAW_FADE_S, scene.time_s
-    )[..., 0]  # fmt: skip
-    lane, s = along_path(scene.path, scene.s[:, None] + ahead, scene.paths.lane, scene.paths.start)
-    xy = on_lanes(scene, lane, s, scene.offsets())
-    off = ~scene.on_path
-    xy[off] = motion.from_own_frame(fading(motion, scene.time_s))[off]
-    return scene.predicted(xy)
 
 
 def _times(steps: int) -> FloatArray:

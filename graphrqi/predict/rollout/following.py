@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
@@ -18,7 +17,7 @@ from graphrqi.predict.rollout.driver_table import DriverTable, default_table
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.rollout.route import on_likely_paths
 from graphrqi.predict.scene.scene import Scene
-from sim.frames import PEDESTRIAN
+from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -56,27 +55,6 @@ def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Predicti
     return scene.predicted(positions(routed, roll(routed, drivers, decay_s)))
 
 
-def oracle(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `car-following`, knowing the true behaviours: what perfect classification would give.
-
-    Raises:
-        InputError: if the history carries no labels.
-    """
-    return aware_with(scene, true_behavior(scene), default_table())
-
-
-def true_behavior(scene: Scene) -> FloatArray:
-    """(n, 6) certain beliefs in the true behaviours; uniform for agents that have none.
-
-    Raises:
-        InputError: if the history carries no labels.
-    """
-    behavior = scene.history.behavior
-    if behavior is None:
-        raise InputError("oracle: found a history without behaviours, expected labelled tracks")
-    return certain(behavior.astype(np.int64))
-
-
 def certain(code: IntArray) -> FloatArray:
     """(n, 6) certain beliefs in behaviours (n,); uniform where the code is -1, unknown."""
     sure = np.full((code.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
@@ -84,18 +62,13 @@ def certain(code: IntArray) -> FloatArray:
     return sure
 
 
-def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `car-following`, with the beliefs about other drivers: what wrong labels cost."""
-    return aware(scene, shuffled_posterior(scene, posterior))
-
-
-def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
-    """The beliefs about the drivers of a scene, each given to another one.
+def shuffled_posterior(history: Tracks, posterior: Posterior) -> Posterior:
+    """The beliefs about the drivers of a history, each given to another one.
 
     The exchange is the same whenever the same agents are present.
     """
-    drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
-    probability = posterior.worth(scene.ids)
-    rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in scene.ids[drives]])
+    drives = np.flatnonzero(history.kind != PEDESTRIAN)
+    probability = posterior.worth(history.ids)
+    rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in history.ids[drives]])
     probability[drives] = probability[drives][rng.permutation(drives.size)]
-    return Posterior(scene.ids, probability)
+    return Posterior(history.ids, probability)

@@ -49,19 +49,16 @@ def roll(
     scene: Scene,
     drivers: DriverParameters,
     decay_s: float = 2.0,
-    others: Rollout | None = None,
     steps: int | None = None,
     step_s: float = STEP_S,
     planned: int | None = None,
 ) -> Rollout:
-    """Drive the scene's drivers on along their paths.
+    """Drive the scene's drivers on along their paths, all together.
 
     Args:
         scene: the present.
         drivers: how each drives.
         decay_s: time in which the residual acceleration falls to 1/e, s; 0: at once.
-        others: where everyone else is assumed to be, at the same steps; by default all move
-            together.
         steps: how many; by default up to the scene's horizon.
         step_s: time between them, s.
         planned: row of a vehicle whose present acceleration is left out of account.
@@ -73,12 +70,11 @@ def roll(
     if planned is not None:
         present = present.copy()
         present[planned, START_ACCEL] = car_following.UNKNOWN_ACCELERATION
-    given = _MOVE_TOGETHER if others is None else (others.lane, others.s, others.speed)
     count = steps or round(scene.steps * STEP_S / step_s)
     lane, columns, asked = car_following.roll(
         present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
         drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, given, scene.order, (count, step_s, step_s / STEP_S, decay_s),
+        scene.paths.columns, _MOVE_TOGETHER, scene.order, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
     s, offset, speed, travelled = columns[:, 0]
     return Rollout(lane[0], s, offset, speed, travelled, asked[0], step_s)
