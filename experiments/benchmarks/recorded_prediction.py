@@ -40,6 +40,7 @@ from experiments.training.recordings import (
     recorded_instants,
     steady_motion,
 )
+from graphrqi.predict.extrapolation import WITHOUT_MAP
 from graphrqi.predict.metrics import MISS_THRESHOLD_M
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.prediction import STEP_S, Prediction
@@ -53,7 +54,6 @@ from graphrqi.predict.recorded.motion import (
 )
 from graphrqi.predict.recorded.network import RecordedNetwork
 from graphrqi.predict.recorded.predictor import predict_recorded
-from graphrqi.predict.recorded.rivals import WITHOUT_MAP
 from graphrqi.predict.rollout.lane_positions import along_path
 from graphrqi.predict.rollout.rollout import on_lanes
 from graphrqi.predict.scene.scene import make_scene
@@ -179,7 +179,7 @@ def score_part(
 def _fading(history: Tracks, road: Road | None) -> Prediction:
     """The base of the predictor for recordings: acceleration and yaw rate fade."""
     motion = Motion.of(history)
-    time_s = np.arange(1, _STEPS + 1) * STEP_S
+    time_s = np.arange(1, _STEPS + 1, dtype=np.float64) * STEP_S
     xy = motion.from_own_frame(fading(motion, time_s))[:, None]
     return Prediction(history.ids, time_s, xy, np.ones((history.ids.size, 1)))
 

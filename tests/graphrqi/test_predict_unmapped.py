@@ -33,7 +33,7 @@ from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-RULES = ("constant-velocity", "kalman")
+RULES = ("constant-velocity", "constant-acceleration", "kalman")
 
 
 def recording(
@@ -244,10 +244,20 @@ def test_features_are_as_many_as_told():
     assert features_of(tracks, Motion.of(tracks)).shape == (2, feature_count())
 
 
-def test_a_predictor_of_others_is_not_replaced_where_there_is_no_map(monkeypatch):
+@pytest.mark.parametrize("name", ["theirs", "car-following", "car-following-blind", "lstm"])
+def test_a_predictor_that_needs_a_map_says_so(name, monkeypatch):
     monkeypatch.setitem(PREDICTORS, "theirs", get_predictor("constant-velocity"))
-    with pytest.raises(InputError, match="road: found none for the predictor 'theirs'"):
-        predict(recording([0.0], [10.0]), NOBODY, None, predictor="theirs")
+    with pytest.raises(InputError, match=f"road: found none for the predictor '{name}', expected"):
+        predict(recording([0.0], [10.0]), NOBODY, None, predictor=name)
+
+
+@pytest.mark.parametrize("name", ["constant-velocity", "constant-acceleration", "kalman"])
+def test_a_predictor_that_needs_no_map_is_the_same_with_and_without(name):
+    tracks = recording([50.0, 80.0], [10.0, 8.0], accel=-0.5)
+    road = SCENARIOS["straight_road"]().road
+    one, other = (predict(tracks, NOBODY, where, predictor=name) for where in (road, None))
+    assert np.array_equal(one.xy, other.xy)
+    assert not np.array_equal(other.best, predict(tracks, NOBODY, None).best)
 
 
 def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():

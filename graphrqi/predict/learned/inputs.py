@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.constant import inertial_distance
+from graphrqi.predict.extrapolation import inertial_distance
 from graphrqi.predict.learned.features import features
 from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.rollout.agreement import agreement
