@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from behaviors.labels import BEHAVIORS
 from experiments.benchmarks import generate, loop, spectrum
 from experiments.benchmarks.graph_sequences import city_blocks, traffic, traffic_positions
-from experiments.benchmarks.prediction import compare
+from experiments.benchmarks.prediction import BELIEFS, compare
 from experiments.console.parts import show_parts
 from experiments.score.predictions import GROUPS, MEASURES, Errors
 from experiments.score.rows import Row, tidy_row
 from graphrqi.graph import TrafficGraph
+from graphrqi.posterior import Posterior
 from graphrqi.spectrum import SOLVERS
+from sim.frames import Frame, Tracks
 
 
 def test_rows_are_kept_after_every_part(tmp_path: Path, capsys) -> None:
@@ -137,6 +140,22 @@ def made_up(ade: float, collisions: float = 0.1) -> Errors:
     count = np.zeros(len(GROUPS))
     count[0] = 10
     return Errors(total, count)
+
+
+def test_each_kind_of_beliefs_is_what_it_says() -> None:
+    frame = Frame(
+        time_s=0.0, ids=np.arange(6), xy=np.zeros((6, 2)), heading=np.zeros(6), speed=np.ones(6),
+        length=np.full(6, 4.0), width=np.full(6, 2.0), kind=np.zeros(6),
+    )  # fmt: skip
+    tracks = Tracks.from_frames([frame], dict(enumerate(BEHAVIORS)))
+    rows = np.random.default_rng(0).dirichlet(np.ones(6), 6)
+    classified = Posterior(np.arange(6), rows)
+    told = {kind: make(tracks, classified).of(tracks.ids) for kind, make in BELIEFS.items()}
+    assert np.array_equal(told["classifier"], rows)
+    assert np.array_equal(told["truth"], np.eye(6))
+    assert told["uniform"] == pytest.approx(1 / 6)
+    assert not np.array_equal(told["shuffled"], rows)
+    assert np.sort(told["shuffled"][:, 0]) == pytest.approx(np.sort(rows[:, 0]))
 
 
 def test_ratios_and_shares_compare_what_was_run() -> None:
