@@ -103,9 +103,8 @@ def answers(folder: Path) -> Named:
             "--seed", "4", "--out", many, "--quiet")  # fmt: skip
     command("classify", data, "--out", folder / "labels.parquet", "--quiet")
     yield "classify", of_bytes((folder / "labels.parquet").read_bytes())
-    names = ("constant-velocity", "constant-acceleration", "car-following-blind", "car-following",
-             "car-following-wary", "behavior-mixture", "oracle", "shuffled", "lstm", "mlp",
-             "graphrqi-predict", "graphrqi-predict-unlabelled")  # fmt: skip
+    names = ("constant-velocity", "constant-acceleration", "kalman", "car-following-blind",
+             "car-following", "lstm", "graphrqi-predict")  # fmt: skip
     for name in names:
         command("predict", data, "--predictors", name, "--json", folder / "rows.json", "--quiet",
                 "--out", folder / "futures.parquet", "--jobs", "1")  # fmt: skip

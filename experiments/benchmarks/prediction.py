@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from behaviors.errors import InputError, lookup
+from behaviors.labels import BEHAVIORS
 from experiments.benchmarks import yielding
 from experiments.benchmarks.statistics import prediction_keys
 from experiments.benchmarks.yielding import (
@@ -35,9 +37,11 @@ from experiments.score.predictions import (
 )
 from experiments.score.rows import Row, tidy_row
 from graphrqi.model_files import load_model
+from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, chosen_predictor
+from graphrqi.predict.rollout.following import certain, shuffled_posterior
 from graphrqi.stream import DEFAULT_MODEL
-from sim.frames import FloatArray
+from sim.frames import FloatArray, Tracks
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
@@ -47,32 +51,59 @@ SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
 
 MAP_FREE: Final = ("constant-velocity", "graphrqi-predict")
-"""What is compared without a map, where all predictors but the first are the same."""
+"""What is compared without a map."""
 
-QUICK: Final = (
-    "constant-velocity", "car-following", "lstm", "graphrqi-predict-unlabelled", "graphrqi-predict",
-    "graphrqi-predict-oracle",
-)  # fmt: skip
+QUICK: Final = ("constant-velocity", "car-following", "lstm", "graphrqi-predict")
 """Predictors of a small run: one of each kind, and those whose ratios are given."""
 
+DEAF: Final = (
+    "constant-velocity", "constant-acceleration", "kalman", "car-following-blind", "lstm",
+)  # fmt: skip
+"""Predictors that no belief changes: they are scored once, beside the classifier's beliefs."""
+
 RATIOS: Final = (
-    ("graphrqi-predict", "ade_m", "constant-velocity"),
-    ("graphrqi-predict", "ade_m", "car-following-blind"),
-    ("graphrqi-predict", "ade_m", "lstm"),
-    ("graphrqi-predict", "ade_m", "graphrqi-predict-unlabelled"),
-    ("graphrqi-predict", "rmse_m", "constant-velocity"),
-    ("graphrqi-predict", "collisions", "constant-velocity"),
-    ("graphrqi-predict-shuffled", "ade_m", "graphrqi-predict-unlabelled"),
-    ("shuffled", "ade_m", "car-following-blind"),
+    ("graphrqi-predict", "classifier", "ade_m", "constant-velocity", "classifier"),
+    ("graphrqi-predict", "classifier", "ade_m", "car-following-blind", "classifier"),
+    ("graphrqi-predict", "classifier", "ade_m", "lstm", "classifier"),
+    ("graphrqi-predict", "classifier", "ade_m", "graphrqi-predict", "uniform"),
+    ("graphrqi-predict", "classifier", "rmse_m", "constant-velocity", "classifier"),
+    ("graphrqi-predict", "classifier", "collisions", "constant-velocity", "classifier"),
+    ("graphrqi-predict", "shuffled", "ade_m", "graphrqi-predict", "uniform"),
+    ("car-following", "shuffled", "ade_m", "car-following-blind", "classifier"),
 )
-"""Predictor, metric, and the predictor by whose figure it is divided, at the longest horizon."""
+"""Predictor and its beliefs, metric, and the predictor and beliefs by whose figure it is divided,
+at the longest horizon."""
 
 GAINS: Final = (
-    ("graphrqi-predict-unlabelled", "graphrqi-predict", "graphrqi-predict-oracle"),
-    ("car-following-blind", "car-following", "oracle"),
+    ("graphrqi-predict", "graphrqi-predict", "uniform"),
+    ("car-following", "car-following-blind", "classifier"),
 )
-"""Predictors given no labels, the classifier's labels and the true ones: ``label_gain_share`` is
-the share of the true labels' gain that the classifier's labels reach."""
+"""Predictors, and what they are compared with: ``label_gain_share`` is the share of the true
+labels' gain that the classifier's beliefs reach."""
+
+Figures = Mapping[tuple[str, str], Errors]
+"""Errors by predictor and beliefs."""
+
+
+def true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
+    """Certain beliefs in the true behaviours: what perfect classification would give."""
+    if history.behavior is None:
+        raise InputError("beliefs: found no true behaviours, expected labelled tracks")
+    return Posterior(history.ids, certain(history.behavior.astype(np.int64)))
+
+
+def no_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
+    """Nothing is believed of anybody: every behaviour is as likely as the others."""
+    return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
+
+
+BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
+    "classifier": lambda history, posterior: posterior,
+    "truth": true_beliefs,
+    "shuffled": shuffled_posterior,
+    "uniform": no_beliefs,
+}
+"""What predictors are told of the drivers present, from what the classifier believes."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +113,12 @@ class EpisodeResult:
     Attributes:
         errors: of predictors that are given the road.
         map_free: of predictors without it.
-        chances: what was said about who yields.
+        chances: what was said about who yields, by beliefs.
     """
 
-    errors: Mapping[str, Errors]
-    map_free: Mapping[str, Errors]
-    chances: EncounterChances
+    errors: Figures
+    map_free: Figures
+    chances: Mapping[str, EncounterChances]
 
 
 def measure(
@@ -95,15 +126,17 @@ def measure(
     duration_s: float | None = None,
     predictors: Sequence[str] = (),
     model: str = DEFAULT_MODEL,
+    told: Sequence[str] = (),
     jobs: int | None = None,
 ) -> Iterator[list[Row]]:
-    """Predict on fresh episodes of both scenarios with a classifier's beliefs.
+    """Predict on fresh episodes of both scenarios with several beliefs about the drivers.
 
     Args:
         episodes: per scenario.
         duration_s: of each, s; None for the scenario's own.
         predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
         model: the classifier whose beliefs are used.
+        told: keys of `BELIEFS`; () for all. The classifier's are always among them.
         jobs: processes; None for one per core.
 
     Yields:
@@ -112,6 +145,9 @@ def measure(
     names = list(predictors or PREDICTORS)
     for name in names:
         chosen_predictor(name)
+    for kind in told:
+        lookup(BELIEFS, kind, "beliefs")
+    kinds = [kind for kind in BELIEFS if not told or kind in (*told, "classifier")]
     with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
         folder = Path(scratch) / "data"
         config = GenerateConfig(
@@ -120,62 +156,90 @@ def measure(
         generate(config, folder, jobs=jobs, quiet=True)
         dataset = open_dataset(folder)
         for scenario in SCENARIOS:
-            arguments = [(folder, e, names, model) for e in dataset.episodes(None, scenario)]
+            arguments = [(folder, e, names, kinds, model) for e in dataset.episodes(None, scenario)]
             found = list(in_parallel(predicted_episode, arguments, jobs))
             rows: list[Row] = []
             for split, results in (
                 ("unseen", [one.errors for one in found]),
                 ("unseen, no map", [one.map_free for one in found]),
             ):
-                rows += score_predictions(results, {"scenario": scenario, "split": split})
+                for kind in kinds:
+                    chosen = [_with_beliefs(one, kind) for one in results]
+                    keys = {"scenario": scenario, "split": split, "beliefs": kind}
+                    if chosen[0]:
+                        rows += score_predictions(chosen, keys)
                 rows += compare(results, scenario, split)
-            yield rows + score_chances([one.chances for one in found], scenario, "unseen")
+            for kind in kinds:
+                said = score_chances([one.chances[kind] for one in found], scenario, "unseen")
+                rows += [{"beliefs": kind, **row} for row in said]
+            yield rows
+
+
+def _with_beliefs(figures: Figures, kind: str) -> dict[str, Errors]:
+    """Errors by predictor, of those that were told these beliefs."""
+    return {name: errors for (name, told), errors in figures.items() if told == kind}
 
 
 def predicted_episode(
-    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], model: str
+    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], kinds: Sequence[str], model: str
 ) -> EpisodeResult:
-    """Errors and yielding chances of predictors in one episode."""
+    """Errors and yielding chances of predictors in one episode, with each kind of beliefs."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     scored = sorted(instants(tracks, max(HORIZONS_S), EVERY_S))
     stops = {*scored, *instants(tracks, max(HORIZONS_S), yielding.EVERY_S)}
-    posteriors = beliefs(tracks, load_model(model), sorted(stops))
-    moments = {stop: posteriors[stop] for stop in scored}
-    return EpisodeResult(
-        errors=score_episode(tracks, moments, road, predictors),
-        map_free=score_episode(tracks, moments, None, MAP_FREE),
-        chances=NO_ENCOUNTERS
-        if road is None
-        else encounter_chances(tracks, road, posteriors, predictors),
-    )
+    believed = beliefs(tracks, load_model(model), sorted(stops))
+    errors: dict[tuple[str, str], Errors] = {}
+    map_free: dict[tuple[str, str], Errors] = {}
+    chances: dict[str, EncounterChances] = {}
+    for kind in kinds:
+        posteriors = {
+            stop: BELIEFS[kind](tracks.window(stop, 1), posterior)
+            for stop, posterior in believed.items()
+        }
+        moments = {stop: posteriors[stop] for stop in scored}
+        names = [name for name in predictors if kind == "classifier" or name not in DEAF]
+        found = score_episode(tracks, moments, road, names)
+        errors |= {(name, kind): one for name, one in found.items()}
+        chances[kind] = (
+            NO_ENCOUNTERS if road is None else encounter_chances(tracks, road, posteriors, names)
+        )
+        if kind == "classifier":
+            found = score_episode(tracks, moments, None, MAP_FREE)
+            map_free = {(name, kind): one for name, one in found.items()}
+    return EpisodeResult(errors, map_free, chances)
 
 
-def compare(episodes: Sequence[Mapping[str, Errors]], scenario: str, split: str) -> list[Row]:
+def compare(episodes: Sequence[Figures], scenario: str, split: str) -> list[Row]:
     """Ratios of predictors' figures, with intervals over episodes."""
     rows: list[Row] = []
 
-    def total(name: str, metric: str) -> FloatArray:
-        return np.array([e[name].total[0, -1, MEASURES.index(metric)] for e in episodes])
+    def total(which: tuple[str, str], metric: str) -> FloatArray:
+        return np.array([e[which].total[0, -1, MEASURES.index(metric)] for e in episodes])
 
-    def add(name: str, metric: str, statistic: Statistic, sums: list[FloatArray]) -> None:
+    def add(
+        which: tuple[str, str], metric: str, statistic: Statistic, sums: list[FloatArray]
+    ) -> None:
         found = bootstrap(statistic, np.stack(sums, axis=1))
         if not np.isfinite(found[0]):
             return
-        count = int(sum(e[name].count[0] for e in episodes))
+        count = int(sum(e[which].count[0] for e in episodes))
+        name, kind = which
         keys = prediction_keys(scenario, name, max(HORIZONS_S), split)
-        rows.append(tidy_row(keys, metric, *found, count))
+        rows.append(tidy_row({"beliefs": kind, **keys}, metric, *found, count))
 
     there = set(episodes[0]) if episodes else set()
-    for name, metric, other in RATIOS:
-        if {name, other} <= there:
+    for name, kind, metric, other, others in RATIOS:
+        if {(name, kind), (other, others)} <= there:
             statistic = root_ratio if metric == "rmse_m" else ratio
-            sums = [total(name, metric), total(other, metric)]
-            add(name, f"{metric}_over_{other}", statistic, sums)
-    for blind, classified, truth in GAINS:
-        if {blind, classified, truth} <= there:
-            sums = [total(n, "ade_m") for n in (blind, classified, truth)]
-            add(classified, "label_gain_share", _gain_share, sums)
+            sums = [total((name, kind), metric), total((other, others), metric)]
+            against = other if other != name else f"{others}_beliefs"
+            add((name, kind), f"{metric}_over_{against}", statistic, sums)
+    for name, other, others in GAINS:
+        compared = ((other, others), (name, "classifier"), (name, "truth"))
+        if set(compared) <= there:
+            sums = [total(which, "ade_m") for which in compared]
+            add((name, "classifier"), "label_gain_share", _gain_share, sums)
     return rows
 
 

@@ -21,7 +21,6 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from experiments.score.metrics import bootstrap, ratio, summed
 from experiments.score.predictions import hits, off_road, set_measures
 from experiments.score.rows import Row, tidy_row
@@ -41,13 +40,22 @@ from experiments.training.recordings import (
     recorded_instants,
     steady_motion,
 )
-from graphrqi.posterior import Posterior
+from graphrqi.predict.extrapolation import WITHOUT_MAP
 from graphrqi.predict.metrics import MISS_THRESHOLD_M
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.recorded.motion import (
+    SLOPE_FADE_S,
+    SLOPE_SHARE,
+    YAW_FADE_S,
+    Motion,
+    bent,
+    fading,
+)
 from graphrqi.predict.recorded.network import RecordedNetwork
 from graphrqi.predict.recorded.predictor import predict_recorded
-from graphrqi.predict.recorded.rivals import WITHOUT_MAP, lane_predictor
+from graphrqi.predict.rollout.lane_positions import along_path
+from graphrqi.predict.rollout.rollout import on_lanes
 from graphrqi.predict.scene.scene import make_scene
 from sim.frames import BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
@@ -150,6 +158,7 @@ def score_part(
         rule: (lambda history, road, by=by: by(history, _STEPS))  # type: ignore[misc]
         for rule, by in WITHOUT_MAP.items()
     }
+    predictors["fading"] = _fading
     if all(one.road is not None for one in places):
         predictors["lane-rule"] = _along_lanes
     predictors[SHIPPED] = lambda history, road: predict_recorded(history, _STEPS, road=road)
@@ -167,12 +176,28 @@ def score_part(
             yield from _rows(keys, one)
 
 
+def _fading(history: Tracks, road: Road | None) -> Prediction:
+    """The base of the predictor for recordings: acceleration and yaw rate fade."""
+    motion = Motion.of(history)
+    time_s = np.arange(1, _STEPS + 1, dtype=np.float64) * STEP_S
+    xy = motion.from_own_frame(fading(motion, time_s))[:, None]
+    return Prediction(history.ids, time_s, xy, np.ones((history.ids.size, 1)))
+
+
 def _along_lanes(history: Tracks, road: Road | None) -> Prediction:
-    """The rule that follows lanes; the map is known."""
+    """Accelerations fade along the likeliest lanes; agents on no lane keep the base."""
     assert road is not None
     scene = make_scene(history, road, float(TIME_S[-1]))
-    nobody = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-    return lane_predictor(scene, nobody)
+    motion = Motion.of(scene.history)
+    none = np.zeros_like(motion.speed)
+    ahead = bent(
+        motion.speed, SLOPE_SHARE * motion.accel, SLOPE_FADE_S, none, YAW_FADE_S, scene.time_s
+    )[..., 0]  # fmt: skip
+    lane, s = along_path(scene.path, scene.s[:, None] + ahead, scene.paths.lane, scene.paths.start)
+    xy = on_lanes(scene, lane, s, scene.offsets())
+    off = ~scene.on_path
+    xy[off] = motion.from_own_frame(fading(motion, scene.time_s))[off]
+    return scene.predicted(xy)
 
 
 def _scored(

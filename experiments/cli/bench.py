@@ -125,6 +125,12 @@ def prediction(
     model: Annotated[
         str, typer.Option(help="The classifier whose beliefs are used.")
     ] = "graphrqi-plus",
+    beliefs: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="classifier, truth, shuffled or uniform; repeat for several [default: all]."
+        ),
+    ] = None,
     episodes: Episodes = None,
     jobs: Jobs = None,
     quick: Quick = False,
@@ -137,7 +143,7 @@ def prediction(
     names = predictor or (QUICK if quick else ())
     duration_s = 30.0 if quick else None
     count = episodes or (2 if quick else 10)
-    show_parts("prediction", measure(count, duration_s, names, model, jobs), json)
+    show_parts("prediction", measure(count, duration_s, names, model, beliefs or (), jobs), json)
 
 
 @bench.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")

@@ -170,7 +170,7 @@ def predict(
             metavar="A,B",
             help="Names (see graphrqi list) or module:function of your own, separated by commas.",
         ),
-    ] = "constant-velocity,car-following-blind,graphrqi-predict",
+    ] = "constant-velocity,graphrqi-predict",
     horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
     format: FormatName = None,
     net: Net = None,

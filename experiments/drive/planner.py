@@ -148,13 +148,12 @@ def _moved(scene: Scene, ego: int, side: int) -> Scene | None:
 def _driving(
     drivers: DriverParameters, ego: int, wish: float, headway_s: float
 ) -> DriverParameters:
-    """The drivers with the planned vehicle's own: it wants that speed and keeps its lane."""
-    following, changing = drivers.following.copy(), drivers.changing.copy()
+    """The drivers with the planned vehicle's own: it wants that speed and keeps that headway."""
+    following = drivers.following.copy()
     following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)
-    changing[ego, 1] = 1e9  # never
     ignores = drivers.ignores.copy()
     ignores[ego] = False
-    return dataclasses.replace(drivers, following=following, changing=changing, ignores=ignores)
+    return dataclasses.replace(drivers, following=following, ignores=ignores)
 
 
 def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) -> float:

@@ -203,7 +203,7 @@ def examples_of(
         probability = posterior.of(history.ids)
         unknown = np.full_like(probability, 1.0 / probability.shape[1])
         own = to_own_frame(scene, truth)
-        others = shuffled_posterior(scene, posterior).probability
+        others = shuffled_posterior(history, posterior).probability
         for found, belief in zip(by_belief, (probability, unknown, others), strict=True):
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled_inputs(scene), own, counts))
@@ -267,24 +267,21 @@ def train_predictors(
     trained, train_free = parts["train"]
     checked, check_free = parts["validation"]
     train, check = functools.partial(trained.draw, SEED), checked.draw(SEED, 0)
-    with Progress("predictors: training epochs", 3 * EPOCHS, quiet) as progress:
+    with Progress("predictors: training epochs", 2 * EPOCHS, quiet) as progress:
 
         def advance(epoch: int, ade_m: float) -> None:
             progress.advance()
 
         network = train_perceptron(train, check, epochs=EPOCHS, seed=SEED, on_epoch=advance)
         rival = train_lstm(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
-        plain = train_perceptron(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
     scores = {
         "graphrqi-predict": guess_ade_m(network, check),
         "lstm": guess_ade_m(rival, check_free),
-        "mlp": guess_ade_m(plain, check_free),
     }
     out.mkdir(parents=True, exist_ok=True)
     for name, save in (
         ("graphrqi-predict", network.save),
         ("lstm", rival.save),
-        ("mlp", plain.save),
     ):
         save(out / f"{name}.safetensors", card | {"validation_ade_m": round(scores[name], 4)})
     return scores

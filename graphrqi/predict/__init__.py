@@ -26,27 +26,19 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
     "predictor",
     "graphrqi.predictors",
     {
-        "constant-velocity": "graphrqi.predict.constant:constant_velocity",
-        "constant-acceleration": "graphrqi.predict.constant:constant_acceleration",
-        "fading": "graphrqi.predict.recorded.rivals:fading_predictor",
-        "turn-rate": "graphrqi.predict.recorded.rivals:turn_rate_predictor",
-        "lane-rule": "graphrqi.predict.recorded.rivals:lane_predictor",
-        "kalman": "graphrqi.predict.recorded.rivals:kalman_predictor",
-        "car-following-blind": "graphrqi.predict.rollout.following:blind",
+        "constant-velocity": "graphrqi.predict.extrapolation:constant_velocity",
+        "constant-acceleration": "graphrqi.predict.extrapolation:constant_acceleration",
+        "kalman": "graphrqi.predict.extrapolation:kalman",
         "car-following": "graphrqi.predict.rollout.following:aware",
-        "car-following-wary": "graphrqi.predict.rollout.following:wary_following",
-        "behavior-mixture": "graphrqi.predict.rollout.mixture:behavior_mixture",
-        "oracle": "graphrqi.predict.rollout.following:oracle",
-        "shuffled": "graphrqi.predict.rollout.following:shuffled",
+        "car-following-blind": "graphrqi.predict.rollout.following:blind",
         "lstm": "graphrqi.predict.learned.predictors:lstm",
-        "mlp": "graphrqi.predict.learned.predictors:mlp",
         "graphrqi-predict": "graphrqi.predict.learned.predictors:graphrqi_predict",
-        "graphrqi-predict-unlabelled": "graphrqi.predict.learned.predictors:unlabelled_predict",
-        "graphrqi-predict-oracle": "graphrqi.predict.learned.predictors:oracle_predict",
-        "graphrqi-predict-shuffled": "graphrqi.predict.learned.predictors:shuffled_predict",
     },
 )
 """Every predictor by name."""
+
+NO_MAP_NEEDED: Final = ("constant-velocity", "constant-acceleration", "kalman", "graphrqi-predict")
+"""Predictors that work without a map; `graphrqi-predict` uses its network for recordings there."""
 
 
 def get_predictor(name: str) -> Predictor:
@@ -90,19 +82,19 @@ def chosen_predictor(name: str) -> Predictor:
 
 
 def check_map(name: str, road: Road | None) -> None:
-    """Refuse predictors of others where there is no map: they are functions of a scene with lanes.
+    """Refuse predictors that need a map where there is none.
 
     Args:
         name: a key of ``PREDICTORS``, or "module:function".
         road: where something is to be predicted; None if there is no map.
 
     Raises:
-        InputError: if there is none and the predictor is not of this package.
+        InputError: if there is none and the predictor needs one.
     """
-    if road is None and PREDICTORS.source(name) is None:
+    if road is None and name not in NO_MAP_NEEDED:
         raise InputError(
-            f"road: found none for the predictor {name!r}, expected one of graphrqi's own where "
-            "there is no map"
+            f"road: found none for the predictor {name!r}, expected a map, or one of "
+            f"{', '.join(NO_MAP_NEEDED)}"
         )
 
 
@@ -121,8 +113,7 @@ def predict(
         history: tracks whose last column is the present.
         posterior: beliefs about the drivers; agents it does not name count as unknown.
         road: where it happens; None where there is no map: then neighbours are inferred from
-            the traffic, and predictors of this package that need a map come down to the one for
-            recordings (`graphrqi.predict.recorded.predictor`); others are refused.
+            the traffic, and only predictors of `NO_MAP_NEEDED` answer.
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
         weights: folder of ``graphrqi train-predictor`` whose network ``graphrqi-predict`` uses on
@@ -133,9 +124,8 @@ def predict(
         Futures of every agent present now, every 0.1 s up to the horizon.
 
     Raises:
-        InputError: if the predictor is unknown or has no map that it needs, the
-            horizon is too short, or the history empty or with numbers that are not finite where
-            agents were seen.
+        InputError: if the predictor is unknown or has no map that it needs, the horizon is too
+            short, or the history empty or with numbers that are not finite where agents were seen.
     """
     from graphrqi.predict.scene.scene import (
         LEARNED_S,
@@ -159,9 +149,17 @@ def predict(
 
         network, function = trained_network(weights), with_weights(weights)
     if road is None:
-        from graphrqi.predict.recorded.predictor import predict_unmapped
+        from graphrqi.predict.extrapolation import WITHOUT_MAP
+        from graphrqi.predict.prediction import STEP_S
+        from graphrqi.predict.recorded.predictor import predict_recorded
 
-        return predict_unmapped(history, horizon_s, predictor, network)
+        if history.time_s.size == 0:
+            raise InputError("history: found no frame, expected at least 1")
+        present = history.window(history.time_s.size, history.time_s.size)
+        steps = round(horizon_s / STEP_S)
+        if predictor in WITHOUT_MAP:
+            return WITHOUT_MAP[predictor](present, steps)
+        return predict_recorded(present, steps, network)
     scene = make_scene(history, road, max(horizon_s, LEARNED_S))
     return function(scene, posterior).until(horizon_s)
 

@@ -8,14 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from behaviors.labels import BEHAVIORS
 from experiments.benchmarks import generate, loop, spectrum
 from experiments.benchmarks.graph_sequences import city_blocks, traffic, traffic_positions
-from experiments.benchmarks.prediction import compare
+from experiments.benchmarks.prediction import BELIEFS, compare
 from experiments.score.parts import show_parts
 from experiments.score.predictions import GROUPS, MEASURES, Errors
 from experiments.score.rows import Row, tidy_row
 from graphrqi.graph import TrafficGraph
+from graphrqi.posterior import Posterior
 from graphrqi.spectrum import SOLVERS
+from sim.frames import Frame, Tracks
 
 
 def test_rows_are_kept_after_every_part(tmp_path: Path, capsys) -> None:
@@ -139,14 +142,35 @@ def made_up(ade: float, collisions: float = 0.1) -> Errors:
     return Errors(total, count)
 
 
+def test_each_kind_of_beliefs_is_what_it_says() -> None:
+    frame = Frame(
+        time_s=0.0, ids=np.arange(6), xy=np.zeros((6, 2)), heading=np.zeros(6), speed=np.ones(6),
+        length=np.full(6, 4.0), width=np.full(6, 2.0), kind=np.zeros(6),
+    )  # fmt: skip
+    tracks = Tracks.from_frames([frame], dict(enumerate(BEHAVIORS)))
+    rows = np.random.default_rng(0).dirichlet(np.ones(6), 6)
+    classified = Posterior(np.arange(6), rows)
+    told = {kind: make(tracks, classified).of(tracks.ids) for kind, make in BELIEFS.items()}
+    assert np.array_equal(told["classifier"], rows)
+    assert np.array_equal(told["truth"], np.eye(6))
+    assert told["uniform"] == pytest.approx(1 / 6)
+    assert not np.array_equal(told["shuffled"], rows)
+    assert np.sort(told["shuffled"][:, 0]) == pytest.approx(np.sort(rows[:, 0]))
+
+
 def test_ratios_and_shares_compare_what_was_run() -> None:
-    blind, told, truth = (f"graphrqi-predict{suffix}" for suffix in ("-unlabelled", "", "-oracle"))
+    told = "graphrqi-predict"
     episodes = [
-        {"constant-velocity": made_up(4 * d, 0.4), blind: made_up(1.4 * d), told: made_up(1.1 * d),
-         truth: made_up(1.0 * d)}
+        {("constant-velocity", "classifier"): made_up(4 * d, 0.4),
+         (told, "uniform"): made_up(1.4 * d), (told, "classifier"): made_up(1.1 * d),
+         (told, "truth"): made_up(1.0 * d), (told, "shuffled"): made_up(2.8 * d)}
         for d in (0.8, 1.0, 1.2)
     ]  # fmt: skip
-    value = {(r["predictor"], r["metric"]): r for r in compare(episodes, "here", "test")}
+    rows = compare(episodes, "here", "test")
+    value = {(r["predictor"], r["metric"]): r for r in rows if r["beliefs"] == "classifier"}
+    shuffled = [r for r in rows if r["beliefs"] == "shuffled"]
+    assert [r["metric"] for r in shuffled] == ["ade_m_over_uniform_beliefs"]
+    assert shuffled[0]["value"] == pytest.approx(2.0)
     assert value[told, "ade_m_over_constant-velocity"]["value"] == pytest.approx(0.275)
     assert value[told, "collisions_over_constant-velocity"]["value"] == pytest.approx(0.25)
     assert value[told, "label_gain_share"]["value"] == pytest.approx(0.75)

@@ -28,6 +28,7 @@ from experiments.score.predictions import (
 from experiments.training.predictor import calibrate_drivers, samples_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
+from graphrqi.predict.networks.futures import MODES
 from graphrqi.predict.rollout.driver_table import table_from_json
 from scenarios import SCENARIOS
 from sim.engines import get_engine
@@ -278,14 +279,14 @@ def test_calibration_without_training_episodes_is_refused(tmp_path):
 
 def test_predictions_file_holds_every_future_of_every_agent(dataset, tmp_path):
     out = tmp_path / "predictions.parquet"
-    names = ["constant-velocity", "behavior-mixture"]
+    names = ["constant-velocity", "lstm"]
     predict_dataset(dataset, names, 2.0, out=out, jobs=1, quiet=True)
     rows = pq.read_table(out).to_pandas()
     assert list(rows) == PREDICTIONS.names
     one = rows.groupby(["episode", "predictor", "agent", "time_s"], observed=True)
     assert set(one.ngroup()) >= {0, 1}
     for (_, predictor, _, _), futures in one:
-        modes = 1 if predictor == "constant-velocity" else len(BEHAVIORS)
+        modes = 1 if predictor == "constant-velocity" else MODES
         assert futures["mode"].tolist() == np.repeat(np.arange(modes), 4).tolist()
         assert futures["ahead_s"].tolist() == [0.5, 1.0, 1.5, 2.0] * modes
         each = futures.drop_duplicates("mode")["probability"]

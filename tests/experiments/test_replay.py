@@ -263,7 +263,7 @@ def test_what_is_asked_for_wrongly_is_refused_before_any_work(tmp_path):
     for options, said in (
         ({"picture": tmp_path / "p.jpg"}, r"--picture: found 'p\.jpg'"),
         ({"color": "sped"}, "unknown color 'sped': did you mean 'speed'"),
-        ({"predictor": "oracel"}, "did you mean 'oracle'"),
+        ({"predictor": "kalmann"}, "did you mean 'kalman'"),
         ({"picture": tmp_path / "nowhere" / "v.gif"}, "found no folder"),
     ):
         with pytest.raises(InputError, match=said):

@@ -16,8 +16,6 @@ from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout.agreement import agreement
 from graphrqi.predict.rollout.driver_parameters import (
     DriverParameters,
-    expected_parameters,
-    with_caution,
 )
 from graphrqi.predict.rollout.driver_table import (
     DRIVER_FIELDS,
@@ -88,9 +86,7 @@ def driver(scene, **numbers) -> DriverParameters:
     n = scene.ids.size
     return DriverParameters(
         following=np.tile([{**average, **numbers}[f] for f in DRIVER_FIELDS], (n, 1)),
-        changing=np.empty((0, 4)),
         ignores=np.zeros((n, 2), dtype=bool),
-        caution=np.zeros((n, 2)),
     )
 
 
@@ -194,84 +190,6 @@ def test_longer_headway_keeps_a_longer_gap(straight):
         result = roll(dataclasses.replace(scene, accel=np.zeros(2)), drivers, decay_s=0.0)
         final.append(result.s[0, -1] - result.s[1, -1])
     assert final[1] > final[0] + 10.0
-
-
-def changing(drivers: DriverParameters, politeness=0.0, threshold_mps2=1.0) -> DriverParameters:
-    """The same drivers, who change lanes by these numbers."""
-    row = [politeness, threshold_mps2, 4.0, 1.0]
-    return dataclasses.replace(drivers, changing=np.tile(row, (len(drivers.following), 1)))
-
-
-def behind_a_slow_leader(road, beside=()):
-    """A fast driver 55 m behind a slow one in the middle lane, and some in the lane to the left."""
-    places = [("east_in_1", 115.0, 4.0), ("east_in_1", 60.0, 12.0), *beside]
-    xy, heading = zip(*(on_lane(road, lane, s) for lane, s, _ in places), strict=True)
-    scene = make_scene(history(xy, heading, [v for _, _, v in places]), road, horizon_s=8.0)
-    return dataclasses.replace(scene, accel=np.zeros(len(places)))
-
-
-def lane_names(road, result, row):
-    return [road.lanes[i].id for i in result.lane[row]]
-
-
-def test_passes_a_slow_leader_if_it_is_worth_it(straight):
-    scene = behind_a_slow_leader(straight)
-    stays, eager = driver(scene), changing(driver(scene))
-    for drivers in (stays, eager):
-        drivers.following[0, 0] = 4.0 / 13.89
-    patient = roll(scene, stays, decay_s=0.0)
-    passing = roll(scene, eager, decay_s=0.0)
-    lazy = roll(scene, changing(stays, threshold_mps2=50.0), decay_s=0.0)
-    assert set(lane_names(straight, patient, 1)) == {"east_in_1"}
-    assert np.array_equal(lazy.s, patient.s)
-    changed = lane_names(straight, passing, 1)
-    assert changed[0] == "east_in_1"
-    assert changed[-1] in ("east_in_0", "east_in_2")
-    assert passing.travelled[1, -1] > patient.travelled[1, -1] + 10.0
-    side = positions(scene, passing)[1, :, 1]
-    assert abs(side[-1] - side[0]) == pytest.approx(3.2, abs=0.6)
-    assert np.abs(np.diff(side)).max() < 0.15  # gradually, not at once
-
-
-def test_nobody_changes_into_a_neighbour(straight):
-    both_sides = [(lane, 60.0, 12.0) for lane in ("east_in_0", "east_in_2")]
-    scene = behind_a_slow_leader(straight, both_sides)
-    drivers = changing(driver(scene, speed_factor=12.0 / 13.89))
-    drivers.following[0, 0] = 4.0 / 13.89
-    first = roll(scene, drivers, decay_s=0.0, steps=25)
-    assert set(lane_names(straight, first, 1)) == {"east_in_1"}
-
-
-def test_polite_drivers_mind_whom_they_make_brake(straight):
-    scene = behind_a_slow_leader(straight, [("east_in_2", 38.0, 13.5), ("east_in_0", 38.0, 13.5)])
-    ends = {}
-    for politeness in (0.0, 5.0):
-        drivers = changing(driver(scene), politeness=politeness)
-        drivers.following[0, 0] = 4.0 / 13.89
-        result = roll(scene, drivers, decay_s=0.0, steps=30)
-        ends[politeness] = lane_names(straight, result, 1)[-1]
-    assert ends[0.0] != "east_in_1"
-    assert ends[5.0] == "east_in_1"
-
-
-def test_conservative_drivers_keep_away_from_the_aggressive(straight):
-    a, heading = on_lane(straight, "east_in_1", 90.0)
-    b, _ = on_lane(straight, "east_in_1", 60.0)
-    past = history([a, b], [heading] * 2, [10.0, 12.0])
-    scene = make_scene(past, straight, horizon_s=10.0)
-    table = dataclasses.replace(default_table(), change_margin_mps2=100.0)
-    gaps = {}
-    for leader in (Behavior.THREATENING, Behavior.TIMID):
-        sure = np.eye(len(BEHAVIORS))[[leader.code, Behavior.CAREFUL.code]]
-        drivers = expected_parameters(scene, sure, table)
-        drivers.following[0] = drivers.following[1]  # the leader drives alike in both
-        drivers.following[0, 0] = 10.0 / 13.89
-        for kind, each in (("plain", drivers), ("wary", with_caution(drivers, sure))):
-            result = roll(scene, each, decay_s=0.0)
-            gaps[leader, kind] = result.s[0, -1] - result.s[1, -1]
-    assert gaps[Behavior.THREATENING, "plain"] == pytest.approx(gaps[Behavior.TIMID, "plain"])
-    assert gaps[Behavior.TIMID, "wary"] == pytest.approx(gaps[Behavior.TIMID, "plain"])
-    assert gaps[Behavior.THREATENING, "wary"] > gaps[Behavior.THREATENING, "plain"] + 3.0
 
 
 def test_stops_at_red_and_goes_at_green(four_way):
@@ -481,7 +399,7 @@ def test_tables_need_pandas(monkeypatch):
         Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]]).to_pandas()
 
 
-@pytest.mark.parametrize("name", ["lstm", "mlp", "graphrqi-predict"])
+@pytest.mark.parametrize("name", ["lstm", "graphrqi-predict"])
 def test_networks_go_on_after_their_last_knot(name, straight):
     place, heading = on_lane(straight, "east_in_1", 60.0)
     past = history([place], [heading], [10.0])

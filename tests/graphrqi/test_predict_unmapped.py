@@ -33,7 +33,7 @@ from scenarios import SCENARIOS
 from sim.frames import PEDESTRIAN, Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-RULES = ("constant-velocity", "fading", "turn-rate", "kalman")
+RULES = ("constant-velocity", "constant-acceleration", "kalman")
 
 
 def recording(
@@ -78,8 +78,14 @@ def shaken(tracks: Tracks, noise_m=0.1, seed=0) -> Tracks:
     )  # fmt: skip
 
 
-def ends(tracks: Tracks, predictor="fading"):
+def ends(tracks: Tracks, predictor: str):
     return predict(tracks, NOBODY, None, predictor=predictor).best[:, -1]
+
+
+def base_ends(tracks: Tracks):
+    """Where the base of the predictor for recordings has everyone in five seconds."""
+    motion = Motion.of(tracks)
+    return motion.from_own_frame(fading(motion, np.array([5.0])))[:, 0]
 
 
 def raw_network(raw, trained=None) -> RecordedNetwork:
@@ -143,7 +149,7 @@ def test_steady_drivers_keep_their_speed(rule):
 
 
 def test_an_acceleration_fades():
-    end = ends(recording([0.0], [8.0], accel=1.0))[0, 0]
+    end = base_ends(recording([0.0], [8.0], accel=1.0))[0, 0]
     # .7 m/s2 that fades in 1.5 s
     expected = 40.0 + 0.7 * 1.5 * (5.0 - 1.5 * (1.0 - np.exp(-5.0 / 1.5)))
     assert end == pytest.approx(expected, abs=0.3)
@@ -160,12 +166,11 @@ def test_who_brakes_does_not_reverse(rule):
     assert (told.xy[0, :, -1, 0] > -0.5).all()
 
 
-@pytest.mark.parametrize("rule", ["fading", "turn-rate"])
-def test_a_turn_goes_on_and_fades(rule):
-    end = ends(turning(), rule)[0]
+def test_a_turn_goes_on_and_fades():
+    end = base_ends(turning())[0]
     turned = 0.5 * 0.3 * 1.0  # half of the rate, fading in 1 s: rad
     assert np.arctan2(end[1], end[0]) == pytest.approx(turned, rel=0.35)
-    assert ends(turning(-0.3), rule)[0, 1] == pytest.approx(-end[1])
+    assert base_ends(turning(-0.3))[0, 1] == pytest.approx(-end[1])
 
 
 def test_yaw_rates_are_measured():
@@ -206,7 +211,7 @@ def test_wrong_speeds_do_not_count():
 def test_coarse_recordings_are_read():
     fine = recording([0.0], [10.0], accel=1.0)
     coarse = recording([0.0], [10.0], accel=1.0, step_s=0.5)
-    assert ends(coarse)[0] == pytest.approx(ends(fine)[0], abs=0.5)
+    assert base_ends(coarse)[0] == pytest.approx(base_ends(fine)[0], abs=0.5)
 
 
 def test_gaps_in_a_track_are_bridged():
@@ -214,7 +219,7 @@ def test_gaps_in_a_track_are_bridged():
     valid = tracks.valid.copy()
     valid[0, [3, 4, 18, 19]] = False
     gappy = replace(tracks, valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
-    assert ends(gappy)[0] == pytest.approx([50.0, 0.0], abs=1e-3)
+    assert base_ends(gappy)[0] == pytest.approx([50.0, 0.0], abs=1e-3)
     assert np.isfinite(features_of(gappy, Motion.of(gappy))).all()
 
 
@@ -239,10 +244,20 @@ def test_features_are_as_many_as_told():
     assert features_of(tracks, Motion.of(tracks)).shape == (2, feature_count())
 
 
-def test_a_predictor_of_others_is_not_replaced_where_there_is_no_map(monkeypatch):
+@pytest.mark.parametrize("name", ["theirs", "car-following", "car-following-blind", "lstm"])
+def test_a_predictor_that_needs_a_map_says_so(name, monkeypatch):
     monkeypatch.setitem(PREDICTORS, "theirs", get_predictor("constant-velocity"))
-    with pytest.raises(InputError, match="road: found none for the predictor 'theirs'"):
-        predict(recording([0.0], [10.0]), NOBODY, None, predictor="theirs")
+    with pytest.raises(InputError, match=f"road: found none for the predictor '{name}', expected"):
+        predict(recording([0.0], [10.0]), NOBODY, None, predictor=name)
+
+
+@pytest.mark.parametrize("name", ["constant-velocity", "constant-acceleration", "kalman"])
+def test_a_predictor_that_needs_no_map_is_the_same_with_and_without(name):
+    tracks = recording([50.0, 80.0], [10.0, 8.0], accel=-0.5)
+    road = SCENARIOS["straight_road"]().road
+    one, other = (predict(tracks, NOBODY, where, predictor=name) for where in (road, None))
+    assert np.array_equal(one.xy, other.xy)
+    assert not np.array_equal(other.best, predict(tracks, NOBODY, None).best)
 
 
 def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():
@@ -282,7 +297,7 @@ def test_the_first_future_is_the_likeliest():
 )
 def test_outside_the_trained_range_the_base_answers(tracks):
     told = predict_recorded(tracks, 50, raw_network(np.full((MODES, PER_MODE), 3.0)))
-    base = ends(tracks, "fading")
+    base = base_ends(tracks)
     assert told.best[:, -1] == pytest.approx(np.maximum(base, [[0.0, -np.inf]]), abs=1e-6)
     assert np.ptp(told.xy[0, :, -1, 0]) > 1.0  # the fan says what else may happen
 
@@ -349,7 +364,7 @@ def told_no_signals():
     return replace(road, knows=replace(road.knows, signals=False))
 
 
-@pytest.mark.parametrize("name", ["graphrqi-predict", "lstm", "mlp"])
+@pytest.mark.parametrize("name", ["graphrqi-predict", "lstm"])
 def test_drivers_on_fast_roads_are_predicted_as_recorded_ones(name):
     """On a motorway all of them; on a fast road those who come to no light or crossing."""
     road = SCENARIOS["motorway"](limit_mps=33.3).road
@@ -368,7 +383,7 @@ def test_drivers_on_fast_roads_are_predicted_as_recorded_ones(name):
         assert np.array_equal(told[0], recorded[0]) == far_away
 
 
-@pytest.mark.parametrize("name", ["graphrqi-predict", "graphrqi-predict-unlabelled", "lstm", "mlp"])
+@pytest.mark.parametrize("name", ["graphrqi-predict", "lstm"])
 def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
     name, told_no_limits, told_no_signals
 ):
@@ -379,7 +394,7 @@ def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
         assert np.array_equal(predict(tracks, NOBODY, road, predictor=name).xy, expected)
 
 
-@pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
+@pytest.mark.parametrize("name", ["car-following-blind", "car-following"])
 def test_where_limits_do_not_rule_nobody_is_driven_up_to_them(name):
     road = SCENARIOS["straight_road"]().road
     ignored = replace(road, knows=replace(road.knows, limits_rule=False))
@@ -391,7 +406,7 @@ def test_where_limits_do_not_rule_nobody_is_driven_up_to_them(name):
     assert way_m[1] == pytest.approx(30.0, abs=1.5)
 
 
-@pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
+@pytest.mark.parametrize("name", ["car-following-blind", "car-following"])
 def test_car_following_keeps_to_the_lanes_of_a_road_without_limits(name, told_no_limits):
     y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
     told = predict(recording([50, 80], [10, 8], y=[y + 0.5, y]), NOBODY, told_no_limits,
@@ -399,18 +414,3 @@ def test_car_following_keeps_to_the_lanes_of_a_road_without_limits(name, told_no
     assert np.isfinite(told.xy).all()
     assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
     assert (told.best[:, -1, 0] > [90.0, 110.0]).all()
-
-
-def test_the_rule_along_lanes_fades_and_returns_to_the_centre(told_no_limits):
-    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
-    tracks = recording([50, 80], [10, 8], y=[y + 0.5, y], accel=0.5)
-    told = predict(tracks, NOBODY, told_no_limits, predictor="lane-rule")
-    assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
-    base = predict(tracks, NOBODY, None, predictor="fading").best[:, -1, 0]
-    assert told.best[:, -1, 0] == pytest.approx(base, abs=0.5)
-
-
-def test_who_is_on_no_lane_keeps_the_base(told_no_limits):
-    tracks = recording([50.0], [10.0], y=[300.0])
-    told = predict(tracks, NOBODY, told_no_limits, predictor="lane-rule")
-    assert told.best[0, -1] == pytest.approx([100.0, 300.0], abs=0.1)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.constant import inertial_distance
+from graphrqi.predict.extrapolation import inertial_distance
 from graphrqi.predict.learned.features import features
 from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.rollout.agreement import agreement
@@ -65,13 +65,13 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
     first = scene.with_path(choice[row, order[:, 0]])
     likeliest, second_likely = likely[row, order[:, 0]], np.zeros(row.size)
     anchors = np.empty((row.size, ANCHORS, KNOTS, 2))
-    main = roll(first, drivers, table.decay_s, None, KNOTS, KNOT_S)
+    main = roll(first, drivers, table.decay_s, KNOTS, KNOT_S)
     anchors[:, :2] = _at_knots(first, main)[:, None]
     if choice.shape[1] > 1:
         second_likely = likely[row, order[:, 1]]
         open_to = second_likely > 1e-3
         second = scene.with_path(choice[row, order[:, 1]])
-        driven = roll(second, drivers, table.decay_s, None, KNOTS, KNOT_S)
+        driven = roll(second, drivers, table.decay_s, KNOTS, KNOT_S)
         anchors[open_to, 1] = _at_knots(second, driven)[open_to]
     beside = on_lane_beside(first, 1), on_lane_beside(first, -1)
     following, ignores = parameters_of_each(scene, table)

@@ -16,7 +16,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
 from graphrqi.predict.learned.lstm import shipped_lstm
@@ -26,7 +25,6 @@ from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.recorded.network import RecordedNetwork, trained_network
 from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.rollout.driver_table import default_table
-from graphrqi.predict.rollout.following import shuffled_posterior, true_behavior
 from graphrqi.predict.scene.paths import limits_known
 from graphrqi.predict.scene.scene import Scene
 
@@ -138,33 +136,6 @@ def with_weights(folder: Path) -> Predictor:
 
 
 @at_home
-def mlp(scene: Scene, posterior: Posterior) -> Prediction:
-    """A perceptron with the inputs, data and budget of the label-free ``lstm``, for comparison."""
-    network = shipped_perceptron("mlp.safetensors")
-    return spread_out(scene.history, network(unlabelled_inputs(scene)), scene.steps)
-
-
-@at_home
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """A recurrent network that is given neither beliefs nor a driver model."""
     return spread_out(scene.history, shipped_lstm()(unlabelled_inputs(scene)), scene.steps)
-
-
-def unlabelled_predict(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `graphrqi-predict`, without beliefs about anybody: the baseline for the labels' worth."""
-    nothing = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-    return graphrqi_predict(scene, nothing)
-
-
-def oracle_predict(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `graphrqi-predict`, given every driver's true behaviour.
-
-    Raises:
-        InputError: if the history carries no labels.
-    """
-    return graphrqi_predict(scene, Posterior(scene.ids, true_behavior(scene)))
-
-
-def shuffled_predict(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `graphrqi-predict`, given other drivers' behaviours: how far wrong labels mislead it."""
-    return graphrqi_predict(scene, shuffled_posterior(scene, posterior))

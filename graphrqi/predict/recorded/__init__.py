@@ -1,1 +1,1 @@
-"""Prediction on recordings: base, neighbours, the network that corrects the base, and rivals."""
+"""Prediction on recordings: base, neighbours and the network that corrects the base."""

@@ -14,14 +14,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from graphrqi.predict.prediction import STEP_S, Prediction
-from graphrqi.predict.recorded import rivals
 from graphrqi.predict.recorded.along_lanes import join_lanes
 from graphrqi.predict.recorded.features import features_of
 from graphrqi.predict.recorded.gaps import plausible
 from graphrqi.predict.recorded.lanes_ahead import lanes_ahead
-from graphrqi.predict.recorded.motion import Motion, bent, fading
+from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
     MODES,
     RecordedNetwork,
@@ -42,33 +40,6 @@ FAN_PROBABILITY: Final = (0.3, 0.3, 0.13, 0.13, 0.07, 0.07)
 BACK_M: Final = 11.0
 """A future that ends behind the agent must end this far to its side; otherwise it would reverse, m
 (the usual circle in which a car turns)."""
-
-
-def predict_unmapped(
-    history: Tracks, horizon_s: float, predictor: str, network: RecordedNetwork | None = None
-) -> Prediction:
-    """Predict without a map.
-
-    Args:
-        history: tracks whose last column is the present.
-        horizon_s: how far ahead, s.
-        predictor: those of `graphrqi.predict.recorded.rivals` and ``constant-velocity`` keep their
-            meaning; every other one becomes the predictor for recordings.
-        network: of the predictor for recordings; None for the one that ships.
-
-    Returns:
-        Futures of the agents present now.
-
-    Raises:
-        InputError: if the history is empty.
-    """
-    if history.time_s.size == 0:
-        raise InputError("history: found no frame, expected at least 1")
-    present = history.window(history.time_s.size, history.time_s.size)
-    steps = round(horizon_s / STEP_S)
-    if predictor in rivals.WITHOUT_MAP:
-        return rivals.WITHOUT_MAP[predictor](present, steps)
-    return predict_recorded(present, steps, network)
 
 
 def predict_recorded(
@@ -118,6 +89,3 @@ def _fan(motion: Motion, time_s: FloatArray) -> FloatArray:
             other = replace(motion, accel=np.clip(motion.accel + extra, -6.0, 6.0))
             out[:, k] = fading(other, time_s)
     return out
-
-
-__all__ = ["bent", "predict_recorded", "predict_unmapped"]

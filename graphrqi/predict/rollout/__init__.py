@@ -1,1 +1,1 @@
-"""Driving a scene on by car-following and lane-changing laws."""
+"""Driving a scene on by a car-following law."""

@@ -7,7 +7,7 @@ occupied crossing). The safe speed is Krauss's, derived from Gipps: with reactio
 deceleration b, gap g and leader speed u, ``-b T + sqrt((b T)^2 + u^2 + 2 b g)``.
 
 The residual acceleration, which is the present acceleration minus the model's, is added and decays.
-Once a second a driver may change lanes (`graphrqi.predict.rollout.lane_changing`).
+Nobody changes lanes.
 
 References:
     Gipps (1981), "A behavioural car-following model for computer simulation", Transp. Res. B 15.
@@ -37,10 +37,8 @@ from graphrqi.predict.rollout.columns import (
     ORDER,
     PATH,
     RANK,
-    READY,
     RESIDUAL,
     RETURN_SPEED,
-    SIDE,
     SORTED,
     SPEED,
     START_ACCEL,
@@ -53,13 +51,6 @@ from graphrqi.predict.rollout.columns import (
     V,
     X,
 )  # fmt: skip
-from graphrqi.predict.rollout.lane_changing import (
-    CHANGE_S,
-    DECIDE_S,
-    HARD_DECEL,
-    LOOK_AHEAD_M,
-    choose_lanes,
-)
 from graphrqi.predict.scene.paths import PathColumns
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
 from sim.compiled import in_place, inlined
@@ -68,6 +59,12 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 CodeArray = NDArray[np.int8]
+
+LOOK_AHEAD_M = 120.0
+"""Distance beyond which drivers react to nothing ahead, m (5 s at 24 m/s)."""
+
+HARD_DECEL = 8.0
+"""Largest deceleration, m/s2 (dry asphalt)."""
 
 SIGHT_M = 4.5
 """Distance to a junction from which drivers see the traffic on the crossing road, m (SUMO's default
@@ -89,8 +86,8 @@ def safe_speed(gap: float, leader_speed: float, headway: float, decel: float) ->
 
 def roll(
     present: FloatArray, path: IntArray, lateral: FloatArray, following: FloatArray,
-    ignores: BoolArray, changing: FloatArray, caution: FloatArray, stop_state: CodeArray,
-    paths: PathColumns, others: tuple[IntArray, FloatArray, FloatArray], order: IntArray,
+    ignores: BoolArray, stop_state: CodeArray, paths: PathColumns,
+    others: tuple[IntArray, FloatArray, FloatArray], order: IntArray,
     steps: tuple[int, float, float, float],
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     """Drive n drivers on in M ways.
@@ -105,8 +102,6 @@ def roll(
         following: (M, n, 5) speed factor, time headway s, standstill gap m, acceleration and
             deceleration m/s2.
         ignores: (M, n, 2) whether each ignores red lights, and pedestrians at crossings.
-        changing: (n, 4) lane-changing parameters; (0, 4): nobody changes lanes.
-        caution: (n, 2) caution and threat of each.
         stop_state: (R, columns) states of the stop constraints.
         paths: the paths of the road.
         others: (n, steps) lanes, distances along them, m, and speeds, m/s, where the other drivers
@@ -130,9 +125,8 @@ def roll(
     lane, columns = np.zeros((m, n, steps[0]), np.int64), np.zeros((4, m, n, steps[0]))
     asked = np.zeros((m, n))
     _roll(
-        present, path, lateral, following, ignores, changing, caution, stop_state, paths, others,
-        steps, (
-            order, place, ranking, ends, spare, np.empty((n, 9)), np.empty((n, 5), np.int64),
+        present, path, lateral, following, ignores, stop_state, paths, others, steps, (
+            order, place, ranking, ends, spare, np.empty((n, 9)), np.empty((n, 3), np.int64),
             np.empty(drivers, np.int64), lane, columns, asked,
         ),
     )  # fmt: skip
@@ -141,8 +135,8 @@ def roll(
 
 @in_place(reordered=True)
 def _roll(
-    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, changing: Any,
-    caution: Any, stop_state: Any, paths: Any, others: Any, steps: Any, room: Any,
+    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, stop_state: Any,
+    paths: Any, others: Any, steps: Any, room: Any,
 ) -> None:  # fmt: skip
     """See `roll`; ``room`` holds the order, room to work in, and what receives the results."""
     order, place, ranking, ends, spare, motion, route, moving, lane, columns, asked = room
@@ -150,8 +144,6 @@ def _roll(
     m, n = path.shape
     count, step_s, states, decay_s = steps
     path_lane, path_start, path_limit = paths.lane, paths.start, paths.limit
-    may_change = len(changing) == n and count > 1
-    every = max(1, round(DECIDE_S / step_s))
     for w in range(m):
         driven = 0
         for i in range(n):
@@ -160,7 +152,6 @@ def _roll(
             motion[i, OFFSET], motion[i, RETURN_SPEED] = lateral[v, i, 0], lateral[v, i, 1]
             motion[i, TRAVELLED], motion[i, RESIDUAL] = 0.0, 0.0
             route[i, PATH], route[i, ON] = max(path[w, i], -1 - path[w, i]), 0
-            route[i, READY] = int(CHANGE_S / step_s) if abs(lateral[v, i, 0]) > 0.5 else 0
             if present[i, ON_PATH] > 0.0 and path[w, i] >= 0:
                 moving[driven] = i
                 driven += 1
@@ -178,15 +169,9 @@ def _roll(
             _look_ahead(
                 who, motion, route, drives, place, ranking, ends, path_lane, path_start, path_limit
             )
-            if may_change and h % every == 0:
-                choose_lanes(
-                    who, h, motion, route, present, drives, changing, caution, place, ranking, ends,
-                    paths,
-                )  # fmt: skip
-                _change_lanes(who, h, motion, route, paths, count, step_s)
             column = int(h * states + 0.5)
             _choose_accelerations(
-                who, motion, route, present, drives, caution, place, passes, stop_state, column,
+                who, motion, route, present, drives, place, passes, stop_state, column,
                 paths, step_s,
             )  # fmt: skip
             if h == 0:
@@ -303,35 +288,10 @@ def _look_ahead(
         motion[i, WISH], motion[i, AHEAD], route[i, LEADER] = wish, distance, leader
 
 
-@in_place(inner=True, reordered=True)
-def _change_lanes(
-    who: Any, h: int, motion: Any, route: Any, paths: Any, count: int, step_s: float
-) -> None:
-    """Put drivers on the lane that they have chosen.
-
-    A driver that has had an incentive since the first step and has not started is assumed not to
-    change lanes.
-    """
-    for j in range(who.size):
-        i = who[j]
-        side = route[i, SIDE]
-        if side >= 0 and h == 0:
-            route[i, READY] = count
-        elif side >= 0:
-            q, k = route[i, PATH], route[i, ON]
-            lane = paths.lane[q, k]
-            wide = paths.lane_spacing[side, lane]
-            motion[i, X] -= paths.start[q, k]
-            route[i, PATH], route[i, ON] = paths.by_turn[paths.beside[side, lane], paths.turn[q]], 0
-            motion[i, OFFSET] -= (1.0 - 2.0 * side) * wide
-            motion[i, RETURN_SPEED] = max(wide / CHANGE_S, abs(motion[i, OFFSET]) / CHANGE_S)
-            route[i, READY] = h + int(CHANGE_S / step_s)
-
-
 @inlined
 def _choose_accelerations(
-    who: Any, motion: Any, route: Any, present: Any, following: Any, caution: Any, place: Any,
-    ignores: Any, stop_state: Any, column: Any, paths: Any, step_s: float,
+    who: Any, motion: Any, route: Any, present: Any, following: Any, place: Any, ignores: Any,
+    stop_state: Any, column: Any, paths: Any, step_s: float,
 ) -> None:  # fmt: skip
     """Write the acceleration that each driver chooses, m/s2, before its residual.
 
@@ -348,8 +308,7 @@ def _choose_accelerations(
         target = min(speed + accel * step_s, max(motion[i, WISH], speed - decel * step_s))
         if leader >= 0:
             gap = motion[i, AHEAD] - half - present[leader, HALF_LENGTH] - standstill
-            more = 1.0 + caution[i, 0] * caution[leader, 1]
-            target = min(target, safe_speed(gap, place[leader, V], headway * more, decel))
+            target = min(target, safe_speed(gap, place[leader, V], headway, decel))
         front = motion[i, X] + half
         for g in range(stops):
             room = stop_x[q, g] - front

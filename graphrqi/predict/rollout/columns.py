@@ -22,10 +22,9 @@ at present m/s2, wished speed under the limits here and ahead m/s, distance to t
 m, and the acceleration that the model asks for m/s2."""
 X, SPEED, OFFSET, RETURN_SPEED, TRAVELLED, RESIDUAL, WISH, AHEAD, ACCEL = range(9)
 
-ROUTE: Final = ("path", "on", "ready", "leader", "side")
-"""(n, 5) their paths, which lane of it each has reached, the step from which it may change lanes,
-its leader (-1: none), and the side to which it changes now (0: left, 1: right, -1: not at all)."""
-PATH, ON, READY, LEADER, SIDE = range(5)
+ROUTE: Final = ("path", "on", "leader")
+"""(n, 3) their paths, which lane of it each has reached, and its leader (-1: none)."""
+PATH, ON, LEADER = range(3)
 
 PLACE: Final = ("s", "speed")
 """(n, 2) where a driver's neighbours take it to be: distance along its lane m, and m/s."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any, Final
@@ -10,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 from graphrqi.predict.rollout.driver_table import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene.scene import Scene
 from sim.compiled import in_place
@@ -21,9 +20,6 @@ BoolArray = NDArray[np.bool_]
 FREE_WEIGHT: Final = 0.1
 """Weight of the behaviour's wished speed against the speed at which the driver was seen driving
 freely (within a behaviour wishes differ by 15 %, a driver's own by little)."""
-
-AGGRESSIVE: Final = np.array([b.style is Style.AGGRESSIVE for b in BEHAVIORS], dtype=np.float64)
-"""(6,) 1 for the aggressive behaviours."""
 
 LEAST_FACTOR: Final = 0.05
 """Least wished speed over limit where limits are unknown, also of vehicles that stand (0.7 m/s; the
@@ -36,40 +32,21 @@ class DriverParameters:
 
     Attributes:
         following: (n, 5) car-following parameters, columns as ``driver_table.DRIVER_FIELDS``.
-        changing: (n, 4) lane-changing parameters, columns as ``driver_table.CHANGING_FIELDS``;
-            (0, 4): nobody changes lanes.
         ignores: (n, 2) whether each ignores red lights, and pedestrians at crossings.
-        caution: (n, 2) how far each keeps away from threatening drivers, and how far cautious
-            drivers keep away from it, 0 to 1.
     """
 
     following: FloatArray
-    changing: FloatArray
     ignores: BoolArray
-    caution: FloatArray
 
 
 def expected_parameters(
     scene: Scene, probability: FloatArray, table: DriverTable
 ) -> DriverParameters:
     """The parameters expected under (n, 6) beliefs about the drivers' behaviours."""
-    following = _personal(scene, table.expected(probability)[None])[0]
     return DriverParameters(
-        following=following,
-        changing=table.changing(probability),
+        following=_personal(scene, table.expected(probability)[None])[0],
         ignores=_ignored(probability @ RUNS_RED, probability @ YIELDS),
-        caution=np.zeros((len(following), 2)),
     )
-
-
-def with_caution(parameters: DriverParameters, probability: FloatArray) -> DriverParameters:
-    """The same, but conservative drivers keep away from neighbours believed to be aggressive.
-
-    They keep a longer headway behind them (twice as long at full certainty) and prefer lanes
-    without them (worth 1 m/s2 at full certainty).
-    """
-    aggressive = probability @ AGGRESSIVE
-    return dataclasses.replace(parameters, caution=np.stack([1.0 - aggressive, aggressive], axis=1))
 
 
 def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
@@ -85,13 +62,9 @@ def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, Bo
 
 def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
     """Everyone drives as the average driver does, and ignores nothing."""
-    n = scene.ids.size
-    unknown = np.full((n, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     return DriverParameters(
         following=_personal(scene, table.average[None, None])[0],
-        changing=table.changing(unknown),
-        ignores=np.zeros((n, 2), dtype=np.bool_),
-        caution=np.zeros((n, 2)),
+        ignores=np.zeros((scene.ids.size, 2), dtype=np.bool_),
     )
 
 

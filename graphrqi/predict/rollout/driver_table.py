@@ -45,26 +45,16 @@ class DriverTable:
         average: (5,) numbers of the one average driver.
         decay_s: time in which a driver's residual acceleration falls to 1/e, s.
         average_decay_s: the same with the average driver, s.
-        change_margin_mps2: how much more than by its own threshold a lane change has to gain until
-            it is foreseen, m/s2.
     """
 
     behavior: FloatArray
     average: FloatArray
     decay_s: float
     average_decay_s: float
-    change_margin_mps2: float = 0.0
 
     def expected(self, probability: FloatArray) -> FloatArray:
         """(n, 5) numbers expected under (n, 6) beliefs: geometric means, as scales combine."""
         return np.asarray(np.exp(probability @ np.log(self.behavior)), dtype=np.float64)
-
-    def changing(self, probability: FloatArray) -> FloatArray:
-        """(n, 4) lane-changing numbers expected under (n, 6) beliefs: politeness as a mean."""
-        scales = np.exp(probability @ np.log(CHANGING[:, 1:]))
-        out = np.concatenate([probability @ CHANGING[:, :1], scales], axis=1)
-        out[:, 1] += self.change_margin_mps2
-        return np.asarray(out, dtype=np.float64)
 
 
 RUNS_RED: Final[FloatArray] = np.array([PROFILES[b].red_run_probability for b in BEHAVIORS])
@@ -72,44 +62,6 @@ RUNS_RED: Final[FloatArray] = np.array([PROFILES[b].red_run_probability for b in
 
 YIELDS: Final[FloatArray] = np.array([PROFILES[b].yield_probability for b in BEHAVIORS])
 """(6,) chance that a driver of each behaviour lets pedestrians go first."""
-
-
-CHANGE_GAIN_MPS2: Final = 0.2
-"""Acceleration that an average driver wants to gain by changing lanes, m/s2 (Kesting et al. 2007
-use 0.1, highway-env 0.2)."""
-
-IMPOSED_BRAKING_MPS2: Final = 2.0
-"""Braking that an average driver imposes on its new follower, m/s2 (highway-env's; Kesting et al.
-use 4)."""
-
-MOST_IMPOSED_MPS2: Final = 6.0
-"""Largest braking that any driver imposes, m/s2 (hard braking without locking wheels)."""
-
-LEAST_CHANGE_GAP_M: Final = 0.5
-"""Nobody changes into a smaller gap, m."""
-
-LEAST_GAIN: Final = 0.01
-"""Eagerness and assertiveness count as no less, so that there are scales to combine (ours)."""
-
-CHANGING_FIELDS: Final = ("politeness", "threshold_mps2", "imposed_braking_mps2", "least_gap_m")
-"""Columns of a driver's lane-changing numbers in the rollout."""
-
-
-CHANGING: Final[FloatArray] = np.array(
-    [
-        [
-            p.politeness,
-            CHANGE_GAIN_MPS2 / max(p.lane_change_gain, LEAST_GAIN),
-            min(
-                IMPOSED_BRAKING_MPS2 * max(p.lane_change_assertiveness, LEAST_GAIN),
-                MOST_IMPOSED_MPS2,
-            ),
-            max(p.min_gap_m / max(p.lane_change_assertiveness, LEAST_GAIN), LEAST_CHANGE_GAP_M),
-        ]
-        for p in (PROFILES[b] for b in BEHAVIORS)
-    ]
-)
-"""(6, 4) each profile's own numbers for MOBIL, columns as `CHANGING_FIELDS`."""
 
 
 def initial_table() -> DriverTable:
@@ -134,7 +86,6 @@ def table_to_json(table: DriverTable, card: dict[str, Any]) -> str:
         "card": card,
         "decay_s": round(table.decay_s, 3),
         "average_decay_s": round(table.average_decay_s, 3),
-        "change_margin_mps2": round(table.change_margin_mps2, 3),
         "average": dict(zip(DRIVER_FIELDS, map(float, table.average.round(4)), strict=True)),
         "behavior": behavior,
     }
@@ -159,7 +110,6 @@ def table_from_json(text: str, name: str) -> DriverTable:
             average=np.array([float(data["average"][f]) for f in DRIVER_FIELDS]),
             decay_s=float(data["decay_s"]),
             average_decay_s=float(data["average_decay_s"]),
-            change_margin_mps2=float(data["change_margin_mps2"]),
         )
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise InputError(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
@@ -13,13 +12,12 @@ from graphrqi.predict.rollout.driver_parameters import (
     DriverParameters,
     average_parameters,
     expected_parameters,
-    with_caution,
 )
 from graphrqi.predict.rollout.driver_table import DriverTable, default_table
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.rollout.route import on_likely_paths
 from graphrqi.predict.scene.scene import Scene
-from sim.frames import PEDESTRIAN
+from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -41,11 +39,6 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
     return aware_with(scene, posterior.worth(scene.ids), default_table())
 
 
-def wary_following(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `car-following`, and conservative drivers keep away from aggressive neighbours."""
-    return wary_with(scene, posterior.worth(scene.ids), default_table())
-
-
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
     """`blind` with the given numbers."""
     return _driven(scene, average_parameters(scene, table), table.average_decay_s)
@@ -56,37 +49,10 @@ def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Pre
     return _driven(scene, expected_parameters(scene, probability, table), table.decay_s)
 
 
-def wary_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
-    """`wary_following` with the given numbers and (n, 6) beliefs."""
-    drivers = with_caution(expected_parameters(scene, probability, table), probability)
-    return _driven(scene, drivers, table.decay_s)
-
-
 def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Prediction:
     """Everyone driven on along its most likely way."""
     routed = on_likely_paths(scene, drivers)
     return scene.predicted(positions(routed, roll(routed, drivers, decay_s)))
-
-
-def oracle(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `car-following`, knowing the true behaviours: what perfect classification would give.
-
-    Raises:
-        InputError: if the history carries no labels.
-    """
-    return aware_with(scene, true_behavior(scene), default_table())
-
-
-def true_behavior(scene: Scene) -> FloatArray:
-    """(n, 6) certain beliefs in the true behaviours; uniform for agents that have none.
-
-    Raises:
-        InputError: if the history carries no labels.
-    """
-    behavior = scene.history.behavior
-    if behavior is None:
-        raise InputError("oracle: found a history without behaviours, expected labelled tracks")
-    return certain(behavior.astype(np.int64))
 
 
 def certain(code: IntArray) -> FloatArray:
@@ -96,18 +62,13 @@ def certain(code: IntArray) -> FloatArray:
     return sure
 
 
-def shuffled(scene: Scene, posterior: Posterior) -> Prediction:
-    """As `car-following`, with the beliefs about other drivers: what wrong labels cost."""
-    return aware(scene, shuffled_posterior(scene, posterior))
-
-
-def shuffled_posterior(scene: Scene, posterior: Posterior) -> Posterior:
-    """The beliefs about the drivers of a scene, each given to another one.
+def shuffled_posterior(history: Tracks, posterior: Posterior) -> Posterior:
+    """The beliefs about the drivers of a history, each given to another one.
 
     The exchange is the same whenever the same agents are present.
     """
-    drives = np.flatnonzero(scene.history.kind != PEDESTRIAN)
-    probability = posterior.worth(scene.ids)
-    rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in scene.ids[drives]])
+    drives = np.flatnonzero(history.kind != PEDESTRIAN)
+    probability = posterior.worth(history.ids)
+    rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in history.ids[drives]])
     probability[drives] = probability[drives][rng.permutation(drives.size)]
-    return Posterior(scene.ids, probability)
+    return Posterior(history.ids, probability)

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.rollout.lane_changing import CHANGE_S
 from sim.compiled import in_place
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+
+CHANGE_S = 3.0
+"""Duration of a lane change, s (3 to 6 s are observed)."""
 
 
 @in_place()

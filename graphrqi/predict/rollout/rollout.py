@@ -20,7 +20,6 @@ BoolArray = NDArray[np.bool_]
 
 _NO_NUMBERS = np.empty((0, 0))
 _MOVE_TOGETHER = (np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
-_KEEP_LANES = np.empty((0, 4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,19 +49,16 @@ def roll(
     scene: Scene,
     drivers: DriverParameters,
     decay_s: float = 2.0,
-    others: Rollout | None = None,
     steps: int | None = None,
     step_s: float = STEP_S,
     planned: int | None = None,
 ) -> Rollout:
-    """Drive the scene's drivers on along their paths.
+    """Drive the scene's drivers on along their paths, all together.
 
     Args:
         scene: the present.
         drivers: how each drives.
         decay_s: time in which the residual acceleration falls to 1/e, s; 0: at once.
-        others: where everyone else is assumed to be, at the same steps; by default all move
-            together.
         steps: how many; by default up to the scene's horizon.
         step_s: time between them, s.
         planned: row of a vehicle whose present acceleration is left out of account.
@@ -74,13 +70,11 @@ def roll(
     if planned is not None:
         present = present.copy()
         present[planned, START_ACCEL] = car_following.UNKNOWN_ACCELERATION
-    given = _MOVE_TOGETHER if others is None else (others.lane, others.s, others.speed)
     count = steps or round(scene.steps * STEP_S / step_s)
     lane, columns, asked = car_following.roll(
         present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], drivers.changing, drivers.caution,
-        scene.stop_state, scene.paths.columns, given, scene.order,
-        (count, step_s, step_s / STEP_S, decay_s),
+        drivers.following[None], drivers.ignores[None], scene.stop_state,
+        scene.paths.columns, _MOVE_TOGETHER, scene.order, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
     s, offset, speed, travelled = columns[:, 0]
     return Rollout(lane[0], s, offset, speed, travelled, asked[0], step_s)
@@ -94,7 +88,7 @@ def roll_each(
     decay_s: float,
     others: Rollout,
 ) -> Rollout:
-    """Drive everyone on in M ways, each driver alone among the others; nobody changes lanes.
+    """Drive everyone on in M ways, each driver alone among the others.
 
     Args:
         scene: the present.
@@ -113,8 +107,8 @@ def roll_each(
     )
     count, step_s = others.s.shape[1], others.step_s
     lane, columns, asked = car_following.roll(
-        scene.present, path, _lateral(offset, lateral_speed), following, ignores, _KEEP_LANES,
-        np.zeros((scene.ids.size, 2)), scene.stop_state, scene.paths.columns,
+        scene.present, path, _lateral(offset, lateral_speed), following, ignores,
+        scene.stop_state, scene.paths.columns,
         (others.lane, others.s, others.speed), scene.order,
         (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
@@ -132,8 +126,8 @@ def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatAr
     """
     *_, asked = car_following.roll(
         scene.present, path, _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], _KEEP_LANES, drivers.caution,
-        scene.stop_state, scene.paths.columns, _MOVE_TOGETHER, scene.order, (1, STEP_S, 1.0, 0.0),
+        drivers.following[None], drivers.ignores[None], scene.stop_state,
+        scene.paths.columns, _MOVE_TOGETHER, scene.order, (1, STEP_S, 1.0, 0.0),
     )  # fmt: skip
     return asked
 

@@ -140,6 +140,15 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     return states
 
 
+def present_acceleration(history: Tracks) -> FloatArray:
+    """(n,) accelerations over the last `RECENT_S` of a history, m/s2; 0 where unknown."""
+    n = history.ids.size
+    valid, speed = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.speed)
+    accel = np.zeros(n)
+    _measure_accelerations(history.time_s, valid, speed, np.zeros(n, np.int64), accel)
+    return accel
+
+
 @in_place()
 def _measure_accelerations(time_s: Any, valid: Any, speed: Any, since: Any, accel: Any) -> None:
     """Measure the present accelerations over the last `RECENT_S`.

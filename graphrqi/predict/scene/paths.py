@@ -48,12 +48,8 @@ class PathColumns(NamedTuple):
     lane: IntArray
     start: FloatArray
     limit: FloatArray
-    turn: IntArray
     stop_x: FloatArray
     stop_row: IntArray
-    beside: IntArray
-    lane_spacing: FloatArray
-    by_turn: IntArray
     lane_length: FloatArray
     kinds: IntArray
 

@@ -43,9 +43,6 @@ RECHECK: Final = 15
 DECAYS_S: Final = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Decay times tried, s."""
 
-MARGINS_MPS2: Final = (0.0, 1.0, 2.0, 4.0, 8.0)
-"""Margins tried that a lane change has to gain beyond the driver's threshold, m/s2."""
-
 
 @dataclass(frozen=True, eq=False)
 class Sample:
@@ -105,7 +102,7 @@ def calibrate(
     """
     rng = np.random.default_rng(seed)
     origin = initial_table()
-    table = dataclasses.replace(start or origin, change_margin_mps2=MARGINS_MPS2[-1])
+    table = start or origin
     width = np.full(len(BEHAVIORS), FIRST_WIDTH)
     best = by_behavior(samples, table)
     average_width, average_best = FIRST_WIDTH, without_behavior(samples, table)
@@ -129,7 +126,7 @@ def calibrate(
         )
         stale = iteration % RECHECK == RECHECK - 1  # the others have moved on since
         best = by_behavior(samples, table) if stale else np.minimum(best, error)
-    return _with_best_margin(samples, _with_best_decay(samples, table))
+    return _with_best_decay(samples, table)
 
 
 def _factors(rng: np.random.Generator, width: FloatArray) -> FloatArray:
@@ -157,12 +154,3 @@ def _with_best_decay(samples: Sequence[Sample], table: DriverTable) -> DriverTab
         table, decay_s=min(aware, key=aware.__getitem__),
         average_decay_s=min(blind, key=blind.__getitem__),
     )  # fmt: skip
-
-
-def _with_best_margin(samples: Sequence[Sample], table: DriverTable) -> DriverTable:
-    """The same numbers with the best of a few margins for lane changes."""
-    error = {
-        m: by_behavior(samples, dataclasses.replace(table, change_margin_mps2=m)).mean()
-        for m in MARGINS_MPS2
-    }
-    return dataclasses.replace(table, change_margin_mps2=min(error, key=error.__getitem__))

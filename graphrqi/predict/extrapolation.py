@@ -1,0 +1,103 @@
+"""Predictors that need no road: each agent's own past goes on, by constant motion or a filter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.posterior import Posterior
+from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.recorded.motion import tracked
+from graphrqi.predict.scene.agent_states import present_acceleration
+from graphrqi.predict.scene.scene import Scene
+from sim.frames import PEDESTRIAN, Tracks
+
+FloatArray = NDArray[np.float64]
+
+
+def keep_velocity(history: Tracks, steps: int) -> Prediction:
+    """Everyone keeps speed and heading (the recorded ones, which beat differenced positions)."""
+    return _straight_on(history, history.speed[:, -1][:, None] * _times(steps))
+
+
+def keep_acceleration(history: Tracks, steps: int) -> Prediction:
+    """Everyone keeps heading and acceleration; vehicles that brake to a standstill stay there."""
+    speed, accel = history.speed[:, -1], present_acceleration(history)
+    return _straight_on(history, inertial_distance(speed[:, None], accel[:, None], _times(steps)))
+
+
+def keep_filtered_motion(history: Tracks, steps: int) -> Prediction:
+    """A Kalman filter of constant acceleration along each axis; nobody reverses."""
+    at, velocity, accel = tracked(history)
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    facing = velocity / np.maximum(speed, 1e-6)[:, None]
+    along = (accel * facing).sum(axis=1)
+    time_s = _times(steps)
+    ahead = inertial_distance(speed[:, None], along[:, None], time_s[None])
+    across = accel - along[:, None] * facing
+    moving = np.minimum(1.0, ahead / np.maximum(speed[:, None] * time_s, 1e-6))
+    bend = 0.5 * across[:, None] * (time_s**2 * moving)[..., None]
+    walks = (history.kind == PEDESTRIAN)[:, None, None]
+    xy = at[:, None] + ahead[..., None] * facing[:, None] + np.where(walks, 0.0, bend)
+    return _one(history, xy)
+
+
+WITHOUT_MAP: Final[dict[str, Callable[[Tracks, int], Prediction]]] = {
+    "constant-velocity": keep_velocity,
+    "constant-acceleration": keep_acceleration,
+    "kalman": keep_filtered_motion,
+}
+"""The predictors that need no map: a history and the number of steps in, futures out."""
+
+
+def constant_velocity(scene: Scene, posterior: Posterior) -> Prediction:
+    """`keep_velocity` as a predictor."""
+    return keep_velocity(scene.history, scene.steps)
+
+
+def constant_acceleration(scene: Scene, posterior: Posterior) -> Prediction:
+    """`keep_acceleration` as a predictor."""
+    return keep_acceleration(scene.history, scene.steps)
+
+
+def kalman(scene: Scene, posterior: Posterior) -> Prediction:
+    """`keep_filtered_motion` as a predictor."""
+    return keep_filtered_motion(scene.history, scene.steps)
+
+
+def inertial_distance(speed: FloatArray, accel: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Distance at constant acceleration, m; vehicles that brake to a standstill stay there.
+
+    Args:
+        speed: m/s; all three broadcast.
+        accel: m/s2.
+        time_s: from now, s.
+
+    Examples:
+        >>> inertial_distance(np.array([4.0]), np.array([-2.0]), np.array([1.0, 5.0])).tolist()
+        [3.0, 4.0]
+    """
+    until_stop = np.divide(-speed, accel, out=np.full_like(speed, np.inf), where=accel < 0)
+    moving_s = np.minimum(time_s, until_stop)
+    return np.asarray(speed * moving_s + 0.5 * accel * moving_s**2)
+
+
+def _straight_on(history: Tracks, ahead: FloatArray) -> Prediction:
+    """Everyone (n, H) metres ahead along its heading."""
+    heading = history.heading[:, -1]
+    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    return _one(history, history.xy[:, -1][:, None] + ahead[..., None] * facing[:, None])
+
+
+def _times(steps: int) -> FloatArray:
+    """(H,) seconds from the present."""
+    return np.arange(1, steps + 1, dtype=np.float64) * STEP_S
+
+
+def _one(history: Tracks, xy: FloatArray) -> Prediction:
+    """One future each."""
+    one = np.ones((history.ids.size, 1))
+    return Prediction(history.ids, _times(xy.shape[1]), xy[:, None], one)
