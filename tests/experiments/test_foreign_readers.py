@@ -15,18 +15,12 @@ import subprocess
 import sys
 import warnings
 from collections import Counter
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import numpy as np
-import polars
-import pyarrow.dataset
 import pytest
 
-from behaviors.errors import InputError
-from experiments.data.exchange import export_dataset
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from sim.store.dataset import open_dataset
@@ -112,51 +106,6 @@ def sanity_check(scenario: dict[str, Any]) -> None:
     assert metadata["sdc_id"] in scenario["tracks"]
 
 
-def test_metadrive_reads_scenarionet_exports(data: Path, tmp_path: Path) -> None:
-    written = export_dataset(data, tmp_path / "out", "scenarionet", quiet=True)
-    summary, names, mapping = read_dataset_summary(tmp_path / "out")
-    files = {"dataset_summary.pkl", "dataset_mapping.pkl", *names}
-    assert {path.name for path in written} == files
-    assert {p.name for p in (tmp_path / "out").iterdir()} == files | {".graphrqi-export"}
-    dataset = open_dataset(data)
-    assert len(names) == len(dataset.episodes()) == 6
-    for name in names:
-        scenario = pickle.loads((tmp_path / "out" / mapping[name] / name).read_bytes())
-        sanity_check(scenario)
-        assert set(summary[name]) == set(scenario["metadata"])
-        assert isinstance(summary[name]["ts"], list)  # MetaDrive keeps no arrays there
-        check_types(summary[name])
-        (entry,) = (e for e in dataset.episodes() if e.id == scenario["id"])
-        tracks = dataset.read(entry).tracks
-        for row, agent in enumerate(tracks.names):
-            found = summary[name]["object_summary"][agent]
-            seen = tracks.xy[row, tracks.valid[row]]
-            moved = sum(np.linalg.norm(b - a) for a, b in pairwise(seen))
-            assert found["moving_distance"] == pytest.approx(moved, abs=0.01)
-            assert found["valid_length"] == len(seen)
-            assert found["continuous_valid_length"] <= len(seen)
-        numbers = summary[name]["number_summary"]
-        assert (
-            numbers["num_objects"]
-            == len(tracks.names)
-            == sum(numbers["num_objects_each_type"].values())
-        )
-
-
-@pytest.mark.parametrize("form", ["scenarionet", "argoverse2", "argoverse1", "sumo-fcd"])
-def test_two_datasets_are_not_mixed(data: Path, tmp_path: Path, form: str) -> None:
-    out = tmp_path / "out"
-    before = export_dataset(data, out, form, quiet=True)
-    assert export_dataset(data, out, form, quiet=True) == before  # the same dataset again
-    other = tmp_path / "other"
-    config = GenerateConfig(scenarios=("straight_road",), episodes=1, seed=7, duration_s=15.0)
-    generate(config, other, jobs=1, quiet=True)
-    content = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    with pytest.raises(InputError, match="that does not come from this dataset"):
-        export_dataset(other, out, form, quiet=True)
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == content
-
-
 # --- datasets as they are -----------------------------------------------------------------------
 
 
@@ -240,29 +189,3 @@ def test_the_page_opens_an_object_store_with_every_tool(data: Path, tmp_path: Pa
     for scenario in dataset.scenarios:
         speeds = dataset.scan("steps", split="train", scenario=scenario).to_table()["speed_mps"]
         assert str(max(speeds.to_pylist()))[:8] in told  # DuckDB shows eight digits
-
-
-def test_duckdb_polars_and_pyarrow_read_the_shards(data: Path) -> None:
-    steps = sum(entry.agent_steps for entry in open_dataset(data).episodes())
-    shards = f"{data}/steps/*/*/*.parquet"
-    assert polars.scan_parquet(shards).select(polars.len()).collect().item() == steps
-    counted = duckdb.sql(f"SELECT count(*) FROM '{shards}' WHERE split IS NOT NULL").fetchall()[0]
-    assert counted == (steps,)
-    scanned = pyarrow.dataset.dataset(data / "steps", partitioning="hive")
-    assert scanned.count_rows() == steps
-    assert {"scenario", "split"} <= set(scanned.schema.names)
-
-
-def test_av2_reads_the_exported_scenarios(data: Path, tmp_path: Path) -> None:
-    loader = pytest.importorskip(
-        "av2.datasets.motion_forecasting.scenario_serialization",
-        reason="av2 is not installed; it needs Python < 3.13",
-    )
-    from av2.map.map_api import ArgoverseStaticMap
-
-    for folder in export_dataset(data, tmp_path / "out", "argoverse2", quiet=True):
-        (file,) = folder.glob("scenario_*.parquet")
-        scenario = loader.load_argoverse_scenario_parquet(file)
-        assert len(scenario.timestamps_ns) == 110
-        (archive,) = folder.glob("log_map_archive_*.json")
-        assert ArgoverseStaticMap.from_json(archive).vector_lane_segments

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from graphrqi.posterior import Posterior
-from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict import PREDICTORS, predict
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout.agreement import agreement
 from graphrqi.predict.rollout.driver_parameters import (
@@ -24,8 +23,6 @@ from graphrqi.predict.rollout.driver_table import (
     DriverTable,
     default_table,
     initial_table,
-    table_from_json,
-    table_to_json,
 )
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.scene.scene import make_scene
@@ -157,14 +154,6 @@ def test_free_driver_reaches_its_wished_speed(straight):
     assert np.diff(result.travelled[0]) == pytest.approx(
         (result.speed[0, 1:] + result.speed[0, :-1]) / 20
     )
-
-
-def test_residual_acceleration_fades(straight):
-    scene = free_scene(straight, speed=5.0, accel=2.0)
-    drivers = driver(scene, speed_factor=1.5, max_accel_mps2=1.0)
-    lasting = roll(scene, drivers, decay_s=2.0)
-    gained = np.diff(lasting.speed[0], prepend=5.0) / 0.1
-    assert gained == pytest.approx(1.0 + np.exp(-np.arange(50) * 0.1 / 2.0))
 
 
 def test_followers_stop_behind_a_standing_vehicle_in_the_order_of_their_gaps(straight):
@@ -371,13 +360,6 @@ def test_signals_follow_their_programme(four_way):
         assert scene.stop_state[group, -1] == gate[plan.state_at(change_s + 2.9)[j]]
 
 
-def test_signals_off_their_programme_are_held(four_way):
-    red = np.full(len(four_way.signal_groups), Signal.RED.code)
-    scene = make_scene(history([[0.0, 0.0]], [0.0], [1.0], signals=red), four_way)
-    groups = len(four_way.signal_groups)
-    assert (scene.stop_state[:groups] == STOP).all()
-
-
 def test_wrong_input_is_refused_by_name(straight):
     past = history([[0.0, 0.0]], [0.0], [1.0])
     with pytest.raises(InputError, match="did you mean 'car-following'"):
@@ -399,37 +381,12 @@ def test_wrong_input_is_refused_by_name(straight):
         Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[0.2, 0.2]])
 
 
-def test_driver_numbers_survive_their_file():
-    table = default_table()
-    again = table_from_json(table_to_json(table, {}), "again")
-    assert np.array_equal(again.behavior, table.behavior)
-    assert np.array_equal(again.average, table.average)
-    assert again.decay_s == table.decay_s
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "broken file"),
-        ('{"schema_version": 99}', "schema_version: found 99, expected 2"),
-        ('{"schema_version": 2}', "broken file"),
-    ],
-)
-def test_broken_driver_files_are_refused(text, message):
-    with pytest.raises(InputError, match=message):
-        table_from_json(text, "drivers.json")
-
-
 def test_calibrated_profiles_are_ordered_as_the_behaviours_are():
     table = default_table()
     assert isinstance(table, DriverTable)
     headway = table.behavior[:, DRIVER_FIELDS.index("time_headway_s")]
     aggressive, conservative = headway[:3], headway[3:]
     assert aggressive.max() < conservative.min()
-
-
-def test_get_predictor_finds_each():
-    assert all(callable(get_predictor(name)) for name in PREDICTORS)
 
 
 def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
@@ -451,40 +408,3 @@ def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
     assert half[0, 1] == wrong[1, 0]
     unknown = np.full((2, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
     assert (agreement(scene, unknown, asked, table) == 0).all()
-
-
-def test_scenes_and_predictions_say_what_they_hold(straight):
-    place, heading = on_lane(straight, "east_in_1", 60.0)
-    past = history([place, [400.0, 400.0]], [heading, 0.0], [10.0, 5.0])
-    scene = repr(make_scene(past, straight))
-    assert "2 agents, 1 of them on a path, at 100 s" in scene
-    assert len(scene) < 400
-    found = predict(past, NOBODY, straight, predictor="graphrqi-predict")
-    assert repr(found) == "Prediction(2 agents, 6 futures each, 50 times up to 5 s, with spread)"
-    assert found._repr_html_().count("<tr>") == 3
-    assert Prediction([], [1.0], np.zeros((0, 1, 1, 2)), np.zeros((0, 1)))._repr_html_()
-
-
-def test_predictions_become_tables(straight):
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-    found = predict(history([[0.0, 0.0]], [0.0], [4.0]), NOBODY, straight, horizon_s=1.0)
-    table = found.to_pandas()
-    assert isinstance(table, pandas.DataFrame)
-    assert len(table) == found.modes * 10
-    last = table[(table["future"] == 2) & (table["time_s"] > 0.95)]
-    assert last[["x", "y"]].to_numpy()[0] == pytest.approx(found.xy[0, 2, -1])
-
-
-def test_tables_need_pandas(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="found no pandas"):
-        Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]]).to_pandas()
-
-
-@pytest.mark.parametrize("name", ["lstm", "mlp", "graphrqi-predict"])
-def test_networks_go_on_after_their_last_knot(name, straight):
-    place, heading = on_lane(straight, "east_in_1", 60.0)
-    past = history([place], [heading], [10.0])
-    far, near = (predict(past, NOBODY, straight, h, name) for h in (8.0, 5.0))
-    assert far.xy.shape[2] == 80
-    assert far.until(5.0).xy == pytest.approx(near.xy)

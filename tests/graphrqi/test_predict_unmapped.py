@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
-from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict import predict
 from graphrqi.predict.recorded.features import (
-    QUEUE,
     feature_count,
     features_of,
-    neighbour_slots,
 )
-from graphrqi.predict.recorded.gaps import inferred_leaders, plausible
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
     MODES,
@@ -30,7 +25,7 @@ from graphrqi.predict.recorded.network import (
 )
 from graphrqi.predict.recorded.predictor import predict_recorded
 from scenarios import SCENARIOS
-from sim.frames import PEDESTRIAN, Frame, Tracks
+from sim.frames import Frame, Tracks
 
 NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 RULES = ("constant-velocity", "fading", "turn-rate", "kalman")
@@ -91,62 +86,9 @@ def raw_network(raw, trained=None) -> RecordedNetwork:
     )  # fmt: skip
 
 
-def test_leaders_are_found_in_the_own_line_only():
-    tracks = recording([0, 30, 20, 60], [10, 10, 10, 10], y=[0.0, 0.3, 3.5, 0.0])
-    leader, gap = inferred_leaders(tracks)
-    assert leader.tolist() == [1, 3, -1, -1]
-    assert gap[:2] == pytest.approx([25.5, 25.5])
-
-
-def test_neighbours_are_told_apart():
-    tracks = recording([0, 30, -20, 10, -10, 15, -15], [10] * 7, y=[0, 0, 0, 3.5, 3.5, -3.5, -3.5])
-    rows, gaps = neighbour_slots(tracks, Motion.of(tracks))
-    assert rows[0].tolist() == [1, 2, 3, 4, 5, 6]
-    assert gaps[0] == pytest.approx([25.5, 15.5, 5.5, 5.5, 10.5, 10.5], abs=0.1)
-
-
-def test_a_vehicle_that_is_overtaken_by_nobody_has_no_neighbours():
-    rows, gaps = neighbour_slots(recording([0.0], [10.0]), Motion.of(recording([0.0], [10.0])))
-    assert (rows == -1).all()
-    assert np.isinf(gaps).all()
-
-
-def test_a_queue_that_dissolves_is_seen_by_who_still_stands():
-    waiting = recording([0, 10, 20, 30], [0.0] * 4)
-    starting = recording([0, 10, 20, 30], [0, 0, 0, 3.0], accel=np.array([0, 0, 0, 1.0]))
-    queue = slice(-QUEUE, None)
-    stands, starts = (features_of(one, Motion.of(one))[0, queue] for one in (waiting, starting))
-    assert stands[[0, 1, 3, 6, 7, 8, 9]] == pytest.approx(0.0, abs=1e-6)
-    assert starts[3] == pytest.approx(1.0, abs=0.05)  # the third ahead gains speed,
-    assert starts[5] == pytest.approx(-3.0 / 5.0, abs=0.02)  # is faster,
-    assert starts[6] == pytest.approx(3.0 / 5.0, abs=0.02)  # and the fastest of them
-    assert starts[8] == pytest.approx(1.0 / 3.0, abs=0.02)
-    alone = features_of(starting, Motion.of(starting), believable=False)
-    assert not alone[:, queue].any()
-
-
-def test_weights_for_other_inputs_are_refused(tmp_path):
-    other = raw_network(np.zeros((MODES, PER_MODE)))
-    count = feature_count() - QUEUE
-    cut = replace(
-        other, mean=other.mean[:count], scale=other.scale[:count],
-        weights=(other.weights[0][:count],),
-    )  # fmt: skip
-    cut.save(tmp_path / "old.safetensors", {})
-    with pytest.raises(InputError, match=r"old.safetensors: found a network with .* train it anew"):
-        load_network(tmp_path / "old.safetensors")
-
-
 @pytest.mark.parametrize("rule", RULES)
 def test_steady_drivers_keep_their_speed(rule):
     assert ends(recording([0.0], [12.0]), rule)[0] == pytest.approx([60.0, 0.0], abs=1e-3)
-
-
-def test_an_acceleration_fades():
-    end = ends(recording([0.0], [8.0], accel=1.0))[0, 0]
-    # .7 m/s2 that fades in 1.5 s
-    expected = 40.0 + 0.7 * 1.5 * (5.0 - 1.5 * (1.0 - np.exp(-5.0 / 1.5)))
-    assert end == pytest.approx(expected, abs=0.3)
 
 
 def test_constant_acceleration_is_what_the_kalman_filter_keeps():
@@ -168,21 +110,6 @@ def test_a_turn_goes_on_and_fades(rule):
     assert ends(turning(-0.3), rule)[0, 1] == pytest.approx(-end[1])
 
 
-def test_yaw_rates_are_measured():
-    assert Motion.of(turning(0.3)).yaw_rate == pytest.approx([0.3], abs=0.03)
-    assert Motion.of(recording([0.0], [10.0])).yaw_rate == pytest.approx([0.0], abs=1e-6)
-
-
-@pytest.mark.parametrize("missing", [(), (5, 11, 12, 20)])
-def test_noise_is_measured(missing):
-    tracks = recording([0.0, 40.0, 80.0], [12.0, 11.0, 10.0], accel=0.5)
-    keep = np.setdiff1d(np.arange(tracks.time_s.size), missing)
-    clean = tracks.part(np.arange(3), keep)
-    assert Motion.of(clean).noise_m == pytest.approx(0.01)
-    measured = [Motion.of(shaken(tracks, 0.1, k).part(np.arange(3), keep)) for k in range(20)]
-    assert np.mean([one.noise_m for one in measured]) == pytest.approx(0.1, rel=0.15)
-
-
 def test_noise_moves_the_base_less_than_constant_velocity():
     tracks = recording([0.0, 60.0, 120.0], [12.0, 12.0, 12.0])
     time_s = np.array([5.0])
@@ -197,18 +124,6 @@ def test_noise_moves_the_base_less_than_constant_velocity():
     assert np.square(off_base).mean() < 0.85 * np.square(off_steady).mean()
 
 
-def test_wrong_speeds_do_not_count():
-    tracks = recording([0.0], [12.0])
-    wrong = replace(tracks, speed=np.full_like(tracks.speed, 3.0))
-    assert Motion.of(wrong).speed == pytest.approx([12.0], rel=0.05)
-
-
-def test_coarse_recordings_are_read():
-    fine = recording([0.0], [10.0], accel=1.0)
-    coarse = recording([0.0], [10.0], accel=1.0, step_s=0.5)
-    assert ends(coarse)[0] == pytest.approx(ends(fine)[0], abs=0.5)
-
-
 def test_gaps_in_a_track_are_bridged():
     tracks = recording([0.0, 60.0], [10.0, 10.0])
     valid = tracks.valid.copy()
@@ -216,33 +131,6 @@ def test_gaps_in_a_track_are_bridged():
     gappy = replace(tracks, valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
     assert ends(gappy)[0] == pytest.approx([50.0, 0.0], abs=1e-3)
     assert np.isfinite(features_of(gappy, Motion.of(gappy))).all()
-
-
-def test_implausible_gaps_switch_neighbours_off():
-    overlapping = recording([0.0, 2.0, 50.0, 52.0], [12.0, 5.0, 12.0, 5.0])
-    assert not plausible(overlapping)
-    assert plausible(recording([0.0, 25.0], [12.0, 5.0]))
-    motion = Motion.of(overlapping)
-    alone = features_of(overlapping, motion, believable=False)
-    assert not np.allclose(features_of(overlapping, motion)[0], alone[0])
-    single = recording([0.0], [12.0])
-    assert np.allclose(features_of(single, Motion.of(single), believable=False)[0], alone[0])
-
-
-def test_parked_vehicles_tell_nothing_of_clocks():
-    assert plausible(recording([0.0, 3.0], [0.0, 0.0]))
-    assert not plausible(recording([0.0, 3.0], [5.0, 0.0]))
-
-
-def test_features_are_as_many_as_told():
-    tracks = recording([0.0, 25.0], [12.0, 5.0])
-    assert features_of(tracks, Motion.of(tracks)).shape == (2, feature_count())
-
-
-def test_a_predictor_of_others_is_not_replaced_where_there_is_no_map(monkeypatch):
-    monkeypatch.setitem(PREDICTORS, "theirs", get_predictor("constant-velocity"))
-    with pytest.raises(InputError, match="road: found none for the predictor 'theirs'"):
-        predict(recording([0.0], [10.0]), NOBODY, None, predictor="theirs")
 
 
 def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():
@@ -261,14 +149,6 @@ def test_a_slower_leader_slows_its_follower():
     alone = ends(recording([0.0], [12.0]), "graphrqi-predict")[0, 0]
     behind = ends(recording([0.0, 25.0], [12.0, 5.0]), "graphrqi-predict")[0, 0]
     assert behind < alone - 5.0
-
-
-def test_the_first_future_is_the_likeliest():
-    told = predict(recording([0.0, 25.0], [12.0, 9.0]), NOBODY, None)
-    assert told.xy.shape[1] == MODES
-    assert told.probability.argmax(axis=1).tolist() == [0, 0]
-    assert told.probability.sum(axis=1) == pytest.approx(1.0)
-    assert (np.diff(told.spread, axis=2) > -1e-9).all()
 
 
 @pytest.mark.parametrize(
@@ -304,49 +184,11 @@ def test_what_is_saved_loads_back_equal(tmp_path):
     assert again.trained == network.trained
 
 
-def test_a_file_that_is_no_network_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"no\.safetensors: found no file"):
-        load_network(tmp_path / "no.safetensors")
-    (tmp_path / "broken.safetensors").write_bytes(b"x" * 40)
-    with pytest.raises(InputError, match=r"broken\.safetensors: expected a trained predictor"):
-        load_network(tmp_path / "broken.safetensors")
-    endless = dataclasses.replace(shipped_network(), spread_scale=float("inf"))
-    endless.save(tmp_path / "endless.safetensors", {})
-    with pytest.raises(InputError, match=r"endless\.safetensors: spread_scale: found inf"):
-        load_network(tmp_path / "endless.safetensors")
-
-
-def test_constant_velocity_keeps_its_meaning():
-    end = ends(recording([0.0, 25.0], [12.0, 5.0], accel=0.5), "constant-velocity")
-    assert end[:, 0] == pytest.approx([60.0, 50.0])
-
-
-def test_pedestrians_walk_on():
-    tracks = recording([0.0, 3.0], [1.4, 0.0], kind=[PEDESTRIAN, 0])
-    told = predict(tracks, NOBODY, None)
-    assert told.best[0, -1, 0] == pytest.approx(7.0)
-    assert told.probability.sum(axis=1) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("name", [*RULES, "graphrqi-predict"])
 def test_a_single_frame_is_predicted(name):
     frame = next(iter(recording([0.0], [12.0]).frames()))
     end = ends(Tracks.from_frames([frame]), name)
     assert end[0] == pytest.approx([24.0, 0.0], abs=8.0)  # it was 36 m back
-
-
-@pytest.fixture(scope="module")
-def told_no_limits():
-    """A straight road as a map without limits tells it."""
-    road = SCENARIOS["straight_road"]().road
-    return replace(road, lanes=tuple(replace(x, speed_limit_mps=np.nan) for x in road.lanes))
-
-
-@pytest.fixture(scope="module")
-def told_no_signals():
-    """The same with limits, as a map that knows no lights tells it."""
-    road = SCENARIOS["straight_road"]().road
-    return replace(road, knows=replace(road.knows, signals=False))
 
 
 @pytest.mark.parametrize("name", ["graphrqi-predict", "lstm", "mlp"])
@@ -366,51 +208,3 @@ def test_drivers_on_fast_roads_are_predicted_as_recorded_ones(name):
         recorded = predict_recorded(tracks, 50, road=road).xy
         told = predict(tracks, NOBODY, road, predictor=name).xy
         assert np.array_equal(told[0], recorded[0]) == far_away
-
-
-@pytest.mark.parametrize("name", ["graphrqi-predict", "graphrqi-predict-unlabelled", "lstm", "mlp"])
-def test_networks_for_home_leave_other_maps_to_the_one_for_recordings(
-    name, told_no_limits, told_no_signals
-):
-    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
-    tracks = recording([50, 80], [10, 8], y=[y, y])
-    for road in (told_no_limits, told_no_signals):
-        expected = predict_recorded(tracks, 50, road=road).xy
-        assert np.array_equal(predict(tracks, NOBODY, road, predictor=name).xy, expected)
-
-
-@pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
-def test_where_limits_do_not_rule_nobody_is_driven_up_to_them(name):
-    road = SCENARIOS["straight_road"]().road
-    ignored = replace(road, knows=replace(road.knows, limits_rule=False))
-    y = road.lanes[road.lane_index["east_in_2"]].centerline[0, 1]
-    tracks = recording([50, 68], [6, 12], y=[y, y])  # behind another: no wish was seen
-    up, kept = (predict(tracks, NOBODY, r, predictor=name) for r in (road, ignored))
-    way_m = [float(told.best[0, -1, 0] - tracks.xy[0, -1, 0]) for told in (up, kept)]
-    assert way_m[0] > 33.0
-    assert way_m[1] == pytest.approx(30.0, abs=1.5)
-
-
-@pytest.mark.parametrize("name", ["car-following-blind", "behavior-mixture"])
-def test_car_following_keeps_to_the_lanes_of_a_road_without_limits(name, told_no_limits):
-    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
-    told = predict(recording([50, 80], [10, 8], y=[y + 0.5, y]), NOBODY, told_no_limits,
-                   predictor=name)  # fmt: skip
-    assert np.isfinite(told.xy).all()
-    assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
-    assert (told.best[:, -1, 0] > [90.0, 110.0]).all()
-
-
-def test_the_rule_along_lanes_fades_and_returns_to_the_centre(told_no_limits):
-    y = told_no_limits.lanes[told_no_limits.lane_index["east_in_2"]].centerline[0, 1]
-    tracks = recording([50, 80], [10, 8], y=[y + 0.5, y], accel=0.5)
-    told = predict(tracks, NOBODY, told_no_limits, predictor="lane-rule")
-    assert told.best[:, -1, 1] == pytest.approx([y, y], abs=0.1)
-    base = predict(tracks, NOBODY, None, predictor="fading").best[:, -1, 0]
-    assert told.best[:, -1, 0] == pytest.approx(base, abs=0.5)
-
-
-def test_who_is_on_no_lane_keeps_the_base(told_no_limits):
-    tracks = recording([50.0], [10.0], y=[300.0])
-    told = predict(tracks, NOBODY, told_no_limits, predictor="lane-rule")
-    assert told.best[0, -1] == pytest.approx([100.0, 300.0], abs=0.1)
