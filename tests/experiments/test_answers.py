@@ -82,6 +82,3 @@ def test_a_mixed_folder_is_read_whole(tmp_path, caplog) -> None:
     assert manifest.configuration["format"] == "ind, argo"
     assert "left out, because they are not in the format ind or argo: notes.csv" in caplog.text
     assert len(open_dataset(tmp_path / "data").manifest.episodes) == 3
-
-
-# --- errors name the user's thing ---------------------------------------------------------------

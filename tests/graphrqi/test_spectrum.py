@@ -161,6 +161,7 @@ def test_more_equal_eigenvalues_than_shifts_are_ever_tried(end: End) -> None:
     np.testing.assert_allclose(found.eigenvalues, expected, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """

@@ -217,6 +217,3 @@ def test_files_that_are_not_there(tmp_path: Path) -> None:
     with pa.ipc.new_file(sink, twice.schema) as writer:  # write_feather refuses such names
         writer.write_table(twice)
     assert "qy 2 times" in refused(put(tmp_path / "e", annotations=sink.getvalue()))
-
-
-# --- what a file says of its own sizes ----------------------------------------------------------

@@ -373,9 +373,6 @@ def test_an_agent_twice_at_one_time(tmp_path: Path, name: str) -> None:
     refused(put(tmp_path, name, content), name, "twice at time")
 
 
-# --- XML ----------------------------------------------------------------------------------------
-
-
 # --- writing ------------------------------------------------------------------------------------
 
 

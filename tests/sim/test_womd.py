@@ -200,6 +200,3 @@ def test_the_json_of_nocturne_and_gpudrive(tmp_path: Path, unit: float) -> None:
     assert isinstance(recording.road, Road)
     assert [(w.from_lane, w.to_lane) for w in recording.road.connections] == [("21", "22")]
     assert recording.road.knows.unknown == ("limits", "priority")
-
-
-# --- broken -------------------------------------------------------------------------------------
