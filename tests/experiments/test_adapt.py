@@ -1,4 +1,4 @@
-"""``graphrqi train --from``: labels move the answers at a place; wrong ones are refused by line."""
+"""``graphrqi train --from``: labels move the answers at a place."""
 
 import csv
 import json

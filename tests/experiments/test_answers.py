@@ -1,4 +1,4 @@
-"""Commands say what people want to know: scores, totals, names, versions, what went wrong where."""
+"""Commands read mixed folders, and their answers carry names beside hashes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The licence test: crowds differ by their drivers alone, scores, ranks, policies of one's own."""
+"""The licence test: crowds differ by their drivers alone; scores, ranks, and policies that are trained."""
 
 from __future__ import annotations
 

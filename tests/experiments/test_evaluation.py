@@ -1,4 +1,4 @@
-"""Evaluating says what joining the answers with the truth gives; labels come in everywhere."""
+"""Evaluating says what joining the answers with the truth gives."""
 
 from __future__ import annotations
 

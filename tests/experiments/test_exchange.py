@@ -1,4 +1,4 @@
-"""Recordings come in as datasets, datasets go out as recordings, commands take both."""
+"""Recordings come in as datasets, and datasets go out as recordings."""
 
 from __future__ import annotations
 

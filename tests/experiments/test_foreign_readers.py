@@ -1,24 +1,16 @@
-"""What is exported and stored opens in the readers of others, without an error or a warning.
-
-MetaDrive itself is not on the package index, so the logic of its ``read_dataset_summary`` and
-``ScenarioDescription.sanity_check`` is written here from its published source (metadrive/scenario,
-Apache 2.0). Only these tests read pickles, and only those just written.
-"""
+"""What is stored opens in the tools of others, without an error or a warning."""
 
 from __future__ import annotations
 
 import ast
 import os
-import pickle
 import re
 import subprocess
 import sys
 import warnings
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from experiments.generate.configuration import GenerateConfig
@@ -42,68 +34,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     generate(config, folder, jobs=1, quiet=True)
     return folder
-
-
-# --- MetaDrive ----------------------------------------------------------------------------------
-
-
-def is_scenario_file(name: str) -> bool:
-    stem = Path(name).name.removesuffix(".pkl")
-    return name.endswith(".pkl") and (stem[:3] == "sd_" or stem.isdigit())
-
-
-def read_dataset_summary(folder: Path) -> tuple[dict[str, Any], list[str], dict[str, str]]:
-    """The summary, the names of the files, and where each of them is; checked as MetaDrive does."""
-    summary = pickle.loads((folder / "dataset_summary.pkl").read_bytes())
-    mapping = pickle.loads((folder / "dataset_mapping.pkl").read_bytes())
-    for name in summary:
-        assert name in mapping, "file name in mapping mismatches with summary"
-        assert is_scenario_file(name)
-        assert (folder / mapping[name] / name).exists()
-    return summary, list(summary), mapping
-
-
-ALLOWED = (int, float, str, np.ndarray, dict, list, tuple, type(None), set)
-TYPES = ("VEHICLE", "PEDESTRIAN", "CYCLIST")
-
-
-def check_types(found: Any) -> None:
-    if isinstance(found, dict):
-        assert all(isinstance(key, str) for key in found)
-    inside = found.values() if isinstance(found, dict) else found
-    for one in inside if isinstance(found, dict | list) else ():
-        check_types(one)
-    assert isinstance(found, ALLOWED), type(found)
-
-
-def sanity_check(scenario: dict[str, Any]) -> None:
-    """What MetaDrive's sanity_check asserts with check_self_type and valid_check."""
-    assert type(scenario) is dict
-    keys = {"tracks", "version", "id", "dynamic_map_states", "map_features", "length", "metadata"}
-    assert keys <= set(scenario)
-    check_types(scenario)
-    length = scenario["length"]
-    for name, agent in scenario["tracks"].items():
-        assert {"type", "state", "metadata"} <= set(agent)
-        assert agent["type"] in TYPES
-        state = agent["state"]
-        assert {"heading", "position"} <= set(state)
-        for key, array in state.items():
-            assert len(array) == length
-            assert array.ndim in (1, 2)
-            if key == "valid":
-                assert array.sum() >= 1
-            shown = array[..., :2] if key == "position" else array
-            assert abs(shown[~state["valid"]].sum()) < 1e-2
-        assert {"type", "object_id"} <= set(agent["metadata"])
-        assert agent["metadata"]["object_id"] == name
-    for feature in scenario["map_features"].values():
-        if feature["type"].startswith("LANE_"):
-            assert isinstance(feature["polyline"], np.ndarray | list | tuple)
-    metadata = scenario["metadata"]
-    assert {"metadrive_processed", "coordinate", "ts"} <= set(metadata)
-    assert metadata["ts"].shape == (length,)
-    assert metadata["sdc_id"] in scenario["tracks"]
 
 
 # --- datasets as they are -----------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The bench on real recordings, on small files of the same formats and, where there, on them."""
+"""The benchmark on real recordings: sheets, features without a unit, and small files."""
 
 from __future__ import annotations
 

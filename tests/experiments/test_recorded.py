@@ -1,4 +1,4 @@
-"""Training and scoring on recordings: instants, who counts, what is left out, what is saved."""
+"""Training and scoring on recordings: nothing tells left from right, and what is saved predicts."""
 
 from __future__ import annotations
 

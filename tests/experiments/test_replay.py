@@ -1,4 +1,4 @@
-"""What a replay gathers, packs, films and refuses."""
+"""What a replay gathers, packs and films."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reports of rows: tables, pictures, comparisons, and what they refuse."""
+"""Reports of rows: tables, pictures and findings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Training does without episodes of which nothing can be told, and says so."""
+"""Training scores test episodes that are short."""
 
 from __future__ import annotations
 

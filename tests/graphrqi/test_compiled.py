@@ -1,4 +1,4 @@
-"""What compiling a kernel does to the rest of the process."""
+"""Compiled kernels notice edits, and a cache that is out of date is written anew."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Streams, predictors and solvers under abuse: each call answers well or refuses in one line.
-
-What a call refuses leaves everything as it was. No warning of numpy is tolerated: it would mean a
-number that overflowed or was none.
-"""
+"""Streams under abuse: each call answers well, or refuses in one line and leaves all as it was."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every method promises, and what the rivals' features are."""
+"""What every method promises, and what the features of the others are."""
 
 from __future__ import annotations
 

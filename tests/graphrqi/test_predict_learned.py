@@ -1,4 +1,4 @@
-"""Learned predictors: frames, splines, files, and that training learns what can be learned."""
+"""Learned predictors: training learns what can be learned, splines, and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps of Argoverse 2: hand-written, our own written and read back, real, and broken ones."""
+"""Maps of Argoverse 2: hand-written, our own written and read back, and real."""
 
 from __future__ import annotations
 
@@ -140,12 +140,6 @@ def test_what_is_written_of_a_road_reads_back(tmp_path: Path, name: str) -> None
     np.testing.assert_array_equal(again.direction, expected)
     for i, ways in enumerate(graph.successors[kept]):
         assert set(number[ways]) - {-1} == set(again.successors[i]) - {-1}
-
-
-def broken(**changes: Any) -> dict[str, Any]:
-    archive = hand_written()
-    archive["lane_segments"]["11"] |= changes
-    return archive
 
 
 def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:

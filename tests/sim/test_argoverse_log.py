@@ -1,4 +1,4 @@
-"""Argoverse 2 sensor logs, written by the published schema and read by other readers, too."""
+"""Argoverse 2 sensor logs, written by the published schema and read by the official package, too."""
 
 from __future__ import annotations
 

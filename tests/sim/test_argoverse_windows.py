@@ -1,16 +1,14 @@
-"""Argoverse windows: no gap in time, short episodes, labels come back, small hostile files."""
+"""Argoverse windows: no gap in time, short episodes, labels come back."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 from experiments.data.exchange import export_dataset, import_recordings
-from sim.formats import get_reader, get_writer
-from sim.formats.argoverse.forecasting2 import SCHEMA
+from sim.formats import get_writer
 from sim.formats.common.windows import windows
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset
@@ -112,12 +110,6 @@ def written(folder: Path, name: str, behavior: tuple[int, ...] | None = (4, -1, 
     return path / f"scenario_{path.name}.parquet" if path.is_dir() else path
 
 
-def labels(path: Path, name: str) -> list[int] | None:
-    (recording,) = get_reader(name)(path)
-    codes = recording.tracks.behavior
-    return None if codes is None else codes.tolist()
-
-
 @pytest.mark.parametrize("name", FORMATS)
 def test_labels_go_out_and_in_again_as_datasets(tmp_path: Path, name: str) -> None:
     data = dataset(tmp_path / "data", drive(frames((0, 120))))
@@ -132,16 +124,3 @@ def test_labels_go_out_and_in_again_as_datasets(tmp_path: Path, name: str) -> No
 
 
 # --- small files that claim much ----------------------------------------------------------------
-
-ROWS = 2000
-
-
-def scenario(**columns: pa.Array) -> pa.Table:
-    """One track of many steps, some of its columns replaced."""
-    usual: dict[str, object] = {name: np.zeros(ROWS) for name in SCHEMA.names}
-    usual |= {"track_id": ["1"] * ROWS, "object_type": ["vehicle"] * ROWS}
-    usual |= {"timestep": np.arange(ROWS)}
-    names = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading")
-    return pa.table(
-        {name: columns.get(name, usual[name]) for name in (*names, "velocity_x", "velocity_y")}
-    )

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
@@ -308,12 +307,6 @@ def test_filters_choose_episodes(made: Path) -> None:
 
 
 # --- broken datasets ----------------------------------------------------------------------------
-
-
-def column(table: pa.Table, name: str, value: object) -> pa.Table:
-    index = table.schema.get_field_index(name)
-    field = table.schema.field(index)
-    return table.set_column(index, field, pa.array([value] * len(table), type=field.type))
 
 
 @pytest.mark.parametrize("table", ["steps", "agents", "frames", "signals"])

@@ -1,4 +1,4 @@
-"""Files and folders appear as a whole: through links, into pipes, beside what is there."""
+"""Files and folders appear as a whole: through links, and beside what is there."""
 
 from __future__ import annotations
 

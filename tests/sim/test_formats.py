@@ -1,4 +1,4 @@
-"""Formats: hand-made samples with hand-computed answers, round trips, hostile files."""
+"""Formats: hand-made samples with hand-computed answers, and round trips."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames refuse lossy input by name; frames and tracks show themselves."""
+"""Frames refuse what loses something, and tracks become tables."""
 
 from __future__ import annotations
 

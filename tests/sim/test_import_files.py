@@ -1,4 +1,4 @@
-"""Which files of a folder are read, however they are called and begin, and what is in odd ones."""
+"""Which files of a folder are read, however they are called and begin."""
 
 from __future__ import annotations
 

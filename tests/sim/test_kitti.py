@@ -1,4 +1,4 @@
-"""KITTI tracking: hand-computed places in the world, hostile files, and real sequences."""
+"""KITTI tracking: hand-computed places in the world, and real sequences."""
 
 from __future__ import annotations
 
