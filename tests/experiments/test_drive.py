@@ -1,4 +1,4 @@
-"""The licence test: crowds differ by their drivers alone; scores, ranks, and policies that are trained."""
+"""The licence test: crowds differ by their drivers alone; scores, ranks, and trained policies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Argoverse 2 sensor logs, written by the published schema and read by the official package, too."""
+"""Argoverse 2 sensor logs, written by the published schema; the official package reads them, too."""
 
 from __future__ import annotations
 
