@@ -1,4 +1,4 @@
-"""Argoverse 2 sensor logs, written by the published schema; the official package reads them, too."""
+"""Argoverse 2 sensor logs, written by the published schema; the official package reads them."""
 
 from __future__ import annotations
 
