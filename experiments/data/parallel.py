@@ -78,9 +78,16 @@ def in_parallel(
         max_workers=workers, env={"OMP_NUM_THREADS": "1"},
         initializer=start_worker, initargs=(os.getpid(),),
     )  # fmt: skip
-    futures = [executor.submit(function, *one) for one in arguments]
+    here = os.getcwd()  # workers that are used again may have begun in another folder
+    futures = [executor.submit(_called, here, function, *one) for one in arguments]
     for future in futures:
         yield future.result()
+
+
+def _called(folder: str, function: Callable[..., T], *arguments: Any) -> T:
+    """What a function returns in a working folder."""
+    os.chdir(folder)
+    return function(*arguments)
 
 
 def all_in_parallel(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
-from behaviors.errors import InputError
 from behaviors.labelling import resolve, style_of
 from behaviors.labels import Behavior, Style, Trait
 
@@ -41,15 +38,3 @@ def test_losing_annotators_traits_do_not_name_the_behaviour():
     assert style_of(doubtful) is Style.CONSERVATIVE
     assert resolve([HASTY, doubtful, HASTY], "lenient") is Behavior.IMPATIENT
     assert resolve([HASTY, doubtful, CLOSE], "lenient") is Behavior.THREATENING
-
-
-def test_parent_of_even_traits_is_that_of_the_first():
-    assert style_of([Trait.OVERTAKING, Trait.WAITING]) is Style.AGGRESSIVE
-    assert style_of([Trait.WAITING, Trait.OVERTAKING]) is Style.CONSERVATIVE
-
-
-def test_wrong_input_is_named():
-    with pytest.raises(InputError, match=r"rule: found 'mild', expected strict or lenient"):
-        resolve([HASTY], "mild")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="traits: found none"):
-        resolve([[]])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import itertools
-import math
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,7 @@ from behaviors.populations import (
     drivers_of,
     read_population,
 )
-from behaviors.populations.draw import FARTHEST, LOWEST_HEADWAY_S
-from behaviors.profiles import FARTHEST_SPREADS, PROFILE_FIELDS, PROFILES, SPREAD_FIELDS
+from behaviors.profiles import PROFILE_FIELDS, PROFILES
 
 CORRELATION = np.array(
     [
@@ -80,31 +78,6 @@ def test_the_behaviours_keep_their_order_in_a_population() -> None:
         assert [getattr(median, n) for n in untold] == [
             getattr(PROFILES[behavior], n) for n in untold
         ]
-
-
-def test_nobody_stands_at_a_cut() -> None:
-    logs = told_logs(dataclasses.replace(PEOPLE, around=Around.PROFILES), Behavior.THREATENING,
-                     DRIVERS, 2)  # fmt: skip
-    centre = np.log([getattr(PROFILES[Behavior.THREATENING], name) for name in POPULATION_TOLD])
-    z = np.abs(logs - centre) / PEOPLE.log_spread
-    assert z.max() < FARTHEST
-    assert np.unique(logs[:, 1]).size == DRIVERS
-    assert np.exp(logs[:, 1]).min() > LOWEST_HEADWAY_S
-    source, rng = drivers_of(PEOPLE), np.random.default_rng(0)
-    others = [name for name in SPREAD_FIELDS if name not in POPULATION_TOLD]
-    assert "gap_acceptance_s" in others
-    gaps = [source.draw(Behavior.TIMID, rng, 0.2).gap_acceptance_s for _ in range(DRIVERS)]
-    away = np.abs(np.log(gaps) - math.log(PROFILES[Behavior.TIMID].gap_acceptance_s)) / 0.2
-    assert 0.9 * FARTHEST_SPREADS < away.max() < FARTHEST_SPREADS
-    assert np.unique(gaps).size == DRIVERS
-
-
-def test_a_population_in_which_nobody_can_drive_is_refused() -> None:
-    close = dataclasses.replace(
-        PEOPLE, median=np.array([30.0, 0.1, 2.9, 1.4, 2.0]), log_spread=np.full(5, 0.01)
-    )
-    with pytest.raises(InputError, match=r"time_headway_s: found no .* with 0\.35 s"):
-        drivers_of(close).draw(Behavior.THREATENING, np.random.default_rng(0), 0.15)
 
 
 def test_a_file_holds_a_population_whole(tmp_path: Path) -> None:

@@ -54,13 +54,6 @@ def test_a_name_that_is_built_in_is_refused(folder: Path) -> None:
         _ = roots()["cube"]
 
 
-def test_a_name_of_two_plugins_is_refused(folder: Path) -> None:
-    install(folder, "first_one", "fourth = first_one:root")
-    install(folder, "second_one", "fourth = second_one:root")
-    with pytest.raises(InputError, match=r"found it in \w+_one 1\.2 and in the plugin \w+_one 1"):
-        list(roots())
-
-
 @pytest.mark.parametrize(
     ("module", "said"),
     [

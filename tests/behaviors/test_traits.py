@@ -204,17 +204,6 @@ def test_runs_find_stretches_at_both_ends_and_end_with_an_agent_or_a_gap():
     assert [run.start for run in inputs.runs(np.arange(7) == 2)] == [2]  # not where a track begins
 
 
-def test_rows_of_agents_and_times():
-    inputs = RowIndex.of(np.array([[0, 0, 0], [0, 1, 1], [1, 0, 1]], dtype=bool))
-    assert inputs.agents == 3
-    assert [inputs.rows(agent) for agent in range(3)] == [slice(0, 0), slice(0, 2), slice(2, 4)]
-    assert inputs.rows(2, 1, 3) == slice(3, 4)
-    assert [inputs.row(2, time) for time in range(3)] == [2, -1, 3]
-    order, begins = inputs.by_time()
-    assert order.tolist() == [2, 0, 1, 3]
-    assert begins.tolist() == [0, 1, 2, 4]
-
-
 def test_what_lies_in_a_gap_is_no_lane_change_and_no_cutting_in():
     whole = scene()
     change(whole, 0, 200)

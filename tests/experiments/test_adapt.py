@@ -1,4 +1,4 @@
-"""``graphrqi train --from``: labels move the answers at a place; wrong ones are refused by line."""
+"""``graphrqi train --from``: labels move the answers at a place."""
 
 import csv
 import json
@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.__main__ import main
 from experiments.generate.configuration import GenerateConfig
@@ -68,11 +67,3 @@ def test_without_labels_only_the_certainty_changes(data, tmp_path):
     adapted = load_model(tmp_path / "adapted").adaptation
     assert adapted.scale > 0.0
     assert adapted.offset.tolist() == [0.0] * 6
-
-
-def test_labels_of_nobody_are_refused_and_nothing_is_written(data, tmp_path):
-    path = tmp_path / "labels.csv"
-    path.write_text("name,label\n3,aggressive\nnobody,careful\n")
-    with pytest.raises(InputError, match="which no driver is called"):
-        adapt("graphrqi-plus", data, tmp_path / "out", path, quiet=True)
-    assert not (tmp_path / "out").exists()

@@ -1,11 +1,7 @@
-"""Commands say what people want to know: scores, totals, names, versions, what went wrong where."""
+"""Commands read mixed folders, and their answers carry names beside hashes."""
 
 from __future__ import annotations
 
-import json
-import logging
-import re
-from importlib import metadata
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -44,40 +40,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_training_ends_with_its_scores(data, tmp_path, capsys) -> None:
-    out = tmp_path / "model"
-    assert call("train", data, "--method", "majority", "--out", out, "-q", "--jobs", 1) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"straight_road.*0\.\d\d", said)
-    assert call("train", data, "--method", "majority", "--out", out, "-q", "--json", "-") == 0
-    rows = json.loads(capsys.readouterr().out)
-    keys = {"command", "version", "seed", "dataset", "model", "scenario", "split"}
-    assert keys | {"metric", "value", "low", "high", "n"} == set(rows[0])
-    assert {"macro_f1", "ece", "answered_share", "confusion"} <= {row["metric"] for row in rows}
-
-
-def test_training_without_test_episodes_says_so(tmp_path, capsys) -> None:
-    config = GenerateConfig(scenarios=("straight_road",), episodes=1, seed=1, duration_s=30.0)
-    generate(config, tmp_path / "data", jobs=1, quiet=True)
-    out = tmp_path / "model"
-    assert call("train", tmp_path / "data", "--method", "majority", "--out", out, "-q") == 0
-    assert "not scored" in capsys.readouterr().err
-
-
-def test_classifying_ends_with_totals_per_split(data, tmp_path, capsys) -> None:
-    labels, table = tmp_path / "labels.parquet", tmp_path / "table.json"
-    assert call("classify", data, "--out", labels, "--json", table, "-q") == 0
-    said = capsys.readouterr().out
-    assert "straight_road 0" in said
-    rows = json.loads(table.read_text())
-    drivers = {r["split"]: r["value"] for r in rows
-               if r["metric"] == "drivers" and "name" not in r}  # fmt: skip
-    assert set(drivers) == {"train", "validation", "test", "all"}
-    for split in ("train", "validation", "test"):
-        parts = [r for r in rows if r["split"] == split and "name" in r]
-        assert drivers[split] == sum(r["value"] for r in parts if r["metric"] == "drivers")
-
-
 def test_labels_carry_names_beside_hashes(tmp_path) -> None:
     (tmp_path / "argo7_tracks.csv").write_text(ARGO)
     labels = tmp_path / "labels.parquet"
@@ -95,27 +57,6 @@ def test_labels_carry_names_beside_hashes(tmp_path) -> None:
     names = ["--predictors", "constant-velocity", "--horizon-s", 1, "--out", wanted, "-q"]
     assert call("predict", tmp_path / "argo7_tracks.csv", *names) == 0
     assert set(pq.read_table(wanted)["recording"].to_pylist()) == {"argo7_tracks"}
-
-
-def test_the_version_and_what_it_runs_on(capsys) -> None:
-    assert call("--version") == 0
-    assert capsys.readouterr().out.startswith(f"graphrqi {metadata.version('graphrqi')}, Python 3.")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "level"),
-    [
-        (["list"], logging.INFO),
-        (["list", "-v"], logging.DEBUG),
-        (["-v", "list"], logging.DEBUG),
-        (["-q", "list"], logging.WARNING),
-    ],
-    ids=["plain", "after", "before", "quiet"],
-)
-def test_v_and_q_set_the_level(arguments, level, capsys) -> None:
-    assert call(*arguments) == 0
-    assert LOGGER.level == level
-    assert ("graphrqi: done in" in capsys.readouterr().err) == (level == logging.DEBUG)
 
 
 # --- mixed folders ------------------------------------------------------------------------------
@@ -141,34 +82,3 @@ def test_a_mixed_folder_is_read_whole(tmp_path, caplog) -> None:
     assert manifest.configuration["format"] == "ind, argo"
     assert "left out, because they are not in the format ind or argo: notes.csv" in caplog.text
     assert len(open_dataset(tmp_path / "data").manifest.episodes) == 3
-
-
-# --- errors name the user's thing ---------------------------------------------------------------
-
-
-def test_errors_name_the_path_that_was_given(tmp_path, capsys) -> None:
-    recording = tmp_path / "short.csv"
-    recording.write_text("frame,id,x,y\n0,0,0,0\n1,0,1,0\n")
-    assert call("predict", recording, "--predictors", "constant-velocity", "-q") == 2
-    said = capsys.readouterr().err
-    assert said.startswith(f"graphrqi: error: {recording}: ")
-    assert "graphrqi-import" not in said
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["bench", "loop", "--quick", "--json", "nowhere/x.json"],
-        ["classify", ".", "--out", "nowhere/x.parquet"],
-        ["list", "--json", "nowhere/x.json"],
-    ],
-    ids=["bench", "classify", "list"],
-)
-def test_a_missing_folder_is_named_before_any_work(
-    arguments, tmp_path, monkeypatch, capsys
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert call(*arguments) == 2
-    said = capsys.readouterr().err
-    assert f"{arguments[-1]}: found no folder nowhere, expected one" in said
-    assert ".partial" not in said

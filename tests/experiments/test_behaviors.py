@@ -1,9 +1,7 @@
 import json
 
 import numpy as np
-import pytest
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benchmarks.behaviors import COUNTS, METRICS, DriverCounts, measure, rows_of
 
@@ -33,8 +31,3 @@ def test_ratios_are_sums_over_drivers():
     assert value["impatient", "headway_median_s"]["n"] == 1
     assert value["timid", "lane_changes_per_km"]["value"] is None
     assert value["pedestrian", "jaywalks"]["value"] == 1.0
-
-
-def test_an_unknown_scenario_is_refused():
-    with pytest.raises(InputError, match="did you mean 'straight_road'"):
-        next(measure(("straight_rod",)))

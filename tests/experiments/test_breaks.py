@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS
-from experiments.replay.beliefs import Beliefs
-from experiments.replay.forecasts import forecast
-from experiments.score.predictions import future, score_episode
+from experiments.score.predictions import future
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from scenarios import SCENARIOS
@@ -57,26 +53,10 @@ def test_parts_between_breaks_are_looked_at_by_themselves(road: Road) -> None:
     assert not [one for one in shown if one.end_s - one.begin_s > 3.0]
 
 
-def test_a_recording_without_breaks_is_one_part() -> None:
-    rows = TrajectoryRows.of(recorded(np.arange(40) / 10, np.arange(40) / 2 - 90))
-    assert list(rows.between_breaks()) == [rows]
-
-
 @pytest.mark.parametrize("step_s", [10.1, 400.0])
 def test_nothing_is_told_from_frames_that_are_far_apart(road: Road, step_s: float) -> None:
     tracks = recorded(np.arange(20) * step_s, np.arange(20) - 90.0)
     assert annotate_recording(TrajectoryRows.of(tracks), road) == ((), ())
-
-
-def test_a_recorded_pedestrian_on_a_signalled_crossing(road: Road) -> None:
-    crossing = next(crossing for crossing in road.crossings if crossing.signal >= 0)
-    way = np.linspace(0, 1, 60)[:, None]
-    ends = crossing.centerline[[0, -1]]
-    walk = recorded(np.arange(60) / 10, np.zeros(60), AgentKind.PEDESTRIAN)
-    walk = dataclasses.replace(walk, xy=(ends[0] + way * (ends[1] - ends[0]))[None])
-    events, shown = annotate_recording(TrajectoryRows.of(walk), road)
-    assert not events
-    assert not [one for one in shown if one.trait == "jaywalking"]
 
 
 @pytest.mark.parametrize("gap_s", [1e3, 1e8])
@@ -94,15 +74,6 @@ def test_a_prediction_after_a_break_is_that_of_what_came_after(
 def test_nobody_knows_where_agents_were_in_a_break() -> None:
     truth = future(with_gap(300.0), np.array([0]), 25, np.array([0.5, 0.6, 100.0]))
     assert np.isfinite(truth[0, :, 0]).tolist() == [True, False, False]
-
-
-def test_steps_of_ten_seconds_are_predicted_from_and_not_scored(road: Road) -> None:
-    tracks = recorded(np.arange(20) * 10.1, np.arange(20) - 90.0)
-    nobody = Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-    errors = score_episode(tracks, {5: nobody}, road, ["constant-velocity"])
-    assert not errors["constant-velocity"].count.any()
-    beliefs = Beliefs(tracks.ids, tracks.time_s[:1], np.full((1, 1, 6), np.nan, np.float32))
-    assert len(forecast(tracks, beliefs, road, "constant-velocity")) == 19
 
 
 def test_a_break_does_not_contradict_the_clock() -> None:

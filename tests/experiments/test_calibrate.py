@@ -58,19 +58,7 @@ def test_a_recording_is_calibrated_into_a_folder(tmp_path: Path) -> None:
         write_calibration(source, out, "argoverse1", quiet=True)
 
 
-def test_nobody_to_calibrate_is_said(tmp_path: Path) -> None:
-    source = recording(tmp_path / "a.csv", 2.0)
-    with pytest.raises(InputError, match="found no driver"):
-        write_calibration(source, tmp_path / "out", "argoverse1", quiet=True)
-
-
 def test_the_command_writes_tidy_rows(tmp_path: Path) -> None:
     source, rows = recording(tmp_path / "a.csv", 20.0), tmp_path / "rows.json"
     assert call("calibrate", source, "--out", tmp_path / "out", "--json", rows, "--quiet") == 0
     assert {row["number"] for row in json.loads(rows.read_bytes())} == set(NUMBERS)
-
-
-def test_the_population_that_ships_is_read() -> None:
-    ships = read_population("us101")
-    assert ships.law == "idm"
-    assert ships.drivers > 1000

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from experiments.cli.commands import app, main
-from tests.experiments.shared import content
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)  # type: ignore[union-attr]
 
@@ -97,18 +96,6 @@ def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
         main(["list"])
 
 
-def test_list_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = graphrqi(capsys, "list", "--json", "-")
-    rows = json.loads(out)
-    names = {(row["what"], row["name"]) for row in rows}
-    assert code == 0
-    about = {(row["what"], row["name"]): row["about"] for row in rows}
-    assert about["engine", "sumo-idm"].startswith("Drive a scenario in SUMO; drivers follow by IDM")
-    assert [key for key, said in about.items() if not said] == []
-    assert {("scenario", "straight_road"), ("engine", "sumo"), ("solver", "graphrqi")} <= names
-    assert {row["from"] for row in json.loads(out)} == {"graphrqi"}
-
-
 def test_run_sums_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     code, out, _ = graphrqi(
@@ -119,22 +106,6 @@ def test_run_sums_up(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert rows["simulated_s"] == 15.0
     assert rows["agents"] >= 3
     assert "mean_speed" in out
-
-
-def test_bench_of_some_solvers_only(capsys: pytest.CaptureFixture[str]) -> None:
-    chosen = ("--solver", "graphrqi", "--solver", "eigh", "--graph", "road", "--quick")
-    code, out, _ = graphrqi(capsys, "bench", "spectrum", *chosen, "--json", "-")
-    assert code == 0
-    measured = {row["solver"] for row in json.loads(out) if row["metric"] == "missed_pairs"}
-    assert measured == {"graphrqi", "eigh"}
-
-
-def test_a_run_is_kept_as_the_episode_that_generate_makes(tmp_path: Path, capsys) -> None:
-    options = ("--duration-s", "8", "--seed", "3", "--kinds", "car=.5,truck=.5")
-    ran, made = tmp_path / "ran", tmp_path / "made"
-    assert graphrqi(capsys, "run", "straight_road", *options, "--out", str(ran), "-q")[0] == 0
-    assert graphrqi(capsys, *ONE, *options, "--out", str(made), "--jobs", "1", "-q")[0] == 0
-    assert content(ran) == content(made)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from distributed import Client, LocalCluster
 from distributed.security import Security
 
 from behaviors import InputError
-from experiments.generate.configuration import GenerateConfig, read_cluster
+from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from tests.experiments.shared import content
 
@@ -64,24 +64,6 @@ def test_a_killed_worker_changes_nothing(
     assert content(tmp_path) == undisturbed
 
 
-def test_clusters_that_cannot_do_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.generate.workers.CONNECT_S", 2.0)
-    for address, why in (
-        ("tcp://127.0.0.1:9", "found no scheduler there"),
-        ("tcp://example.org:9", "found an unencrypted address"),
-    ):
-        with pytest.raises(InputError, match=why):
-            generate(CONFIG, tmp_path / "new" / "data", quiet=True, cluster=address)
-    assert not (tmp_path / "new").exists()
-    with (
-        LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0"
-        ) as wide,
-        pytest.raises(InputError, match="with 2 threads, expected 1"),
-    ):
-        generate(CONFIG, tmp_path, quiet=True, cluster=wide.scheduler_address)
-
-
 @pytest.mark.parametrize(
     ("address", "found"),
     [
@@ -126,13 +108,3 @@ def test_an_encrypted_cluster_makes_the_same_bytes(
         assert running.scheduler_address.startswith("tls://")
         generate(CONFIG, tmp_path / "data", quiet=True, cluster=running.scheduler_address)
     assert content(tmp_path / "data") == undisturbed
-
-
-def test_the_address_may_stand_in_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "study.toml"
-    path.write_text('[cluster]\naddress = "tcp://head:8786"\n')
-    assert read_cluster(path) == "tcp://head:8786"
-    assert read_cluster(path, "tcp://other:1") == "tcp://other:1"
-    path.write_text("[cluster]\nnodes = 3\n")
-    with pytest.raises(InputError, match="expected an address"):
-        read_cluster(path)

@@ -8,7 +8,6 @@ import pytest
 from experiments.data.disturbances import (
     DISTURBANCES,
     cut_tracks,
-    dropped_frames,
     identity_switches,
     position_noise,
 )
@@ -55,13 +54,6 @@ def test_noise_has_the_deviation_asked_for():
     assert moved.std() == pytest.approx(0.3, rel=0.05)
 
 
-def test_dropped_frames_leave_whole_frames():
-    left = dropped_frames(convoy(), 0.3, np.random.default_rng(0))
-    assert 0.6 < left.time_s.size / 200 < 0.8
-    assert set(left.time_s) <= set(convoy().time_s)
-    assert left.valid.all()
-
-
 def test_switched_identities_follow_another_agent():
     tracks = convoy(seconds=120.0)
     switched = identity_switches(tracks, 2.0, np.random.default_rng(1))
@@ -71,14 +63,6 @@ def test_switched_identities_follow_another_agent():
     assert (
         identity_switches(tracks, 0.0, np.random.default_rng(1)).xy.tolist() == tracks.xy.tolist()
     )
-
-
-def test_switched_labels_are_of_the_agent_followed_longest():
-    tracks = convoy(2, seconds=120.0)
-    switched = identity_switches(tracks, 1.0, np.random.default_rng(3))
-    for row in range(2):
-        follows_own = (switched.xy[row, :, 0] == tracks.xy[row, :, 0]).mean() > 0.5
-        assert switched.behavior[row] == (row if follows_own else 1 - row)
 
 
 def test_cut_tracks_are_pieces_of_the_whole():

@@ -1,8 +1,7 @@
-"""Evaluating says what joining the answers with the truth gives; labels come in everywhere."""
+"""Evaluating says what joining the answers with the truth gives."""
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -136,38 +135,6 @@ def recording(folder: Path) -> Path:
     return path
 
 
-def labels_file(folder: Path) -> Path:
-    path = folder / "labels.csv"
-    path.write_text("name,label\n0,timid\n1,aggressive\n")
-    return path
-
-
-def test_labels_come_in_everywhere(tmp_path, capsys) -> None:
-    """A behaviour and a style, given to every command that takes recordings, mean the same."""
-    source, labels = recording(tmp_path), labels_file(tmp_path)
-    assert call("import", source, "--labels", labels, "--out", tmp_path / "data", "-q") == 0
-    dataset = open_dataset(tmp_path / "data")
-    agents = dataset.read(dataset.episodes()[0]).agents
-    assert [(a.behavior, a.style) for a in agents] == [
-        ("timid", "conservative"), (None, "aggressive"), (None, None),
-    ]  # fmt: skip
-    assert call("evaluate", "graphrqi-plus", tmp_path / "data", "--json", tmp_path / "a.json") == 0
-    options = ("--labels", labels, "--json", tmp_path / "b.json")
-    assert call("evaluate", "graphrqi-plus", source, *options) == 0
-    one, two = (figures(tmp_path / name) for name in ("a.json", "b.json"))
-    assert {m: r["value"] for m, r in one.items()} == {m: r["value"] for m, r in two.items()}
-    assert one["weighted_accuracy"]["n"] == 1
-    assert one["style_accuracy"]["n"] == 2
-    out = tmp_path / "answers.csv"
-    assert call("classify", source, "--labels", labels, "--out", out, "-q") == 0
-    assert "known" in capsys.readouterr().out
-    with out.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    truth = {(r["name"], r["truth"], r["true_style"]) for r in rows}
-    assert truth == {("0", "timid", "conservative"), ("1", "", "aggressive"), ("2", "", "")}
-    assert list(rows[0]) == LABELS.names
-
-
 def test_without_labels_shares_are_shown_and_nothing_is_scored(tmp_path, capsys) -> None:
     source = recording(tmp_path)
     assert call("classify", source, "--out", tmp_path / "labels.parquet", "-q") == 0
@@ -178,30 +145,3 @@ def test_without_labels_shares_are_shown_and_nothing_is_scored(tmp_path, capsys)
     message = capsys.readouterr().err
     assert "found no driver whose behaviour or style is known" in message
     assert "--labels FILE.csv" in message
-
-
-@pytest.mark.parametrize("command", ["import", "classify", "evaluate", "adapt"])
-def test_labels_of_nobody_are_refused_and_nothing_is_written(command, tmp_path, capsys) -> None:
-    source, labels = recording(tmp_path), labels_file(tmp_path)
-    labels.write_text("name,label\n0,timid\nnobody,timid\n")
-    arguments = {
-        "import": ["import", source, "--out", tmp_path / "out"],
-        "classify": ["classify", source, "--out", tmp_path / "out.parquet"],
-        "evaluate": ["evaluate", "graphrqi-plus", source, "--json", tmp_path / "out.json"],
-        "adapt": ["train", "--from", "graphrqi-plus", source, "--out", tmp_path / "out"],
-    }
-    before = sorted(tmp_path.iterdir())
-    assert call(*arguments[command], "--labels", labels, "-q") == 2
-    assert "which no driver is called" in capsys.readouterr().err
-    assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_models_report_has_its_scores(data, tmp_path) -> None:
-    out = tmp_path / "model"
-    assert call("train", data, "--method", "majority", "--out", out, "-q", "--jobs", 1) == 0
-    assert call("report", out, "-q") == 0
-    assert "accuracy (A_w)" in (out / "report.html").read_text()
-    card = json.loads((out / "model.json").read_text())
-    card["card"]["scores"] = [{"metric": {"nested": 1}}]
-    (out / "model.json").write_text(json.dumps(card))
-    assert call("report", out, "-q") == 2

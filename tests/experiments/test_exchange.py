@@ -1,20 +1,17 @@
-"""Recordings come in as datasets, datasets go out as recordings, commands take both."""
+"""Recordings come in as datasets, and datasets go out as recordings."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from behaviors import InputError
-from experiments.data.exchange import as_dataset, export_dataset, import_recordings
+from experiments.data.exchange import export_dataset, import_recordings
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from sim.formats import FORMATS
 from sim.store.dataset import open_dataset
-from tests.experiments.shared import content
 
 ARGO = "frame,id,x,y\n" + "".join(
     f"{t},{i},{t * (1 + i)},{4 * i}\n" for t in range(60) for i in (0, 1)
@@ -36,13 +33,6 @@ def test_datasets_go_out(generated: Path, tmp_path: Path, name: str) -> None:
     assert all(path.exists() for path in written)
 
 
-def test_no_file_is_exported_into_a_dataset(generated: Path) -> None:
-    before = sorted(generated.rglob("*"))
-    with pytest.raises(InputError, match="found a dataset, expected another folder"):
-        export_dataset(generated, generated, "sumo-fcd", quiet=True)
-    assert sorted(generated.rglob("*")) == before
-
-
 def test_out_and_in_again(generated: Path, tmp_path: Path) -> None:
     export_dataset(generated, tmp_path / "out", "sumo-fcd", quiet=True)
     import_recordings(tmp_path / "out", tmp_path / "back", quiet=True)
@@ -56,27 +46,6 @@ def test_out_and_in_again(generated: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.behavior, two.behavior)
 
 
-def test_two_recordings_of_the_same_agents_are_two_episodes(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in" / "argo1_tracks.csv").write_text(ARGO)
-    (tmp_path / "in" / "argo2_tracks.csv").write_text(ARGO.replace("59,1,118", "59,1,119"))
-    manifest = import_recordings(tmp_path / "in", tmp_path / "data", "argo", quiet=True)
-    assert len({entry.id for entry in manifest.episodes}) == 2
-    assert [entry.split for entry in manifest.episodes] == ["train", "validation"]
-    card = (tmp_path / "data" / "README.md").read_text()
-    assert "cars of 4.5 m are assumed" in card
-
-
-def test_an_import_needs_a_new_or_empty_folder(tmp_path: Path) -> None:
-    recording, data = tmp_path / "argo1_tracks.csv", tmp_path / "data"
-    recording.write_text(ARGO)
-    import_recordings(recording, data, "argo", quiet=True)
-    before = content(data)
-    with pytest.raises(InputError, match="there, expected a new or empty folder"):
-        import_recordings(recording, data, "argo", quiet=True)
-    assert content(data) == before
-
-
 def test_a_net_gives_the_road(generated: Path, tmp_path: Path) -> None:
     (net,) = (generated / "roads").iterdir()
     path = tmp_path / "argo1_tracks.csv"
@@ -86,31 +55,6 @@ def test_a_net_gives_the_road(generated: Path, tmp_path: Path) -> None:
     for name, has_road in (("with", True), ("without", False)):
         dataset = open_dataset(tmp_path / name)
         assert (dataset.road(dataset.episodes()[0]) is not None) is has_road
-
-
-def test_files_pass_as_datasets_for_a_while(generated: Path, tmp_path: Path) -> None:
-    path = tmp_path / "argo1_tracks.csv"
-    path.write_text(ARGO)
-    with as_dataset(generated) as folder:
-        assert folder == generated
-    with as_dataset(path) as folder:
-        assert [e.split for e in open_dataset(folder).episodes()] == ["test"]
-    assert not folder.exists()
-
-
-def test_vehicle_types_give_sizes(tmp_path: Path) -> None:
-    (tmp_path / "fcd.xml").write_text(
-        '<fcd-export><timestep time="0"><vehicle id="a" x="0" y="0" angle="90" type="t" speed="1"/>'
-        "</timestep></fcd-export>"
-    )
-    types = tmp_path / "routes.rou.xml"
-    types.write_text('<routes><vType id="t" vClass="truck" length="7.5"/></routes>')
-    import_recordings(tmp_path / "fcd.xml", tmp_path / "data", types=types, quiet=True)
-    (table,) = (tmp_path / "data" / "agents").rglob("*.parquet")
-    (agent,) = pq.read_table(table).to_pylist()
-    assert (agent["kind"], agent["length_m"]) == ("truck", 7.5)
-    with pytest.raises(InputError, match="only it needs them"):
-        import_recordings(types, tmp_path / "no", "argo", types=types, quiet=True)
 
 
 def test_import_names_what_is_no_scene(tmp_path, caplog):

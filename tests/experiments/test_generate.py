@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import os
 import random
 import shutil
 import signal
@@ -16,17 +14,13 @@ import psutil
 import pytest
 
 from behaviors import InputError
-from behaviors.populations import read_population
-from experiments.cli.commands import main
 from experiments.data.verify import verify_dataset
 from experiments.generate.configuration import GenerateConfig, read_config
 from experiments.generate.dataset import generate
 from experiments.generate.episode import Task
 from experiments.generate.lock import sole_writer
-from experiments.generate.workers import in_workers
 from scenarios import SCENARIOS
 from sim.files import place_of
-from sim.scenario import Scenario, sample_agents
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 from sim.store.writing import EpisodeWriter
@@ -249,14 +243,6 @@ def test_twenty_kills_change_nothing(undisturbed: dict[str, bytes], tmp_path: Pa
 KILLS = 20
 
 
-def test_a_read_only_folder_is_one_clear_error(tmp_path: Path) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("the superuser can write everywhere")
-    tmp_path.chmod(0o500)
-    with pytest.raises(OSError, match="Permission denied"):
-        generate(CONFIG, tmp_path / "data", quiet=True)
-
-
 def test_a_full_disk_is_one_clear_error_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     command = [*_command(folder, 1), "--quiet", "--duration-s", "300", "--flow", "dense"]
@@ -295,17 +281,6 @@ def test_an_episode_that_cannot_be_made_is_named_and_all_others_are_made(
     assert [e.index for e in open_dataset(tmp_path).episodes()] == [0, 1, 2, 3]
 
 
-def test_a_task_that_kills_its_workers_takes_no_other_with_it() -> None:
-    found = dict(in_workers(_deadly, range(6), jobs=2))
-    assert found == {0: 0, 1: 1, 2: None, 3: 9, 4: 16, 5: 25}
-
-
-def _deadly(number: int) -> int:
-    if number == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number * number
-
-
 # --- verify -------------------------------------------------------------------------------------
 
 
@@ -339,30 +314,6 @@ def test_verify_finds_what_is_wrong_and_generate_mends_it(made: Path, tmp_path: 
 # --- configuration ------------------------------------------------------------------------------
 
 
-def test_options_win_over_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "study.toml"
-    path.write_text('scenarios = ["straight_road"]\nepisodes = 3\nseed = 1\n[mix]\ntimid = 1.0\n')
-    config = read_config(path, seed=5, flow=None)
-    assert (config.episodes, config.seed, config.mix) == (3, 5, {"timid": 1.0})
-
-
-def test_paths_of_a_study_begin_in_its_folder(tmp_path: Path) -> None:
-    (tmp_path / "busy.toml").write_text('scenario = "straight_road"\nlanes = 2\n')
-    (tmp_path / "people.toml").write_text(read_population("profiles").to_toml())
-    path = tmp_path / "study.toml"
-    path.write_text(
-        'scenarios = ["busy.toml", "straight_road"]\nepisodes = 1\npopulation = "people.toml"\n'
-    )
-    config = read_config(path, routes="given.rou.xml")
-    assert config.scenarios == (str(tmp_path / "busy.toml"), "straight_road")
-    assert config.routes == "given.rou.xml"
-    assert config.population == read_population("profiles").table()
-    path.write_text('net = "town.net.xml"\nroutes = "town.rou.xml"\nepisodes = 1\n')
-    config = read_config(path)
-    assert config.scenarios == (str(tmp_path / "town.net.xml"),)
-    assert config.routes == str(tmp_path / "town.rou.xml")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -381,27 +332,6 @@ def test_broken_configuration_files(tmp_path: Path, text: str, message: str) -> 
     with pytest.raises(InputError) as caught:
         read_config(path)
     assert message in str(caught.value)
-
-
-def test_a_dataset_says_which_population_its_drivers_are_of(tmp_path: Path) -> None:
-    people = read_population("profiles")
-    file = tmp_path / "people.toml"
-    file.write_text(people.to_toml())
-    given = {"scenarios": ["straight_road"], "episodes": 1, "duration_s": 5.0, "seed": 2}
-    config = read_config(None, **given, population=str(file))
-    file.unlink()  # the catalogue holds what it said
-    generate(config, tmp_path / "data", jobs=1, quiet=True)
-    dataset = open_dataset(tmp_path / "data")
-    assert dataset.header.configuration["population"] == people.table()
-    (entry,) = dataset.episodes()
-    assert entry.options["population"] == {"name": "profiles", "sha256": people.sha256}
-    scenario = config.scenario("straight_road")
-    drawn = sample_agents(scenario, entry.seed)
-    plain = dataclasses.replace(scenario, population=None)
-    assert drawn == sample_agents(plain, entry.seed, people) != sample_agents(plain, entry.seed)
-    assert dataset.read(entry).agents == drawn
-    with pytest.raises(InputError, match="was made with population 'profiles', now 'not given'"):
-        generate(read_config(None, **given), tmp_path / "data", jobs=1, quiet=True)
 
 
 @pytest.mark.parametrize(
@@ -423,57 +353,3 @@ def test_wrong_options_are_refused_before_anything_is_written(
     with pytest.raises(InputError, match=message):
         generate(CONFIG.model_copy(update=change), tmp_path / "data", quiet=True)
     assert not (tmp_path / "data").exists()
-
-
-@pytest.mark.parametrize("name", sorted(SCENARIOS))
-def test_flow_and_duration_end_at_their_limits(name: str) -> None:
-    def scenario(**change: float) -> Scenario:
-        return CONFIG.model_copy(update=change).scenario(name)
-
-    assert scenario(flow=1e5, duration_s=86_400.0).duration_s == 86_400.0
-    with pytest.raises(InputError, match=r"^flow: found 1e\+308 .* at most 100000$"):
-        scenario(flow=1e308)
-    with pytest.raises(InputError, match=r"^duration_s: found 1e\+300, .* at most 86400$"):
-        scenario(duration_s=1e300)
-
-
-def test_episodes_take_the_limits_in_turn(tmp_path):
-    config = GenerateConfig(
-        scenarios=("straight_road",), episodes=3, duration_s=2.0, limits_mps=(13.89, 8.33)
-    )
-    manifest = generate(config, tmp_path / "data", 1, quiet=True)
-    limits = {e.index: e.options["limit_mps"] for e in manifest.episodes}
-    assert limits == {0: 13.89, 1: 8.33, 2: 13.89}
-    scenario = config.scenario("straight_road", 1)
-    assert {lane.speed_limit_mps for lane in scenario.road.lanes if lane.id.startswith("east")} == {
-        8.33
-    }
-
-
-def test_a_scenario_takes_other_options(tmp_path):
-    folder = tmp_path / "data"
-    words = ["--scenario", "straight_road", "--episodes", "1", "--duration-s", "2", "--quiet"]
-    with pytest.raises(SystemExit, match="0"):
-        main(["generate", *words, "--set", "lanes=2", "--kinds", "truck=1", "--out", f"{folder}"])
-    manifest = open_dataset(folder).manifest
-    (entry,) = manifest.episodes
-    assert entry.options["lanes"] == 2
-    assert manifest.configuration["scenario_options"] == {"lanes": 2, "kinds": "truck=1"}
-    config = GenerateConfig(
-        scenarios=("city",), episodes=1, flow=400.0, scenario_options={"blocks": 3}
-    )
-    assert config.scenario("city").per_hour(walking=False) == pytest.approx(400.0)
-    wrong = config.model_copy(update={"scenario_options": {"block": 3}})
-    with pytest.raises(InputError, match="'block': did you mean 'blocks'"):
-        wrong.check()
-
-
-def test_a_mix_may_be_a_table(tmp_path):
-    config = GenerateConfig(
-        scenarios=("straight_road",),
-        episodes=1,
-        duration_s=2.0,
-        mix={"careful": 0.5, "timid": 0.5},
-    )
-    manifest = generate(config, tmp_path / "data", 1, quiet=True)
-    assert len(manifest.episodes) == 1

@@ -15,8 +15,7 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments import guard
-from experiments.guard import guarded, guarded_call, guarding
-from sim.formats import read_formats
+from experiments.guard import guarded, guarding
 
 
 def takes_memory(path: Path) -> Iterator[Any]:
@@ -74,20 +73,6 @@ def test_a_child_that_fails_is_one_line(
         list(guarded(file, function, file))
     assert str(caught.value).startswith(f"{file}: ")
     assert "\n" not in str(caught.value)
-
-
-def test_answers_are_those_of_the_function_with_and_without_a_child(tmp_path: Path) -> None:
-    for name in ("a.csv", "b.csv"):
-        rows = "".join(f"{k / 10},x,OTHERS,{k},0,PIT\n" for k in range(20))
-        (tmp_path / name).write_text("TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME\n" + rows)
-    direct = list(guarded(tmp_path, read_formats, tmp_path, ["argoverse1"]))
-    with guarding():
-        child = list(guarded(tmp_path, read_formats, tmp_path, ["argoverse1"]))
-        assert guarded_call(tmp_path, np.hypot, 3.0, 4.0) == 5.0
-    assert [name for name, _ in child] == ["argoverse1", "argoverse1"]
-    for (_, one), (_, two) in zip(direct, child, strict=True):
-        assert one.name == two.name
-        assert one.tracks.xy.tobytes() == two.tracks.xy.tobytes()
 
 
 def test_the_command_line_refuses_a_bomb_in_one_line(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from experiments.benchmarks.statistics import auc_within
-from experiments.score.metrics import calibration_error, confusion, reliability
+from experiments.score.metrics import calibration_error, reliability
 
 
 def test_calibration_of_answers_that_are_as_sure_as_right():
@@ -25,8 +25,3 @@ def test_auc_compares_only_inside_groups():
     assert (value, low, high) == (1.0, 1.0, 1.0)
     assert auc_within(score, truth, np.zeros(4))[0] == 0.75
     assert np.isnan(auc_within(score, truth, np.arange(4))[0])
-
-
-def test_confusion_of_fewer_classes():
-    matrix = confusion(np.array([0, 1, 1], np.int8), np.array([0, 0, 1]), np.zeros(3), 2)
-    assert matrix.tolist() == [[[1.0, 0.0], [1.0, 1.0]]]

@@ -25,7 +25,7 @@ from experiments.score.predictions import (
     score_episode,
     score_predictions,
 )
-from experiments.training.predictor import calibrate_drivers, samples_of
+from experiments.training.predictor import calibrate_drivers
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
 from graphrqi.predict.networks.futures import MODES
@@ -73,25 +73,6 @@ def test_instants_leave_room_for_past_and_future():
     assert np.diff(times) == pytest.approx(2.0)
     assert times[-1] == pytest.approx(15.0)
     assert list(instants(steady([5.0], seconds=3.0), 5.0)) == []
-
-
-@pytest.mark.parametrize(
-    ("seconds", "step_s", "horizon_s", "expected"),
-    [
-        (4.9, 0.1, 3.0, [1.9]),
-        (4.0, 0.1, 3.0, [1.0]),
-        (3.9, 0.1, 3.0, []),
-        (5.0, 0.04, 3.01, [1.96]),  # no frame is exactly 3.01 s before the end
-        (6.0, 0.1, 3.0, [3.0]),
-        (8.0, 0.1, 3.0, [3.0, 5.0]),
-        (2.5, 0.1, 1.0, [1.0]),
-        (0.0, 0.1, 3.0, []),
-    ],
-)
-def test_short_recordings_warm_up_for_what_is_left(seconds, step_s, horizon_s, expected):
-    tracks = steady([5.0], seconds=seconds, step_s=step_s)
-    stops = np.array(list(instants(tracks, horizon_s)), dtype=int)
-    assert tracks.time_s[stops - 1] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.04, 0.25])
@@ -160,23 +141,6 @@ def test_a_predictor_of_ones_own_is_scored_beside_ours(own, dataset, tmp_path, c
     )
     assert mine == ours
     assert mine
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("ahead", "unknown predictor 'ahead'"),
-        ("nowhere_at_all:ahead", "expected 'module:function' that exists"),
-        ("{own}:behind", "expected 'module:function' that exists"),
-        ("{own}:broken", "expected it to name a function"),
-        ("{own}:number", "found int from .*, expected a Prediction"),
-    ],
-)
-def test_predictors_that_are_none_are_refused(own, road, name, said):
-    tracks = steady([5.0], y=-8.0)
-    stops = list(instants(tracks, 5.0))
-    with pytest.raises(InputError, match=said):
-        score_episode(tracks, dict.fromkeys(stops, NOBODY), road, [name.replace("{own}", own)])
 
 
 def test_a_name_from_a_file_runs_no_code(own):
@@ -261,22 +225,6 @@ def test_calibration_improves_on_training_scenes_and_writes_its_card(dataset, tm
     assert np.array_equal(again.behavior, table.behavior)
 
 
-def test_samples_hold_scenes_and_their_futures(dataset):
-    opened = open_dataset(dataset)
-    samples = samples_of(dataset, opened.episodes("train")[0], 5.0)
-    assert samples
-    for sample in samples:
-        assert sample.future.shape == (*sample.scene.ids.shape, sample.scene.steps, 2)
-        assert np.isfinite(sample.future[sample.counts]).all()
-
-
-def test_calibration_without_training_episodes_is_refused(tmp_path):
-    with new_dataset(tmp_path / "empty", {}):
-        pass
-    with pytest.raises(InputError, match="no training scene"):
-        calibrate_drivers(tmp_path / "empty", tmp_path / "out.json", quiet=True)
-
-
 def test_predictions_file_holds_every_future_of_every_agent(dataset, tmp_path):
     out = tmp_path / "predictions.parquet"
     names = ["constant-velocity", "lstm"]
@@ -313,12 +261,6 @@ def recordings(folder, *seconds):
     return folder
 
 
-def predict_line(folder, *options):
-    with pytest.raises(SystemExit) as ended:
-        main(["predict", str(folder), "--predictors", "constant-velocity", "--jobs", "1", *options])
-    return ended.value.code
-
-
 def test_recordings_too_short_are_skipped_and_named(tmp_path, caplog):
     """Of 4.9 s (Argoverse 1), 4 s (TRAF), one frame and 12 s, with 3 s ahead."""
     folder = recordings(tmp_path / "data", 4.9, 4.0, 3.5, 0.0, 12.0)
@@ -329,15 +271,3 @@ def test_recordings_too_short_are_skipped_and_named(tmp_path, caplog):
     for line, name, length in zip(said, ("drive2", "drive3"), ("3.5", "0"), strict=True):
         assert line.startswith("skipped episode ")
         assert f"({name}): found {length} s, expected at least 4 s to predict 3 s ahead" in line
-
-
-def test_nothing_but_short_recordings_is_one_error_and_leaves_no_file(tmp_path, capsys):
-    folder, out = recordings(tmp_path / "data", 4.9, 0.0), tmp_path / "futures.parquet"
-    assert predict_line(folder, "--quiet", "--out", str(out)) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == (
-        f"graphrqi: error: {folder}: found 2 episodes of at most 4.9 s, expected one of 6 s or "
-        "longer to predict 5 s ahead: ask for a shorter horizon\n"
-    )
-    assert not out.exists()

@@ -1,11 +1,7 @@
-"""The bench on real recordings, on small files of the same formats and, where there, on them."""
+"""The benchmark on real recordings: sheets, features without a unit, and small files."""
 
 from __future__ import annotations
 
-import dataclasses
-import re
-import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +9,12 @@ import pytest
 from openpyxl import Workbook
 from sklearn.metrics import cohen_kappa_score
 
-from behaviors.errors import InputError
 from behaviors.labelling import style_of
-from behaviors.labels import Behavior, Style, Trait
-from experiments.benchmarks.real_data import VIEWS, Video, measure, read_traf
-from graphrqi.features.unit_free import NAMES, scale_at, standardised, unit_free_features
+from behaviors.labels import Behavior, Trait
+from experiments.benchmarks.real_data import measure, read_traf
+from graphrqi.features.unit_free import NAMES, unit_free_features
 from sim.formats import argo, traf
-from sim.formats.argo import read_labels, remove_ego_motion, rigid_motion
+from sim.formats.argo import remove_ego_motion
 from sim.formats.traf_sheets import labels, read_sheet, sheets_of
 
 
@@ -30,16 +25,6 @@ def write_sheet(path: Path, rows: list[list[object]]) -> Path:
     for row in rows:
         book.active.append(row)
     book.save(path)
-    return path
-
-
-def altered_sheet(path: Path, name: str, change: Callable[[bytes], bytes]) -> Path:
-    """A sound workbook with one of its parts changed."""
-    sound = write_sheet(path.with_name("a0.xlsx"), [[7, 0, 0, 1, 1]])
-    with zipfile.ZipFile(sound) as source, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
-        for part in source.infolist():
-            data = source.read(part)
-            out.writestr(part.filename, change(data) if part.filename == name else data)
     return path
 
 
@@ -72,11 +57,6 @@ def data(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def videos(data) -> list[Video]:
-    return read_traf(data / "traf", ("unit-free", "leak-probe", "majority"), jobs=1)
-
-
 # --- sheets -------------------------------------------------------------------------------------
 
 
@@ -98,33 +78,6 @@ def test_sheet_without_header(tmp_path):
         3: (Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES),
         4: (Trait.NOT_MOVING,),
     }
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        ([[0, 0, 0, 1, 55]], "row 1: found trait code 55"),
-        ([[0, 0, 0, 2, 1]], "row 1, column F: found ''"),
-        ([["?", 0, 0, 1, 1]], "row 1, column A: found '\\?'"),
-        ([[7, 0, 0, 1, 1], [7, 0, 0, 1, 2]], "row 2: found agent 7 a second time"),
-        ([[7, 0, 0, 99, 1]], "column D: found 99 traits"),
-    ],
-)
-def test_broken_sheets_are_named(tmp_path, rows, message):
-    with pytest.raises(InputError, match=message):
-        read_sheet(write_sheet(tmp_path / "v1.xlsx", rows))
-
-
-SHEET = "xl/worksheets/sheet1.xml"
-
-
-def test_cells_with_text_inside_are_read(tmp_path):
-    """Other programs than Excel write text into the cell itself, not into a table of strings."""
-    inside = b'<c r="A1" t="inlineStr"><is><t>12</t></is></c>'
-    path = altered_sheet(
-        tmp_path / "c8.xlsx", SHEET, lambda xml: re.sub(rb'<c r="A1".*?</c>', inside, xml)
-    )
-    assert read_sheet(path).traits == {12: (Trait.UNIFORM_SPEED,)}
 
 
 def test_labels_of_sheets(tmp_path):
@@ -159,39 +112,6 @@ def test_features_do_not_depend_on_the_unit():
     np.testing.assert_allclose(unit_free_features(xy[::-1], sides[::-1]), mine[::-1], atol=1e-9)
 
 
-def test_features_tell_the_fast_from_the_slow_and_who_passed_whom():
-    time = np.arange(200.0)
-    xy = np.stack(
-        [np.stack([2.0 * time, 0 * time], 1), np.stack([100 + time, 1.0 + 0 * time], 1),
-         np.stack([400 - time, 30.0 + 0 * time], 1)]
-    )  # fmt: skip
-    found = dict(zip(NAMES, unit_free_features(xy, np.full((3, 2), 20.0)).T, strict=True))
-    assert found["speed"][0] > found["speed"][1]
-    assert found["passed"].argmax() == 0
-    assert found["was passed"].argmax() == 1
-    assert found["along neighbours"].argmin() == 2
-
-
-def test_short_and_still_tracks_are_survived():
-    xy = np.full((3, 60, 2), np.nan)
-    xy[0, :2] = 5.0
-    xy[1] = 7.0
-    xy[2, 10:50] = np.linspace(0, 40, 40)[:, None]
-    assert np.isfinite(unit_free_features(xy, np.ones((3, 2)))).all()
-
-
-def test_scale_follows_most_agents():
-    y = np.arange(20.0)
-    size = np.exp(0.5 + 0.1 * y)
-    size[3] *= 6.0
-    np.testing.assert_allclose(scale_at(y, size), (0.5, 0.1), atol=1e-3)
-
-
-def test_standardised_ignores_the_unknown():
-    out = standardised(np.array([[1.0], [3.0], [np.nan]]))
-    np.testing.assert_allclose(out.ravel(), [-1.0, 1.0, 0.0], atol=1e-6)
-
-
 # --- the bench ----------------------------------------------------------------------------------
 
 
@@ -206,37 +126,6 @@ def test_bench_finds_what_is_there(data):
     assert {r["protocol"] for r in rows} == {"leave-one-video-out"}
     per_fold = [r["n"] for r in rows if r["metric"] == "auc" and r["method"] == "unit-free"]
     assert per_fold == [14, 14, 14, 42]
-
-
-def test_a_held_out_videos_labels_take_no_part(videos, monkeypatch):
-    """With other labels, that video's answers are the same: its own are only scored."""
-    from experiments.benchmarks import real_data
-
-    held, *training = videos
-    other = dataclasses.replace(held, codes=held.codes[::-1].copy())
-    answers: list[np.ndarray] = []
-
-    def keep(found, task, keys):
-        answers.append(found[1])
-        return []
-
-    monkeypatch.setattr(real_data, "_rows", keep)
-    for first in (held, other):
-        real_data._scored([first, *training], "unit-free", 4)
-    np.testing.assert_array_equal(answers[0], answers[4])
-
-
-def test_absent_recordings_are_named(tmp_path):
-    with pytest.raises(InputError, match="found 0 annotated videos, expected two or more"):
-        next(measure(tmp_path))
-
-
-def test_every_view_gives_one_row_per_agent(data):
-    tracks = next(iter(traf.read(data / "traf" / "tracks" / "TRAF53_1_gt.txt"))).tracks
-    for name, view in VIEWS.items():
-        found = view(tracks)
-        assert found.shape[0] == 14, name
-        assert np.isfinite(found).all(), name
 
 
 # --- ARGO ---------------------------------------------------------------------------------------
@@ -272,26 +161,6 @@ def test_ego_motion_is_undone(tmp_path):
     assert tracks.speed[8, 20] == pytest.approx(6.0, abs=1e-6)
 
 
-def test_rigid_motion_never_mirrors():
-    points = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
-    rotation, _ = rigid_motion(points, points)
-    assert np.linalg.det(rotation) == pytest.approx(1.0)
-
-
-def test_argo_labels(tmp_path):
-    path = tmp_path / "argo1_labels.csv"
-    path.write_text("id,code\n0,3\n1,1\n2,5\n")
-    found = read_labels(path)
-    assert found["0"].behavior is Behavior.CAREFUL
-    assert (found["1"].style, found["1"].behavior) == (Style.AGGRESSIVE, None)
-    path.write_text("id,code\n0,9\n")
-    with pytest.raises(InputError, match="agent 0: found code 9"):
-        read_labels(path)
-    path.write_text("id,code\n0,3\n0,3\n")
-    with pytest.raises(InputError, match="found 2 rows for 1 agents"):
-        read_labels(path)
-
-
 # --- the recordings themselves ------------------------------------------------------------------
 
 
@@ -311,15 +180,3 @@ def test_traf_annotators_agree_as_far_as_known(shared_data: Path):
         [style_of(sheets["u"].traits[i]) for i in both],
     )
     assert kappa == pytest.approx(0.33, abs=0.01)
-
-
-def test_argo_cars_are_parked_once_ego_motion_is_undone(shared_data: Path):
-    path = shared_data / "argo" / "argo1_tracks.csv"
-    tracks = next(iter(argo.read(path))).tracks
-    seen = [np.flatnonzero(row) for row in tracks.valid]
-    moved = [
-        np.hypot(*(tracks.xy[i, s[-1]] - tracks.xy[i, s[0]]))
-        for i, s in enumerate(seen)
-        if s.size > 20
-    ]
-    assert np.mean(np.array(moved) < 2.0) > 0.7

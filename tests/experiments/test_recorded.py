@@ -1,10 +1,7 @@
-"""Training and scoring on recordings: instants, who counts, what is left out, what is saved."""
+"""Training and scoring on recordings: nothing tells left from right, and what is saved predicts."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,25 +11,14 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benchmarks.recorded_prediction import RATIOS, measure
 from experiments.training.recorded import (
-    KEY_FRAMES_S,
     MIRROR,
-    between_key_frames,
-    coarser,
     mirrored,
     mirrored_road,
     recorded_examples,
-    shorter,
     train_on_recordings,
-    with_noise,
 )
 from experiments.training.recordings import (
-    family_of,
-    happened,
     history_of,
-    moving,
-    read_sources,
-    recorded_instants,
-    steady_motion,
 )
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
@@ -88,65 +74,6 @@ def data(tmp_path_factory) -> Path:
     return folder
 
 
-def test_instants_are_samples_with_a_past_and_a_future():
-    tracks = traffic(step_s=0.5)
-    stops = recorded_instants(tracks, 0.7)
-    now = tracks.time_s[np.array(stops) - 1]
-    assert now.tolist() == [3.0, 4.0]
-    assert recorded_instants(traffic(seconds=7.0), 1.0) == []
-
-
-def test_who_is_parked_does_not_count():
-    tracks = traffic()
-    history = history_of(tracks, 31)
-    assert moving(history).tolist() == [True] * 5 + [False]
-    assert not moving(history_of(tracks, 20)).any()
-
-
-def test_constant_velocity_averages_half_a_second():
-    tracks = traffic()
-    history = history_of(tracks, 41)
-    velocity = (tracks.xy[:, 40] - tracks.xy[:, 35]) / 0.5
-    expected = tracks.xy[:, 40] + 5.0 * velocity
-    assert steady_motion(history, TIME_S)[:, -1] == pytest.approx(expected)
-    assert happened(tracks, history, 41)[:, -1] == pytest.approx(tracks.xy[:, 90])
-
-
-def test_families_are_told_by_name_or_file(tmp_path):
-    assert family_of("ngsim_lankershim") == "junction"
-    assert family_of("kitti") == "urban from a car"
-    assert family_of("nowhere") == "other"
-    (tmp_path / "family.txt").write_text("ramp\n")
-    assert family_of("nowhere", tmp_path) == "ramp"
-
-
-def test_only_the_past_is_altered():
-    history = history_of(traffic(), 41)
-    rng = np.random.default_rng(0)
-    for style in range(3):
-        noisy = with_noise(history, 0.1, rng, style)
-        assert np.std(noisy.xy - history.xy) == pytest.approx(0.1, rel=0.25)
-        assert np.array_equal(noisy.speed, history.speed) == (style == 0)
-    assert np.diff(coarser(history, 5).time_s) == pytest.approx(0.5)
-    assert coarser(history, 5).time_s[-1] == history.time_s[-1]
-    assert np.ptp(shorter(history, 1.0).time_s) == pytest.approx(1.0)
-
-
-def test_speeds_between_key_frames_are_constant():
-    tracks = traffic()
-    filled_in = between_key_frames(tracks, np.random.default_rng(0))
-    for row, seen in enumerate(tracks.valid):
-        time_s, speed = tracks.time_s[seen], filled_in.speed[row, seen]
-        moved = np.linalg.norm(np.diff(filled_in.xy[row, seen], axis=0), axis=1) / np.diff(time_s)
-        assert moved == pytest.approx(speed[1:])
-        jumps = time_s[1:][np.diff(speed) != 0.0]
-        assert (np.diff(jumps) > KEY_FRAMES_S[0] - 0.11).all()
-        assert (np.diff(jumps) < KEY_FRAMES_S[1] + 0.11).all()
-        ends = np.flatnonzero(seen)[[0, -1]]
-        assert filled_in.xy[row, ends] == pytest.approx(tracks.xy[row, ends])
-    np.testing.assert_array_equal(tracks.xy, traffic().xy)
-
-
 def test_a_mirrored_scene_is_seen_as_the_same_with_left_and_right_swapped():
     """Numbers that tell left from right change sign or place; all others stay as they are."""
     road = SCENARIOS["four_way_intersection"]().road
@@ -185,15 +112,6 @@ def test_a_mirrored_scene_is_seen_as_the_same_with_left_and_right_swapped():
         assert (before != after).any()
 
 
-def test_folders_of_folders_are_read_and_unknown_ones_named(data, capsys):
-    found = list(read_sources([data]))
-    assert [one.family for one in found] == ["motorway"] * 3 + ["junction"] * 3
-    assert {one.place for one in found} == {"ngsim_us101", "some_junction"}
-    assert "pairs" in capsys.readouterr().err
-    with pytest.raises(InputError, match="nothing there"):
-        list(read_sources([data / "no"]))
-
-
 def test_training_writes_weights_that_predict_uses(data, tmp_path):
     scores = train_on_recordings([data], tmp_path, epochs=1, quiet=True)
     assert scores.keys() == {"ngsim_us101", "some_junction"}
@@ -208,13 +126,6 @@ def test_training_writes_weights_that_predict_uses(data, tmp_path):
         predict(history, NOBODY, None, weights=tmp_path / "no")
 
 
-def test_nobody_who_moves_is_an_error(tmp_path):
-    write_interaction(tmp_path / "short", traffic(seconds=4.0), 0)
-    with pytest.raises(InputError, match="expected one to train on"):
-        train_on_recordings([tmp_path], tmp_path / "out", quiet=True)
-    assert not (tmp_path / "out").exists()
-
-
 def test_the_bench_leaves_each_dataset_out(data):
     rows = [row for part in measure(data, "dataset", 1, 0, 200) for row in part]
     keys = {"dataset", "family", "place", "predictor", "noise_m", "horizon_s"}
@@ -225,14 +136,3 @@ def test_the_bench_leaves_each_dataset_out(data):
     assert ratios == {name + suffix for name, *_ in RATIOS for suffix in ("", "_by_place")}
     with pytest.raises(InputError, match="leave_out"):
         next(measure(data, "nobody", 1, 0))
-
-
-def test_the_command_trains_and_tells(data, tmp_path):
-    out = subprocess.run(
-        [sys.executable, "-m", "experiments.cli", "train", "--predictor", str(data / "ngsim_us101"),
-         "--out", str(tmp_path), "--epochs", "1", "--json", "-", "--quiet"],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    rows = json.loads(out.stdout)
-    assert [row["recordings"] for row in rows] == ["ngsim_us101"]
-    assert (tmp_path / SHIPPED).is_file()

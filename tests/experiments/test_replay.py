@@ -1,4 +1,4 @@
-"""What a replay gathers, packs, films and refuses."""
+"""What a replay gathers, packs and films."""
 
 from __future__ import annotations
 
@@ -10,19 +10,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from matplotlib.colors import to_hex
-from PIL import Image
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.replay.beliefs import read_beliefs
 from experiments.replay.forecasts import read_forecasts
 from experiments.replay.graph_history import graph_history
 from experiments.replay.page import write_page
-from experiments.replay.pictures import Drawing, Layout, write_picture
+from experiments.replay.pictures import write_picture
 from experiments.replay.scene import chosen_entry, gather
-from experiments.replay.shown import shown_events, with_drawn_sizes
+from experiments.replay.shown import shown_events
 from experiments.replay.write import ReplayOptions, write_replay
 from experiments.score.futures import PREDICTIONS, predictions_table
 from experiments.score.labels import LABELS
@@ -85,19 +82,6 @@ def test_labels_are_read_where_they_speak_and_nowhere_else(dataset, tmp_path):
     assert not known[3:].any()
     assert not known[:, :2].any()
     assert beliefs.at(5.0).most_likely.tolist() == [5, 5, 5]
-
-
-def test_labels_of_another_episode_are_refused_by_name(dataset, tmp_path):
-    entry, tracks = labels_file(tmp_path / "labels.parquet", dataset, "mapped")
-    with pytest.raises(InputError, match=r"labels\.parquet: found no row of episode"):
-        read_beliefs(tmp_path / "labels.parquet", "f" * 16, tracks)
-    (tmp_path / "broken.parquet").write_bytes(b"PAR1 nothing")
-    with pytest.raises(InputError, match=r"broken\.parquet"):
-        read_beliefs(tmp_path / "broken.parquet", entry.id, tracks)
-    few = pa.table({"episode": [entry.id], "agent": [2]})
-    pq.write_table(few, tmp_path / "few.parquet")
-    with pytest.raises(InputError, match=r"few\.parquet.*time_s"):
-        read_beliefs(tmp_path / "few.parquet", entry.id, tracks)
 
 
 def test_predictions_come_back_from_their_file(dataset, tmp_path):
@@ -167,119 +151,12 @@ def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_pa
     assert '"road":null' in (tmp_path / "page.html").read_text()
 
 
-def test_traits_and_events_of_a_recording_on_a_road_are_found(dataset, tmp_path):
-    labels_file(tmp_path / "labels.parquet", dataset, "mapped")
-    scene = gather(
-        open_dataset(dataset), entry_of(dataset, "mapped"), model="none",
-        labels=tmp_path / "labels.parquet", predictor="none",
-    )  # fmt: skip
-    assert "uniform speed" in {shown.trait.value for shown in scene.shown_traits}
-    assert scene.forecasts == ()
-
-
-def test_an_episode_is_found_by_its_beginning_or_refused(dataset):
-    opened = open_dataset(dataset)
-    first = opened.manifest.episodes[0]
-    assert chosen_entry(opened, first.id[:6]) == first
-    assert chosen_entry(opened, None) == first
-    assert chosen_entry(opened, first.name) == first
-    with pytest.raises(InputError, match=f"called 'zz', expected .*{first.id} .{first.name}"):
-        chosen_entry(opened, "zz")
-
-
-def test_an_episode_whose_name_several_have_is_refused_by_ids(dataset, tmp_path):
-    tracks = next(iter(open_dataset(dataset))).tracks
-    folder = tmp_path / "data"
-    with new_dataset(folder, {}) as out:
-        first, second = (
-            out.write_recording(
-                EpisodeMeta(scenario="a", engine="argo", options={"recording": name}), tracks
-            )
-            for name in ("north/tracks", "south/tracks")
-        )
-    opened = open_dataset(folder)
-    with pytest.raises(InputError, match=f"found 2 episodes .*{first.id}.*{second.id}"):
-        chosen_entry(opened, "tracks")
-    assert chosen_entry(opened, "south/tracks").id == second.id
-
-
-@pytest.mark.parametrize("mode", ["true", "predicted", "confidence", "speed", "w"])
-def test_a_picture_has_everyone_in_their_place_and_colour(scene, mode):
-    drawing = Drawing(scene, mode)
-    figure = drawing.draw(8.0)
-    step = int(np.searchsorted(scene.tracks.time_s, 8.0 - 1e-6))
-    there = np.flatnonzero(scene.tracks.valid[:, step])
-    assert len(figure.axes) == len(drawing.layout.rows) > 1
-    for axes in figure.axes:
-        bodies = axes.collections[-1]
-        assert len(bodies.get_paths()) == there.size
-        for body, row in zip(bodies.get_paths(), there, strict=True):
-            place = drawing.layout.places(scene.tracks.xy[row, step])
-            assert body.vertices[:-1].mean(axis=0) == pytest.approx(place, abs=1.0)
-        if mode == "true":
-            wanted = [COLORS[BEHAVIORS[code]] for code in scene.tracks.behavior[there]]
-            assert [to_hex(c).upper() for c in bodies.get_facecolors()] == wanted
-
-
-def test_a_picture_shows_no_colour_where_nothing_is_believed(scene):
-    nothing = np.full_like(scene.beliefs.probability, np.nan)
-    beliefs = dataclasses.replace(scene.beliefs, probability=nothing)
-    drawing = Drawing(dataclasses.replace(scene, beliefs=beliefs), "predicted")
-    colors = drawing.draw(8.0).axes[0].collections[-1].get_facecolors()
-    assert {to_hex(c).upper() for c in colors} == {UNKNOWN_COLOR.upper()}
-
-
-def test_a_road_that_goes_north_is_turned_and_folded_as_one_that_goes_east():
-    east = Layout.of((0.0, 0.0, 800.0, 12.0), 1280, 630)
-    north = Layout.of((0.0, 0.0, 12.0, 800.0), 1280, 630)
-    assert len(north.rows) == len(east.rows) > 1
-    assert (north.turned, east.turned) == (True, False)
-    assert north.places(np.array([6.0, 10.0])).tolist() == [10.0, -6.0]
-
-
-@pytest.mark.parametrize("ending", ["png", "pdf", "svg", "gif"])
-def test_the_same_scene_gives_the_same_picture(scene, ending, tmp_path):
-    for name in ("a", "b"):
-        write_picture(scene, tmp_path / f"{name}.{ending}", "w", 4.0, 4.3)
-    made = (tmp_path / f"a.{ending}").read_bytes()
-    assert made == (tmp_path / f"b.{ending}").read_bytes()
-    assert (b"/Subtype /Image" in made, b"<image" in made) == (False, False)
-    if ending == "gif":
-        with Image.open(tmp_path / "a.gif") as film:
-            assert film.n_frames == 4
-            assert film.info["duration"] == 100
-
-
 def test_an_mp4_plays_for_as_long_as_it_should(scene, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     write_picture(scene, tmp_path / "v.mp4", "predicted", 4.0, 5.0)
     frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "v.mp4"))
     assert frames == 21
     assert seconds == pytest.approx(1.05, abs=0.1)
-
-
-def test_what_is_asked_for_wrongly_is_refused_before_any_work(tmp_path):
-    out = tmp_path / "replay.html"
-    for options, said in (
-        ({"picture": tmp_path / "p.jpg"}, r"--picture: found 'p\.jpg'"),
-        ({"color": "sped"}, "unknown color 'sped': did you mean 'speed'"),
-        ({"predictor": "kalmann"}, "did you mean 'kalman'"),
-        ({"picture": tmp_path / "nowhere" / "v.gif"}, "found no folder"),
-    ):
-        with pytest.raises(InputError, match=said):
-            write_replay(tmp_path / "no-data", out, ReplayOptions(**options))
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("begin_s", [-1.0, 1e6, float("nan")])
-def test_a_time_outside_the_episode_is_refused(dataset, tmp_path, begin_s):
-    labels_file(tmp_path / "labels.parquet", dataset, "mapped")
-    options = ReplayOptions(
-        "mapped", labels=tmp_path / "labels.parquet", predictor="none", begin_s=begin_s
-    )
-    with pytest.raises(InputError, match=r"--begin-s: found .*, expected a time from"):
-        write_replay(dataset, tmp_path / "r.html", options, quiet=True)
-    assert not (tmp_path / "r.html").exists()
 
 
 def test_the_command_writes_page_and_film(dataset, tmp_path):
@@ -320,16 +197,3 @@ def test_near_misses_are_shown_at_their_minimum_and_not_with_parked_ones():
     ]  # fmt: skip
     assert shown[1].time_s == pytest.approx(3.0), "they meet half way"
     assert shown[1].rule == "ttc 1.4 s"
-
-
-def test_boxes_of_an_image_are_drawn_as_cars_that_do_not_touch():
-    tracks = moving([1, 2, 3], [[0, 0], [40, 0], [80, 0]], [[1, 0], [1, 0], [1, 0]])
-    boxes = dataclasses.replace(
-        tracks, length=np.array([60.0, 70.0, 300.0]), width=np.array([120.0, 90.0, 200.0])
-    )
-    drawn = with_drawn_sizes(boxes)
-    assert len(set(drawn.length)) == 1
-    assert drawn.length[0] == pytest.approx(32.0)
-    assert drawn.width[0] == pytest.approx(32.0 / 2.5)
-    small = with_drawn_sizes(dataclasses.replace(tracks, length=np.full(3, 8.0)))
-    assert small.length[0] == pytest.approx(4.0)

@@ -1,4 +1,4 @@
-"""Reports of rows: tables, pictures, comparisons, and what they refuse."""
+"""Reports of rows: tables, pictures and findings."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.report.findings import findings
 from experiments.report.page import write_report
-from experiments.report.pictures import pictures_of
-from experiments.report.tables import tables_of
 
 HOSTILE = '</td><script>document.title = "x"</script>'
 FIGURE = {"value": 0.5, "low": 0.4, "high": 0.625, "n": 12}
@@ -71,26 +69,6 @@ def test_rows_of_every_command_are_shown(kind, tmp_path):
     assert "<script" not in text
 
 
-def test_a_table_has_a_line_for_each_thing_compared():
-    first, *others = tables_of(pd.DataFrame(predictions()))
-    assert list(first.cells.index) == ["constant-velocity", "graphrqi-predict"]
-    assert list(first.cells.columns)[:2] == ["ADE, m, 1 s", "ADE, m, 3 s"]
-    assert first.cells.shape == (2, 9)
-    assert others[0].title == "ADE, m by behaviour"
-    assert list(others[0].cells.columns) == [str(b) for b in BEHAVIORS]
-
-
-def test_pictures_are_lines_bars_and_matrices():
-    (lines,) = pictures_of(pd.DataFrame(predictions()))
-    drawn = lines.figure.axes[0].get_lines()
-    assert [line.get_label() for line in drawn] == ["constant-velocity", "graphrqi-predict"]
-    assert list(drawn[0].get_xdata()) == [1.0, 3.0, 5.0]
-    bars, reliability, matrix = pictures_of(pd.DataFrame(answers()))
-    assert len(bars.figure.axes[0].patches) == 1
-    assert "reliability" in reliability.title
-    assert matrix.figure.axes[0].get_images()[0].get_array().sum() == pytest.approx(600.0)
-
-
 def test_pictures_are_written_as_files_too(tmp_path):
     (tmp_path / "rows.json").write_text(json.dumps(answers()))
     for ending in ("svg", "pdf"):
@@ -98,16 +76,6 @@ def test_pictures_are_written_as_files_too(tmp_path):
         assert len(list((tmp_path / "rows-figures").glob(f"*.{ending}"))) == 3
     with pytest.raises(InputError, match="unknown format of figures 'jpg'"):
         write_report([tmp_path / "rows.json"], figures="jpg")
-
-
-def test_several_runs_stand_beside_each_other(tmp_path):
-    for name, shift in (("before", 0.0), ("after", 0.25)):
-        (tmp_path / f"{name}.json").write_text(json.dumps(predictions(shift)))
-    runs = [tmp_path / "before.json", tmp_path / "after.json"]
-    text = write_report(runs, tmp_path / "c.html").read_text()
-    assert "0.5 [0.4, 0.625]" in text
-    assert "0.75 [0.4, 0.625]" in text
-    assert "before" in text
 
 
 def test_findings_compare_with_the_majority_class_and_plain_predictors():
@@ -125,11 +93,4 @@ def test_findings_compare_with_the_majority_class_and_plain_predictors():
 def test_what_is_no_list_of_rows_is_refused(rows, tmp_path):
     (tmp_path / "rows.json").write_text(rows)
     with pytest.raises(InputError, match=r"rows\.json"):
-        write_report([tmp_path / "rows.json"])
-
-
-def test_another_page_is_not_overwritten(tmp_path):
-    (tmp_path / "rows.json").write_text(json.dumps(answers()))
-    (tmp_path / "rows.html").write_text("my own")
-    with pytest.raises(InputError, match="not a report"):
         write_report([tmp_path / "rows.json"])

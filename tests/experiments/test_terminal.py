@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 
 from behaviors.display import printable
-from experiments.console.notices import say
-from experiments.console.tables import show_table
 
 EVIL = "\x1b[2J\x1b]0;t\x07\r\n/tmp/out: 5 episodes\u202e\x9b31m"
 
@@ -25,15 +23,6 @@ def test_text_is_spelt_out(text: str) -> None:
     assert spelt.isprintable()
     assert spelt.encode()
     assert (spelt == text) == text.isprintable()
-
-
-def test_tables_and_lines_print_nothing_raw(capsys: pytest.CaptureFixture[str]) -> None:
-    show_table([{"agent": EVIL, EVIL: 1.0}], title=EVIL)
-    say(f"{EVIL}: 3 written")
-    out = capsys.readouterr().out
-    assert harmless(out)
-    assert "/tmp/out: 5 episodes" in out
-    assert not any(line.startswith("/tmp/out") for line in out.splitlines())
 
 
 def test_errors_print_ids_and_file_names_spelt_out(tmp_path: Path) -> None:

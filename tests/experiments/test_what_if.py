@@ -13,8 +13,7 @@ from behaviors import InputError
 from behaviors.labels import Behavior
 from experiments.cli.commands import main
 from experiments.generate.configuration import GenerateConfig
-from experiments.generate.dataset import generate
-from experiments.replay.ghosts import find_ghosts, ghosts_of
+from experiments.replay.ghosts import find_ghosts
 from experiments.replay.paths import write_paths
 from experiments.what_if.branches import WhatIf, branch_of, change_of, make_what_if
 from experiments.what_if.outcomes import (
@@ -22,7 +21,6 @@ from experiments.what_if.outcomes import (
     delays,
     factual_of,
     new_incidents,
-    outcomes,
     same_incident,
 )
 from sim.frames import Event, EventKind, Frame, Tracks
@@ -54,15 +52,6 @@ def folder(made: Path, tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_the_factual_episode_is_the_one_that_generate_makes(made: Path, tmp_path: Path) -> None:
-    generate(EPISODE, tmp_path / "plain", jobs=1, quiet=True)
-    (plain,) = open_dataset(tmp_path / "plain")
-    factual = open_dataset(made).read(factual_of(open_dataset(made)))
-    assert factual.entry.id == plain.entry.id
-    assert factual.agents == plain.agents
-    np.testing.assert_array_equal(factual.tracks.xy, plain.tracks.xy)
-
-
 def test_branches_begin_at_the_instant_and_differ_by_one_driver(made: Path) -> None:
     dataset = open_dataset(made)
     happened = dataset.read(factual_of(dataset))
@@ -92,25 +81,6 @@ def test_branches_begin_at_the_instant_and_differ_by_one_driver(made: Path) -> N
         assert np.array_equal(tracks.xy[far, 0], happened.tracks.xy[there[far], column])
 
 
-def test_the_table_counts_from_the_instant_on(made: Path) -> None:
-    rows = outcomes(open_dataset(made))
-    assert [row["change"] for row in rows] == ["factual", "timid", "impatient", "brake"]
-    factual, timid, impatient, brake = rows
-    assert factual["caused"] == factual["prevented"] == factual["others_delay_s"] == 0
-    assert brake["own_delay_s"] > timid["own_delay_s"] > 0  # type: ignore[operator]
-    assert brake["others_delay_s"] > 1.0  # type: ignore[operator]
-    assert impatient["own_delay_s"] <= timid["own_delay_s"]  # type: ignore[operator]
-
-
-def test_the_same_what_if_is_left_as_it_is_and_another_is_refused(folder: Path) -> None:
-    (steps,) = (folder / "steps").rglob("*.parquet")
-    kept = steps.stat().st_mtime_ns
-    make_what_if(CONFIG, folder, quiet=True)
-    assert steps.stat().st_mtime_ns == kept
-    with pytest.raises(InputError, match="expected a new or empty folder"):
-        make_what_if(CONFIG.model_copy(update={"agent": 5}), folder, quiet=True)
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -129,15 +99,6 @@ def test_what_cannot_be_asked_is_refused_and_leaves_nothing(
 ) -> None:
     with pytest.raises(InputError, match=said):
         make_what_if(CONFIG.model_copy(update=change), tmp_path / "new", quiet=True)
-    assert not (tmp_path / "new").exists()
-
-
-def test_other_systems_are_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sim.sumo.branches.sys.platform", "darwin")
-    with pytest.raises(InputError, match="found darwin, expected Linux"):
-        make_what_if(CONFIG, tmp_path / "new", quiet=True)
     assert not (tmp_path / "new").exists()
 
 
@@ -197,12 +158,6 @@ def test_a_delay_is_when_the_same_point_is_reached() -> None:
     assert found == pytest.approx({1: 2.0, 2: 0.0, 3: -2.0})
 
 
-def test_who_enters_in_one_continuation_only_is_late_by_what_is_left() -> None:
-    factual = moving({1: [10.0] * 6, 2: [5.0] * 6})
-    changed = moving({1: [10.0] * 6}, since=3)
-    assert delays(factual, changed, since_s=2.0) == pytest.approx({1: 0.0, 2: 4.0})
-
-
 def test_ghosts_stand_where_the_factual_episode_differs() -> None:
     factual = moving({1: [10.0] * 6, 2: [5.0] * 6, 3: [1.0] * 6})
     changed = moving({1: [10, 10, 5, 5, 5, 5], 2: [5.0] * 6}, since=3)
@@ -212,15 +167,3 @@ def test_ghosts_stand_where_the_factual_episode_differs() -> None:
     assert ghosts.ghost[first].tolist() == [0, 1]
     assert ghosts.xy[first].tolist() == [[30.0, 0.0], [3.0, 0.0]]
     assert ghosts.at(3).size == 2
-
-
-def test_the_replay_of_a_branch_has_ghosts(made: Path) -> None:
-    dataset = open_dataset(made)
-    *_, braked = branches_of(dataset)
-    tracks = dataset.read(braked).tracks
-    ghosts, said = ghosts_of(dataset, braked, tracks)
-    assert ghosts is not None
-    assert ghosts.at(0).size == 0
-    assert ghosts.at(tracks.time_s.size - 1).size > 0
-    assert said[0].startswith("what if driver 4 had changed at 14.0 s: brake")
-    assert ghosts_of(dataset, factual_of(dataset), tracks) == (None, ())

@@ -11,24 +11,20 @@ from behaviors.labels import BEHAVIORS
 from experiments.data.disturbances import (
     correlated_noise,
     frame_rate,
-    lost_detections,
     renamed_tracks,
 )
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig, read_config
+from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.generate.episode import Task
 from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS
 from experiments.generate.worlds.sensor import Sensor
 from experiments.generate.worlds.world import draw_world
-from scenarios.networks.written import limited_net, ramp_net, straight_net
-from sim.frames import PEDESTRIAN, Tracks
+from scenarios.networks.written import ramp_net, straight_net
+from sim.frames import Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
-from sim.store.writing import new_dataset
 from sim.sumo.settings import LAWS
-from tests.experiments.shared import call
 
 CONFIG = GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=5, seed=4, duration_s=15.0)
 
@@ -93,13 +89,6 @@ def test_the_same_seed_gives_the_same_bytes_with_any_number_of_workers(
         generate(fewer, tmp_path, jobs=1, quiet=True)
 
 
-@pytest.mark.parametrize("option", [{"flow": "dense"}, {"engine": "highway"}, {"duration_s": 0.5}])
-def test_options_that_worlds_draw_themselves_are_refused(option: dict[str, object]):
-    read_config(None, scenarios=[RANDOM_WORLD], episodes=3, seed=2, duration_s=20.0).check()
-    with pytest.raises(InputError, match=next(iter(option))):
-        read_config(None, scenarios=[RANDOM_WORLD], episodes=3, **option).check()
-
-
 @pytest.mark.parametrize("lanes", [1, 4])
 def test_written_nets_are_roads_with_the_lanes_and_limit_asked_for(lanes: int, tmp_path: Path):
     net = tmp_path / "road.net.xml"
@@ -113,13 +102,6 @@ def test_written_nets_are_roads_with_the_lanes_and_limit_asked_for(lanes: int, t
     assert [lane.length_m for lane in road.lanes] == [400.0] * lanes
     with pytest.raises(InputError, match="lanes: found 0"):
         straight_net(0, 20.0, 400.0)
-
-
-def test_another_limit_leaves_slow_turns_slow(tmp_path: Path):
-    net = tmp_path / "road.net.xml"
-    net.write_text(limited_net("four_way_intersection", 18.0))
-    limits = {lane.speed_limit_mps for lane in read_road(net).lanes if lane.cars}
-    assert limits == {18.0, 9.26, 6.51}
 
 
 def driving(n: int = 50, t: int = 400) -> Tracks:
@@ -142,12 +124,6 @@ def test_noise_has_the_deviation_and_the_correlation_asked_for():
     assert later == pytest.approx(np.exp(-1.0), abs=0.06)
 
 
-def test_detections_are_lost_one_by_one_and_places_with_them():
-    seen = lost_detections(driving(), 0.3, np.random.default_rng(1))
-    assert seen.valid.mean() == pytest.approx(0.7, abs=0.02)
-    assert np.array_equal(np.isfinite(seen.xy[..., 0]), seen.valid)
-
-
 def test_agents_that_are_found_again_have_new_ids_and_their_old_labels():
     tracks = driving()
     pieces = renamed_tracks(tracks, 6.0, np.random.default_rng(2))
@@ -162,23 +138,6 @@ def test_agents_that_are_found_again_have_new_ids_and_their_old_labels():
         agent = int(name.partition("/")[0])
         assert code == tracks.behavior[agent]
         assert np.array_equal(xy[seen], tracks.xy[agent, seen])
-
-
-def test_a_world_in_pixels_is_stored_with_sizes_in_pixels(tmp_path: Path):
-    tasks = [Task(CONFIG, RANDOM_WORLD, index) for index in range(100)]
-    sensors = [draw_world(task.seed).sensor for task in tasks]
-    index = next(i for i, s in enumerate(sensors) if s.pixels_per_m > 10.0 and s.has_sizes)
-    folder = tmp_path / "data"
-    with new_dataset(folder, {}) as out:
-        entry = tasks[index].write(out)
-    tracks = open_dataset(folder).read(entry).tracks
-    cars = tracks.length[tracks.kind != PEDESTRIAN] / sensors[index].pixels_per_m
-    assert 3.0 < np.median(cars) < 6.0
-    page = tmp_path / "world.html"
-    assert call("replay", folder, "--out", page, "--predictor", "none", "-q") == 0
-    shown = page.read_text()
-    assert '"unit":"m"' in shown
-    assert "seen in pixels: by sizes and speeds 1 pixel is" in shown
 
 
 def test_speeds_and_headings_are_measured_from_the_positions_seen():
@@ -217,9 +176,3 @@ def test_other_frame_rates_show_the_same_motion(rate_hz: float, frames: int):
     hidden = (seen.time_s > 9.91) & (seen.time_s < 14.99)
     assert not seen.valid[1, hidden].any()
     assert seen.valid[1, ~hidden].all()
-
-
-def test_frames_that_are_lost_leave_gaps_in_time():
-    seen = Sensor(step_s=0.1, lost_frames=0.3).seen(driving(), np.random.default_rng(4))
-    assert seen.time_s.size == pytest.approx(280, abs=30)
-    assert np.diff(seen.time_s).max() > 0.15

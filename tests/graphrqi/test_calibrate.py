@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from behaviors.populations import NUMBERS
 from graphrqi.calibrate.fit import Law, calibrate, forecast, second_half_errors, simulated
-from graphrqi.calibrate.following import LEAST_S, STEP_S, Stretch, recorded_drivers
+from graphrqi.calibrate.following import STEP_S, Stretch, recorded_drivers
 from sim.frames import KINDS, AgentKind, Tracks
 
 FloatArray = NDArray[np.float64]
@@ -92,14 +92,6 @@ def test_own_numbers_foretell_better_than_those_of_others(drivers):
     assert np.median(own) < 0.5 * np.median(np.sqrt((np.array(others) ** 2).mean(axis=1)))
 
 
-def test_krauss_follows_without_colliding():
-    time_s, rear = leader_motion(np.random.default_rng(2), 60.0)
-    start = Stretch.of(time_s, rear - 30.0, rear)
-    place = simulated(Law.KRAUSS, MEDIAN[None], start)[0]
-    assert (place < rear).all()
-    assert (np.diff(place) >= 0.0).all()
-
-
 def recording(gap_m: float, seconds: float, jump_at: int | None = None) -> Tracks:
     """Two cars behind one another on a straight line."""
     time_s = np.arange(0.0, seconds, 0.1)
@@ -124,10 +116,3 @@ def test_followers_of_a_recording_are_found_with_their_gaps():
     np.testing.assert_allclose(stretch.speed, 10.0, atol=1e-6)
     gaps = stretch.leader - stretch.place
     assert gaps.std() < 1e-6
-
-
-def test_a_leader_that_jumps_ends_a_stretch_and_short_ones_are_left_out():
-    (driver,) = recorded_drivers(recording(20.0, 12.0, jump_at=60))
-    assert len(driver.stretches) == 2
-    assert all(LEAST_S <= stretch.seconds < 6.0 for stretch in driver.stretches)
-    assert recorded_drivers(recording(20.0, 3.0)) == []

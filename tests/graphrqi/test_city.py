@@ -9,10 +9,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from graphrqi.posterior import Posterior
-from graphrqi.predict import predict
-from graphrqi.predict.scene.paths import MOST_LANES, REACH_M, PathTable
-from graphrqi.predict.scene.priority import crossing_places, priority_of
+from graphrqi.predict.scene.priority import priority_of
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from scenarios.city import city_agents, city_scenario
@@ -21,8 +18,6 @@ from sim.episode.buffer import FrameBuffer
 from sim.frames import Tracks
 from sim.road import Road, SignalPlan
 from sim.road.lane_graph import LaneGraph
-
-NOBODY = Posterior(np.empty(0, np.int64), np.empty((0, 6)))
 
 
 @pytest.fixture(scope="module")
@@ -80,55 +75,6 @@ def test_conflicts_found_nearby_are_those_of_all_pairs(name, city) -> None:
     pairs = set(zip(priority.lane[priority.foe_place].tolist(), foe.tolist(), strict=True))
     assert pairs == all_conflicts(road)
     assert len(pairs) > 3
-
-
-def test_lines_that_touch_cross_and_parallel_ones_do_not() -> None:
-    lines = [np.array(line) for line in (
-        [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0]], [[0.0, 1.0], [4.0, 1.0]], [[5.0, 0.0], [5.0, 9.0]],
-    )]  # fmt: skip
-    at = crossing_places(lines, np.array([[0, 1], [1, 0], [0, 2]]))
-    assert at[:2].tolist() == [3.0, 2.0]
-    assert np.isnan(at[2])
-
-
-def test_paths_of_a_lane_do_not_depend_on_who_came_before(city) -> None:
-    road, _ = city
-    whole, bit_by_bit = PathTable(road), PathTable(road)
-    lanes = np.arange(len(road.lanes))
-    whole.cover(lanes, 0.0)
-    for lane in np.random.default_rng(0).permutation(lanes)[:40]:
-        bit_by_bit.cover(np.array([lane, -1]), 200.0)
-    known = np.flatnonzero(bit_by_bit.options)
-    assert known.size >= 40
-    for lane in known:
-        one = whole.first[lane] + np.arange(whole.options[lane])
-        two = bit_by_bit.first[lane] + np.arange(bit_by_bit.options[lane])
-        for name in ("lane", "start", "limit", "probability", "turn", "stop_x", "stop_row"):
-            width = [
-                slice(n)
-                for n in np.minimum(getattr(whole, name).shape, getattr(bit_by_bit, name).shape)[1:]
-            ]
-            mine, its = getattr(whole, name)[one], getattr(bit_by_bit, name)[two]
-            assert np.array_equal(mine[:, *width], its[:, *width])
-        assert bit_by_bit.likeliest[lane] - two[0] == whole.likeliest[lane] - one[0]
-        assert bit_by_bit.probability[two].sum() == pytest.approx(1.0)
-        for q in two:
-            chain = [i for i in bit_by_bit.lane[q] if i >= 0]
-            far = bit_by_bit.start[q, len(chain) - 1] + road.lanes[chain[-1]].length_m
-            ends = not (LaneGraph.of(road).successors[chain[-1]] >= 0).any()
-            gone_m = far - road.lanes[chain[0]].length_m
-            assert ends or len(chain) == MOST_LANES or gone_m >= REACH_M - 1e-6
-
-
-def test_predictions_do_not_depend_on_what_is_known_of_the_road(city) -> None:
-    road, history = city
-    PathTable.of.cache_clear()
-    fresh = predict(history, NOBODY, road)
-    assert (PathTable.of(road).options > 0).sum() < len(road.lanes)
-    PathTable.of(road).cover(np.arange(len(road.lanes)), 1000.0)
-    again = predict(history, NOBODY, road)
-    assert np.array_equal(fresh.xy, again.xy)
-    assert np.array_equal(fresh.probability, again.probability)
 
 
 def test_signals_on_the_way_follow_their_programme(city) -> None:

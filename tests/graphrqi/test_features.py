@@ -11,14 +11,14 @@ from graphrqi.features import following_law
 from graphrqi.features.driving import DrivingObserver
 from graphrqi.features.free_flow import FreeFlowSpeed
 from graphrqi.features.interaction import NOMINAL_LENGTH_M, differences, interactions
-from graphrqi.features.kinematics import FORGET_S, MotionEstimator, align
-from graphrqi.features.spectral import eigenvector_rows, invariant, whole_eigenspaces
+from graphrqi.features.kinematics import FORGET_S, MotionEstimator
+from graphrqi.features.spectral import invariant, whole_eigenspaces
 from graphrqi.features.spectrum_observers import (
     EigenvectorObserver,
     NullObserver,
     SpectrumObserver,
 )
-from graphrqi.features.statistics import LEVELS, Block, describe, describe_names, spread
+from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 
 OBSERVERS = [NullObserver, EigenvectorObserver, SpectrumObserver, DrivingObserver]
@@ -63,18 +63,6 @@ def test_motion_is_unknown_at_first_sight_and_after_a_long_absence():
         estimator.update(float(t), np.array([9]), np.array([[0.0, 0.0]]))
     again = estimator.update(FORGET_S + 1.0, np.array([4, 9]), np.zeros((2, 2)))
     assert np.isnan(again.speed[0])
-
-
-def test_memory_does_not_grow():
-    estimator = MotionEstimator()
-    for t in range(600):
-        estimator.update(t / 10, np.array([t, t + 1]), np.zeros((2, 2)))
-    assert estimator._trail.shape[0] <= 2 + 10 * FORGET_S + 1
-    assert estimator._trail.shape[1] <= 22
-
-
-def test_align_of_nothing():
-    assert [a.size for a in align(np.empty(0, int), np.array([1]))] == [0, 0]
 
 
 def scene(positions, velocity=(10.0, 0.0), steps=30):
@@ -137,19 +125,6 @@ def test_spread_conserves_time_and_describe_recovers_the_mean():
     assert features["x:mean"] == pytest.approx([0.5, 2.0, 4.0, 0.0, -1.0])
 
 
-def test_quantiles_of_a_distribution_spread_evenly():
-    block = Block("x", tuple(np.linspace(0.0, 10.0, 11)))
-    values = np.random.default_rng(0).uniform(0.0, 10.0, (1, 4000))
-    out = np.zeros((4000, 11))
-    spread(values, np.ones(values.shape, bool), (block,), 1.0, np.arange(4000), out)
-    found = describe(out.sum(axis=0)[None], (block,))[0]
-    names = describe_names((block,))
-    for level in LEVELS:
-        at = names.index(f"x:{100 * level:g}%")
-        assert found[at] == pytest.approx(np.quantile(values, level), abs=0.15)
-    assert (np.diff(found[: len(LEVELS)]) > 0).all()
-
-
 def test_pace_is_of_free_drivers_and_forgets():
     pace = FreeFlowSpeed()
     assert np.isnan(pace.update(0.0, np.array([10.0]), np.array([True])))
@@ -168,14 +143,6 @@ def test_graph_signal_of_a_constant_is_zero_and_lonely_is_unknown():
         TrafficGraph.from_edges(range(2), []), np.array([1.0, 2.0]), np.ones(2, bool)
     )
     assert np.isnan(alone).all()
-
-
-def test_graph_signal_ignores_those_that_take_no_part():
-    pair = complete(3)
-    s = np.array([1.0, 3.0, 100.0])
-    found = differences(pair, s, np.array([True, True, False]), scales=1)
-    assert found[:2, 0].tolist() == [-2.0, 2.0]
-    assert np.isnan(found[2, 0])
 
 
 def eigenpairs(graph, k):
@@ -210,10 +177,6 @@ def test_invariant_features_ignore_rotation_inside_an_eigenspace():
     assert plain == pytest.approx(np.tile(plain[0], (6, 1)))  # all vertices of a ring are alike
 
 
-def test_eigenvector_rows_are_padded():
-    assert eigenvector_rows(np.ones((2, 2)), 5).tolist() == [[1, 1, 0, 0, 0]] * 2
-
-
 def test_following_law_is_recovered_from_braking_too():
     rng = np.random.default_rng(1)
     v, u = rng.uniform(3, 15, 400), rng.uniform(3, 15, 400)
@@ -222,12 +185,6 @@ def test_following_law_is_recovered_from_braking_too():
     found = following_law.infer(sums[None])[0]
     assert found[:3] == pytest.approx([2.8, 1.1, 1 / 3.0], rel=0.05)
     assert found[6] < 0.2
-
-
-def test_following_law_without_evidence_is_the_prior():
-    found = following_law.infer(np.zeros((1, following_law.COLUMNS)))[0]
-    assert found[:3] == pytest.approx(following_law.PRIOR_MEAN)
-    assert found[3:6] == pytest.approx(following_law.PRIOR_SD)
 
 
 def test_a_start_in_a_queue_shows_lag_gap_and_pull():
@@ -316,17 +273,3 @@ def test_evidence_does_not_depend_on_who_is_called_what(observer):
     row = {int(agent): i for i, agent in enumerate(a.ids)}
     same = [row[int(order[agent])] for agent in b.ids]
     assert b.sums == pytest.approx(a.sums[same])
-
-
-@pytest.mark.parametrize("observer", OBSERVERS)
-def test_observers_survive_nobody_one_and_late_small_ids(observer):
-    one = observer("eigh")
-    none = np.empty(0, np.int64)
-    one.update(0.0, none, np.empty((0, 2)), none.astype(bool))
-    assert one.observation().ids.size == 0
-    one.update(0.1, np.array([7]), np.array([[0.0, 0.0]]), np.array([True]))
-    one.update(0.2, np.array([3, 7]), np.array([[5.0, 0], [1.0, 0]]), np.array([True, True]))
-    one.update(0.3, np.array([3]), np.array([[5.0, 0.0]]), np.array([True]))
-    seen = one.observation()
-    assert seen.ids.tolist() == [3]
-    assert np.isfinite(one.features(seen.seconds, seen.sums, seen.instant)).all()

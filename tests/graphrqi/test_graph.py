@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from subprocess import run
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.graph import Sighting, TrafficGraph
+from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.rivals.changes import change_between
 
 
@@ -154,25 +151,6 @@ def test_change_rebuilds_the_laplacian() -> None:
         graph = after
 
 
-def test_from_edges_merges_duplicates() -> None:
-    graph = TrafficGraph.from_edges([5, -1, 2**62], [(5, -1), (-1, 5), (2**62, 5), (5, 2**62)])
-    assert graph.laplacian.toarray().tolist() == [[2, -1, -1], [-1, 1, 0], [-1, 0, 1]]
-
-
-def test_more_neighbours_than_there_are_vehicles() -> None:
-    graph = TrafficGraph.empty(neighbors=2**70).observe([1, 2, 3], [[0, 0], [1, 0], [9, 0]])
-    assert edge_set(graph) == {(1, 2), (1, 3), (2, 3)}
-
-
-@pytest.mark.parametrize("ids", [[], [4]])
-def test_no_edges(ids: list[int]) -> None:
-    graph = TrafficGraph.from_edges(ids, [])
-    assert graph.laplacian.shape == (len(ids), len(ids))
-    assert graph.edges.shape == (0, 2)
-    observed = TrafficGraph.empty().observe(ids, np.zeros((len(ids), 2)))
-    assert observed.laplacian.toarray().tolist() == graph.laplacian.toarray().tolist()
-
-
 @pytest.mark.parametrize(
     ("ids", "edges", "message"),
     [
@@ -186,55 +164,3 @@ def test_no_edges(ids: list[int]) -> None:
 def test_bad_edges_are_refused(ids: list[int], edges: list[tuple[int, ...]], message: str) -> None:
     with pytest.raises(InputError, match=message):
         TrafficGraph.from_edges(ids, edges)
-
-
-@pytest.mark.parametrize(
-    ("ids", "xy", "message"),
-    [
-        ([1, 1], [[0, 0], [1, 1]], "ids: found 1 twice"),
-        ([1, 2], [[0, 0], [np.nan, 1]], "vehicle 2"),
-        ([1, 2], [[0, 0]], "xy: found shape"),
-        ([1], [["a", "b"]], "xy: found"),
-    ],
-)
-def test_bad_observations_are_refused(ids: list[int], xy: list[list[float]], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        TrafficGraph.empty().observe(ids, xy)
-
-
-@pytest.mark.parametrize("options", [{"neighbors": 0}, {"reset": 0}, {"kind": "sometimes"}])
-def test_bad_rules_are_refused(options: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=next(iter(options))):
-        TrafficGraph.empty(**options)  # type: ignore[arg-type]
-
-
-def test_a_graph_made_from_edges_does_not_observe() -> None:
-    with pytest.raises(InputError, match="empty"):
-        TrafficGraph.from_edges([1], []).observe([1], [[0, 0]])
-
-
-def test_positions_are_not_kept_by_reference() -> None:
-    ids = np.arange(3)
-    graph = TrafficGraph.empty().observe(ids, np.eye(3)[:, :2])
-    ids[0] = 99
-    assert graph.ids.tolist() == [0, 1, 2]
-    xy = np.array([[0.0, 0.0], [1.0, 0.0], [9.0, 0.0]])
-    seen = Sighting.of([0, 1, 2], xy)
-    xy[1] = 100.0
-    assert seen.nearest(1).ravel().tolist() == [1, 0, 1]
-
-
-def test_import_loads_nothing_heavy() -> None:
-    code = (
-        "import sys, graphrqi, graphrqi.graph, graphrqi.spectrum;"
-        "print([m for m in ('numba', 'scipy', 'torch', 'sklearn') if m in sys.modules])"
-    )
-    done = run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_a_graph_shows_itself() -> None:
-    xy = np.stack([np.arange(500.0), np.zeros(500)], axis=1)
-    graph = TrafficGraph.empty(neighbors=1).observe(np.arange(500), xy)
-    assert "500 vehicles with ids 0 to 499, 499 edges" in repr(graph)
-    assert graph._repr_html_().count("<tr>") == 12  # a head, ten vehicles, how many more

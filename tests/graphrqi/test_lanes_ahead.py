@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from graphrqi.predict.recorded.features import feature_count
 from graphrqi.predict.recorded.lanes_ahead import (
     MOST,
     PATH_FEATURES,
-    POINTS,
-    along_way,
     lanes_ahead,
 )
 from graphrqi.predict.recorded.motion import Motion
@@ -30,10 +27,8 @@ from graphrqi.predict.recorded.network import (
     TrainedRange,
 )
 from graphrqi.predict.recorded.predictor import predict_recorded
-from graphrqi.predict.training.recorded_lanes import PathExamples, along_paths, true_paths
 from scenarios import SCENARIOS
-from sim.frames import PEDESTRIAN, Frame, Tracks
-from sim.road import Connection, Lane, Road
+from sim.frames import Frame, Tracks
 from sim.road.lane_graph import LaneGraph
 
 
@@ -107,31 +102,6 @@ def test_the_path_that_fits_best_is_the_own_lane(crossing):
     np.testing.assert_allclose(step[:4], ahead.spacing_m[0], rtol=0.02)
 
 
-def test_paths_of_fast_vehicles_do_not_end_before_the_vehicle():
-    """Short lanes along a circle of 500 m: after their end a path would leave it."""
-    angle = np.linspace(0.0, 1.5, 31)
-    points = 500.0 * np.column_stack([np.sin(angle), 1.0 - np.cos(angle)])
-    lanes = tuple(
-        Lane(f"{i}_0", str(i), 0, points[i : i + 2], 3.5, np.nan) for i in range(len(points) - 1)
-    )
-    on = tuple(Connection(a.id, b.id, (), "straight") for a, b in itertools.pairwise(lanes))
-    road = Road("bend", lanes, on, (), (), Path("none"))
-    history = driving(road, 0, speed=50.0, back_m=5.0)
-    ahead = lanes_ahead(history, Motion.of(history), road)
-    centre = np.linalg.norm(ahead.points[0, 0] - [0.0, 500.0], axis=1)
-    assert along_way(ahead.points[0])[0, -1] > 300.0
-    assert np.abs(centre - 500.0).max() < 20.0
-
-
-def test_paths_are_all_different(crossing):
-    history = driving(crossing, approach(crossing), back_m=20.0)
-    ahead = lanes_ahead(history, Motion.of(history), crossing)
-    points = ahead.points[ahead.exists]
-    for one in range(len(points)):
-        for other in range(one):
-            assert np.linalg.norm(points[one] - points[other], axis=-1).max() > 1.0
-
-
 @pytest.mark.parametrize("turned", [0.3, -2.0])
 def test_a_map_that_is_turned_and_moved_with_the_traffic_tells_the_same(crossing, turned):
     history = driving(crossing, approach(crossing), back_m=20.0)
@@ -150,31 +120,6 @@ def test_a_map_that_is_turned_and_moved_with_the_traffic_tells_the_same(crossing
     np.testing.assert_allclose(before.features, after.features, atol=1e-6)
 
 
-def test_pedestrians_and_those_off_the_road_have_no_path(crossing):
-    walking = driving(crossing, approach(crossing), kind=PEDESTRIAN)
-    away = driving(crossing, approach(crossing), aside_m=30.0, back_m=70.0)
-    for history in (walking, away):
-        ahead = lanes_ahead(history, Motion.of(history), crossing)
-        assert not ahead.exists.any()
-        assert not ahead.features.any()
-
-
-def test_who_is_ahead_on_a_path_is_told(crossing):
-    history = driving(crossing, approach(crossing), back_m=60.0, others=(25.0,))
-    features = lanes_ahead(history, Motion.of(history), crossing).features
-    assert features[0, 0, -5] == 1.0
-    assert features[1, 0, -5] == 0.0
-    assert features[0, 0, -4] == pytest.approx(np.exp(-20.5 / 30.0), rel=0.1)
-
-
-def test_a_longer_horizon_only_adds_points(crossing):
-    history = driving(crossing, approach(crossing), back_m=20.0)
-    short = lanes_ahead(history, Motion.of(history), crossing)
-    long = lanes_ahead(history, Motion.of(history), crossing, 12.0)
-    assert long.points.shape[2] == 3 * (POINTS - 1) + 1
-    np.testing.assert_allclose(long.points[0, 0, :POINTS], short.points[0, 0], atol=1e-9)
-
-
 def test_a_future_keeps_to_its_path_and_its_distance_from_it(crossing):
     history = driving(crossing, approach(crossing), back_m=20.0, aside_m=0.5)
     motion = Motion.of(history)
@@ -187,40 +132,6 @@ def test_a_future_keeps_to_its_path_and_its_distance_from_it(crossing):
         fine = np.concatenate([np.linspace(a, b, 40) for a, b in itertools.pairwise(line)])
         off = np.linalg.norm(own[0, path, 0][:, None] - fine, axis=-1).min(axis=1)
         np.testing.assert_allclose(off, abs(ahead.offset_m[0, path]), atol=0.1)
-
-
-def test_training_and_prediction_place_futures_alike(crossing):
-    import torch
-
-    rng = np.random.default_rng(0)
-    history = driving(crossing, approach(crossing), back_m=20.0)
-    ahead = lanes_ahead(history, Motion.of(history), crossing)
-    each = rng.normal(0.0, 0.3, (1, MOST, PER_PATH, PER_MODE))
-    guess = np.stack([np.linspace(5.0, 45.0, 10), np.linspace(0.0, 3.0, 10)], axis=1)[None]
-    mine = beside_paths(each, ahead, along_way(guess), np.full(1, 2.0), TIME_S)
-    some = [
-        torch.from_numpy(np.asarray(a, np.float32))
-        for a in (
-            np.zeros(1),
-            ahead.exists,
-            ahead.points,
-            ahead.spacing_m,
-            ahead.offset_m,
-            np.zeros(1),
-        )
-    ]
-    told = [torch.from_numpy(a.astype(np.float32)) for a in (each, guess, np.full(1, 2.0))]
-    theirs = along_paths(told[0], PathExamples(*some), told[1], told[2])
-    np.testing.assert_allclose(mine, theirs.numpy(), atol=1e-3)
-
-
-def test_the_true_path_is_found(crossing):
-    history = driving(crossing, approach(crossing), back_m=15.0)
-    ahead = lanes_ahead(history, Motion.of(history), crossing)
-    at = np.linspace(0, POINTS - 1, TIME_S.size).astype(int)
-    for path in np.flatnonzero(ahead.exists[0]):
-        assert true_paths(ahead, ahead.points[:, path, at])[0] == path
-    assert true_paths(ahead, np.full((1, TIME_S.size, 2), 300.0))[0] == MOST
 
 
 def test_what_leaves_all_paths_is_predicted_as_without_a_map(crossing):
@@ -240,25 +151,3 @@ def test_what_leaves_all_paths_is_predicted_as_without_a_map(crossing):
         predict_recorded(away, 50, network(lanes), crossing).xy,
         predict_recorded(away, 50, network(lanes)).xy,
     )
-
-
-def test_joined_futures_are_likely_in_order_and_near_the_paths(crossing):
-    history = driving(crossing, approach(crossing), back_m=15.0)
-    told = predict_recorded(history, 50, network(raw_lanes()), crossing)
-    assert told.xy.shape == (1, MODES, 50, 2)
-    np.testing.assert_allclose(told.probability.sum(axis=1), 1.0)
-    assert told.probability[0].argmax() == 0
-    ends = told.xy[0, 1:, -1]
-    spread = np.linalg.norm(ends[:, None] - ends, axis=-1)
-    assert spread.max() > 15.0  # turns are among them
-
-
-def test_a_saved_network_keeps_its_lanes(tmp_path, crossing):
-    from graphrqi.predict.recorded.network import load_network
-
-    one = network(raw_lanes(along=0.4, aside=0.1))
-    one.save(tmp_path / "recorded.safetensors", {})
-    again = load_network(tmp_path / "recorded.safetensors")
-    history = driving(crossing, approach(crossing), back_m=15.0)
-    first, second = (predict_recorded(history, 50, each, crossing) for each in (one, again))
-    np.testing.assert_array_equal(first.xy, second.xy)

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
-from graphrqi.classify.softmax import best_temperature, tempered
-from graphrqi.classify.trees import Trees
 
 SMALL: dict[str, dict[str, object]] = {
     "boosted": {"rounds": 20, "min_leaf": 5},
@@ -59,15 +56,6 @@ def test_learns_what_can_be_learned(learned):
         assert right > 0.8
 
 
-def test_rows_do_not_depend_on_one_another(learned):
-    features = blobs(100, 6)[0]
-    order = np.random.default_rng(7).permutation(100)
-    together = learned[1].posterior(features)
-    np.testing.assert_allclose(learned[1].posterior(features[order]), together[order], atol=1e-6)
-    np.testing.assert_allclose(learned[1].posterior(features[:1]), together[:1], atol=1e-6)
-    assert learned[1].posterior(features[:0]).shape == (0, 6)
-
-
 def test_restored_answers_are_equal(learned):
     from safetensors.numpy import load, save
 
@@ -96,42 +84,6 @@ def test_classes_that_never_occur_are_never_answered(name, classes):
     assert set(answer.tolist()) <= set(classes)
     if name != "majority":
         assert (answer == codes).mean() > 0.8
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_classes_that_validation_lacks_are_answered(name):
-    classifier = make_classifier(name, 6, **SMALL.get(name, {}))
-    classifier.fit(*blobs(600, 10), blobs(300, 12, (0, 1, 2)), seed=0)
-    features, codes = blobs(200, 11)
-    if name != "majority":
-        assert (classifier.posterior(features).argmax(axis=1) == codes).mean() > 0.7
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_validation_of_classes_never_trained_is_left_out(name):
-    features, codes = blobs(300, 12)
-    known = codes < 3
-    rows = []
-    for held in ((features, codes), (features[known], codes[known])):
-        classifier = make_classifier(name, 6, **SMALL.get(name, {}))
-        classifier.fit(*blobs(400, 10, (0, 1, 2)), held, seed=0)
-        rows.append(classifier.posterior(features))
-    np.testing.assert_array_equal(*rows)
-    if name not in ("mlp", "lstm"):  # theirs are never quite zero
-        assert (rows[0][:, 3:] == 0.0).all()
-
-
-def test_tempering_keeps_classes_never_trained_at_zero():
-    probability = np.array([[0.9, 0.1, 0.0], [0.2, 0.8, 0.0], [1.0, 0.0, 0.0]])
-    trained = np.array([True, True, False])
-    warm = tempered(probability, 2.0, trained)
-    assert (warm[:, 2] == 0.0).all()
-    assert (warm[:, :2] > 0.0).all()
-    np.testing.assert_array_equal(warm[:, :2], tempered(probability[:, :2], 2.0, trained[:2]))
-    codes = np.array([0, 1, 0], dtype=np.int8)
-    assert best_temperature(probability, codes, trained) == best_temperature(
-        probability[:, :2], codes, trained[:2]
-    )
 
 
 def test_recurrent_network_does_not_depend_on_threads():
@@ -168,55 +120,3 @@ def test_boosted_and_forest_answer_as_those_who_grew_them():
         early_stopping=False, random_state=1,
     ).fit(features, codes)  # fmt: skip
     np.testing.assert_allclose(boosted.posterior(asked), grown.predict_proba(asked), atol=1e-6)
-
-
-def test_trees_are_grown_no_longer_than_they_help():
-    rng = np.random.default_rng(16)
-    features, held = rng.normal(size=(300, 4)), rng.normal(size=(100, 4))
-    codes, told = rng.integers(0, 2, 300), rng.integers(0, 3, 100)  # of 2 nothing is learned
-    kept = []
-    for rounds in (80, 10**6):
-        boosted = make_classifier("boosted", 6, rounds=rounds, min_leaf=5)
-        boosted.fit(features, codes, (held, told), seed=0)
-        kept.append(boosted.arrays())
-    assert kept[0]["root"].size < 20
-    for name, values in kept[0].items():
-        np.testing.assert_array_equal(kept[1][name], values)
-
-
-@pytest.mark.parametrize("name", ["logistic", "svm", "lasso"])
-def test_one_class_cannot_be_learned(name):
-    with pytest.raises(InputError, match="expected at least two"):
-        make_classifier(name, 6).fit(*blobs(50, 14, (2,)), None, seed=0)
-
-
-def leaf_sums(arrays, points, sums):
-    """The same by walking each tree from its root."""
-    out = np.zeros((len(points), sums))
-    for row, point in zip(out, points.astype(np.float32), strict=True):
-        for node, column in zip(arrays["root"].tolist(), arrays["column"].tolist(), strict=True):
-            while arrays["child"][node] != node:
-                above = bool(point[arrays["feature"][node]] > arrays["threshold"][node])
-                node = int(arrays["child"][node]) + above
-            row[column] += np.float64(arrays["value"][node, 0])
-    return out
-
-
-@pytest.mark.parametrize("samples", [1, 16, 61, 130])
-def test_trees_add_up_the_leaves_that_a_walk_reaches(samples):
-    classifier = make_classifier("boosted", 6, rounds=12, max_leaves=31, min_leaf=5)
-    classifier.fit(*blobs(900, 1), None, seed=3)
-    arrays = {k: v for k, v in classifier.arrays().items() if k not in ("baseline", "temperature")}
-    points, _ = blobs(samples, 4)
-    points[0, 1] = np.nan
-    points[-1, 2] = np.inf
-    found = Trees.restored(arrays, 5, 6).total(points, 6)
-    assert np.array_equal(found, leaf_sums(arrays, points, 6))
-
-
-def test_trees_of_too_many_leaves_are_refused():
-    classifier = make_classifier("boosted", 6, rounds=1, max_leaves=80, min_leaf=1)
-    features = np.random.default_rng(0).normal(size=(900, 4))
-    classifier.fit(features, np.random.default_rng(1).integers(0, 6, 900), None, seed=3)
-    with pytest.raises(InputError, match="expected at most 32"):
-        classifier.posterior(features)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graphrqi.features.spectrum_observers import NullObserver
-from graphrqi.samples import NoSamplesError, collect
+from graphrqi.samples import collect
 from sim.frames import Tracks
 
 
@@ -43,15 +43,6 @@ def test_every_length_asked_for_is_cut(every_s):
     assert (counts[:-1] >= counts[1:]).all()
 
 
-def test_one_length_is_drawn_per_driver_and_moment():
-    samples = collect(drivers(60), NullObserver(), 0, (1.0, 2.0, 5.0), 3.0, per_moment=1, seed=4)
-    late = samples.where(samples.time_s > 5.5)
-    moments = set(zip(late.agent.tolist(), late.time_s.tolist(), strict=True))
-    assert len(moments) == len(late) == 60 * np.unique(late.time_s).size
-    _, counts = np.unique(late.seconds.round(6), return_counts=True)
-    assert counts.min() > 0.2 * len(late)
-
-
 def at_times(time_s: np.ndarray, n: int = 3) -> Tracks:
     """Drivers at constant speed, seen at these times."""
     x = np.arange(n)[:, None] * 20.0 + 8.0 * time_s
@@ -80,15 +71,6 @@ def test_windows_are_found_at_any_frame_step(step_s):
     assert (samples.window_s == 10.0).all()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_windows_are_found_at_uneven_times(seed):
-    rng = np.random.default_rng(seed)
-    samples = collect(at_times(np.cumsum(rng.uniform(0.05, 0.35, 120))), NullObserver(), 0, (3.0,))
-    ends = np.unique(samples.time_s)
-    assert ends.size >= 15
-    assert (abs(samples.seconds - 3.0) <= 0.25 + 1e-6).all()
-
-
 def test_no_window_spans_a_hole_in_the_recording():
     """Nobody is known to have been there meanwhile, so nothing is said of that time."""
     time_s = np.concatenate([np.arange(0.0, 12.0, 0.3), np.arange(40.0, 52.0, 0.3)])
@@ -96,8 +78,3 @@ def test_no_window_spans_a_hole_in_the_recording():
     begin_s = samples.time_s - samples.seconds
     assert ((samples.time_s < 12.0) | (begin_s >= 39.9)).all()
     assert (samples.time_s > 40.0).any()
-
-
-def test_a_recording_without_a_whole_window_says_so():
-    with pytest.raises(NoSamplesError, match="observed for 10 s"):
-        collect(at_times(0.3 * np.arange(20)), NullObserver(), 0, (10.0,))

@@ -124,40 +124,6 @@ def test_damaged_trees_are_refused(small, folders, tmp_path, change):
     refused(folders["boosted"], tmp_path / "model", change)
 
 
-@pytest.mark.parametrize("method", NAMES)
-def test_every_array_is_checked(small, folders, tmp_path, method):
-    """Missing, one shorter, of one more dimension, not a number."""
-    names = list(load_file(folders[method] / "weights.safetensors"))
-    load_model(folders[method])
-    for number, name in enumerate(names):
-        changes = [
-            lambda arrays, name=name: arrays.pop(name),
-            replaced(name, lambda a: a[:-1]),
-            replaced(name, lambda a: a[None]),
-            replaced(name, lambda a: np.zeros(a.shape, np.int8)),
-        ]
-        if load_file(folders[method] / "weights.safetensors")[name].dtype.kind == "f":
-            changes += [filled(name, np.nan), filled(name, -np.inf)]
-        for kind, change in enumerate(changes):
-            refused(folders[method], tmp_path / f"{number}-{kind}", change)
-
-
-@pytest.mark.parametrize(
-    ("method", "change"),
-    [
-        ("dane", filled("temperature", -1.0)),
-        ("dane", filled("scale", 0.0)),
-        ("logistic", filled("scale", -1.0)),
-        ("majority", filled("share", 1.0)),
-        ("forest", filled("share", 0.0)),
-        ("boosted", lambda arrays: arrays.clear()),
-        ("dane", lambda arrays: [arrays.pop(k) for k in list(arrays) if k.startswith("network")]),
-    ],
-)
-def test_weights_that_cannot_be_are_refused(small, folders, tmp_path, method, change):
-    refused(folders[method], tmp_path / "model", change)
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -176,24 +142,6 @@ def test_damaged_descriptions_are_refused(small, folders, tmp_path, changes, sai
     with pytest.raises(InputError, match=said) as caught:
         load_model(tmp_path / "model")
     assert str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize("method", NAMES)
-def test_empty_validation_is_none(small, method):
-    training = drawn(method, 240)
-    models = [train(method, training, held, "eigh") for held in (None, drawn(method, 0))]
-    for name, values in models[0].classifier.arrays().items():
-        np.testing.assert_array_equal(models[1].classifier.arrays()[name], values)
-
-
-def test_nothing_to_train_on_and_bad_seeds_are_refused():
-    with pytest.raises(InputError, match="training: found no sample"):
-        train("majority", drawn("majority", 0))
-    for seed in (-1, 2**32):
-        with pytest.raises(InputError, match=f"seed: found {seed}, expected 0 to"):
-            train("majority", drawn("majority", 6), seed=seed)
-    with pytest.raises(InputError, match="unknown solver"):
-        train("majority", drawn("majority", 6), solver="eihg")
 
 
 def test_cards_are_valid_json(tmp_path):

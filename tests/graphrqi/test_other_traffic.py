@@ -1,7 +1,6 @@
 """Answers in other traffic: the networks, the range, and what is saved."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -11,14 +10,12 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.adaptation import Adaptation, from_agreement, from_labels
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import (
-    LEAST_LEFT_OVER_M,
     SCENE_NAMES,
-    UNKNOWN_SCENE,
     RelativeObserver,
 )
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
-from graphrqi.other_traffic import FAST, TRAFFIC, check_traffic, share_compared
+from graphrqi.other_traffic import TRAFFIC
 from graphrqi.other_traffic_training import OTHER, train_other_traffic
 from graphrqi.samples import Samples
 
@@ -76,40 +73,6 @@ def test_a_scene_is_watched_for_two_seconds_before_an_answer_counts(other, secon
     assert answer.max() <= known + (1.0 - known) / 6.0 + 1e-9
 
 
-def test_an_unknown_kind_of_traffic_is_refused_by_name():
-    with pytest.raises(InputError, match="traffic: found 'real', expected one of simulated"):
-        check_traffic("real")
-
-
-def test_every_part_of_the_training_is_needed():
-    with pytest.raises(InputError, match="parts: found \\[2\\]"):
-        train_other_traffic(made(100, OTHER, 8), np.full(100, OTHER, np.int8))
-
-
-def scene(**numbers: float):
-    """(1, S) numbers of a scene in which everybody follows, and whose courses are known."""
-    out = np.zeros((1, len(SCENE_NAMES)))
-    for name, value in numbers.items():
-        out[0, SCENE_NAMES.index(name.replace("_", " "))] = value
-    return out
-
-
-@pytest.mark.parametrize(
-    ("traffic", "numbers", "expected"),
-    [
-        ("simulated", {}, 0.0),
-        ("other", {}, 0.0),
-        ("recorded", {}, 1.0),
-        ("recorded", {"mean_weaving": UNKNOWN_SCENE}, 1.0),
-        ("recorded", {"mean_weaving": np.log(LEAST_LEFT_OVER_M)}, 0.0),
-        ("other", {"mean_headway": np.log(0.25)}, 1.0),
-    ],
-    ids=["simulated", "other", "recorded", "too early", "on a line", "side by side"],
-)
-def test_who_is_only_compared_with_others(traffic, numbers, expected):
-    assert share_compared(scene(**numbers), traffic) == pytest.approx(expected)
-
-
 def among(other, features, traffic, seconds=20.0):
     """(n,) probability of the aggressive style of drivers who are seen together."""
     n = len(features)
@@ -130,34 +93,6 @@ def test_one_style_alone_is_labelled_in_a_simulation_and_not_in_a_recording(othe
     assert 0.1 < (recorded[np.abs(recorded - 0.5) > 0.3] > 0.5).mean() < 0.75
 
 
-def test_both_styles_are_told_apart_in_a_recording(other):
-    drivers = made(400, OTHER, 13)
-    features = drivers.features.astype(float)
-    features[:, SCENE] = features[0, SCENE]
-    style = among(other, features, "recorded")
-    assert ((style > 0.5) == (drivers.codes < 3)).mean() > 0.8
-    shortly = among(other, features, "recorded", seconds=1.0)
-    assert np.abs(shortly - 0.5).mean() < np.abs(style - 0.5).mean()
-
-
-@pytest.mark.parametrize(("headway_s", "rests_on"), [(0.25, "speeds"), (1.5, "network")])
-def test_where_nobody_follows_only_speeds_count(other, headway_s, rests_on):
-    """Two-wheelers side by side have no leaders; a network that reads headways says nothing."""
-    drivers = made(400, OTHER, 14)
-    features = drivers.features.astype(float)
-    features[:, SCENE] = features[0, SCENE]
-    features[:, HEADWAY] = np.log(headway_s)
-    fast = np.random.default_rng(0).normal(size=len(drivers))
-    for name in FAST:
-        for part, value in (("mean", fast), ("evidence", 1.0)):
-            column = RelativeObserver.feature_names.index(f"{name}, compared:{part}")
-            features[:, column] = value
-    style = among(other, features, "recorded")
-    by_speeds = np.corrcoef(style, fast)[0, 1]
-    by_network = np.corrcoef(style, drivers.codes < 3)[0, 1]
-    assert (by_speeds > by_network) == (rests_on == "speeds")
-
-
 def test_a_saved_model_answers_as_before(other, tmp_path):
     shipped = load_model("graphrqi-plus")
     model = dataclasses.replace(shipped, other=other, adaptation=Adaptation(0.5, np.arange(6.0)))
@@ -168,37 +103,6 @@ def test_a_saved_model_answers_as_before(other, tmp_path):
     for traffic in ("recorded", "other"):
         before = model.posterior(features, traffic)
         assert np.allclose(again.posterior(features, traffic), before, atol=1e-6)
-
-
-def test_a_saved_model_keeps_nothing_of_the_one_it_replaces(other, tmp_path):
-    plain = dataclasses.replace(load_model("graphrqi-plus"), other=None)
-    whole = dataclasses.replace(plain, other=other, adaptation=Adaptation(1.0, np.zeros(6)))
-    save_model(whole, tmp_path / "model")
-    (tmp_path / "model" / "notes.txt").write_text("mine")
-    save_model(plain, tmp_path / "model")
-    again = load_model(tmp_path / "model")
-    assert again.other is None
-    assert again.adaptation is None
-    assert (tmp_path / "model" / "notes.txt").read_text() == "mine"
-
-
-@pytest.mark.parametrize(
-    ("file", "change", "said"),
-    [
-        ("other_traffic/networks.json", {"features": ["speed"]}, "another version"),
-        ("other_traffic/networks.json", {"more": 1}, "more"),
-        ("adaptation.json", {"scale": -1.0}, "scale: found -1"),
-    ],
-)
-def test_a_changed_file_is_refused_by_name(other, tmp_path, file, change, said):
-    shipped = load_model("graphrqi-plus")
-    model = dataclasses.replace(shipped, other=other, adaptation=Adaptation(1.0, np.zeros(6)))
-    save_model(model, tmp_path / "model")
-    path = tmp_path / "model" / file
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(InputError, match=said) as error:
-        load_model(tmp_path / "model")
-    assert str(path) in str(error.value)
 
 
 def test_labels_move_an_offset_and_keep_the_order():

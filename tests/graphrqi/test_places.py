@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
-from graphrqi.places.drivers import FULL_WEIGHT_S, LEAST_WEIGHT_S, MEMORY_S, PlaceDrivers
+from graphrqi.places.drivers import FULL_WEIGHT_S, LEAST_WEIGHT_S, PlaceDrivers
 from graphrqi.places.network import PlaceNetwork
 from graphrqi.places.people import beside_others
-from graphrqi.places.training import Examples, NetworkOptions, train_place_network
+from graphrqi.places.training import NetworkOptions, train_place_network
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
 
@@ -26,22 +25,6 @@ def test_a_driver_counts_once_with_its_last_numbers():
     place.observe(1.0, np.array([1, 2]), np.array([[-1.0], [-2.0]]), np.array([40.0, 0.0]))
     assert sorted(place.values.ravel().tolist()) == [-2.0, -1.0, 5.0]
     assert sorted(place.weights.tolist()) == [LEAST_WEIGHT_S, FULL_WEIGHT_S, FULL_WEIGHT_S]
-
-
-def test_drivers_are_forgotten():
-    place = place_of([5.0, 5.0])
-    place.observe(MEMORY_S + 1.0, np.array([7]), np.array([[0.0]]), np.array([1.0]))
-    assert place.values.tolist() == [[0.0]]
-
-
-@pytest.mark.parametrize("level", [-2.0, 3.0])
-def test_the_level_of_a_place_with_many_drivers_hardly_matters(level):
-    odds = np.linspace(-5.0, 5.0, 201)
-    seconds = np.full(odds.size, 20.0)
-    beside = beside_others(odds + level, seconds, place_of(odds + level))
-    np.testing.assert_allclose(beside, beside_others(odds, seconds, place_of(odds)), atol=0.1)
-    assert (np.diff(beside) > 0.0).all()
-    assert abs(beside[100]) < 0.1
 
 
 def test_the_level_of_few_drivers_is_held_near_what_is_usual():
@@ -101,58 +84,8 @@ def test_the_level_of_a_place_is_told_from_its_drivers(network):
     assert among > one_by_one.mean() + 0.15
 
 
-def test_neither_order_nor_number_of_the_others_must_fit(network):
-    here = offset_places(1, 3)
-    described = network.described(here.features.astype(float))
-    shown, order = network.shown(described), np.random.default_rng(0).permutation(len(here))
-    answers = []
-    for rows in (np.arange(len(here)), order, np.tile(order, 3)):
-        place = PlaceDrivers(network.width)
-        place.observe(0.0, np.arange(rows.size), shown[rows], np.full(rows.size, 9.0))
-        answers.append(network.among(described, place))
-    assert np.allclose(answers[0], answers[1], atol=1e-6)
-    assert np.abs(answers[0] - answers[2]).mean() < 0.1
-
-
-def test_the_same_seed_trains_the_same_network(network):
-    again = train_place_network(offset_places(120, 0), options=SMALL).arrays()
-    assert all(np.array_equal(again[name], value) for name, value in network.arrays().items())
-
-
 def test_what_is_saved_answers_as_before(network):
     again = PlaceNetwork.restored(network.arrays(), 2, 6)
     features = offset_places(3, 4).features.astype(float)
     answers = [n.alone(n.described(features)) for n in (again, network)]
     assert np.allclose(*answers, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "said"),
-    [
-        ("member0.own.weight", np.zeros((3, 24), np.float32), "own.weight: found shape"),
-        ("member0.joint.bias", None, "joint.bias: found no such array"),
-        ("member0.answer.bias", np.full(6, np.nan, np.float32), "expected finite numbers"),
-        ("scale", np.zeros(2, np.float32), "scale: found 0"),
-    ],
-)
-def test_arrays_that_are_no_network_are_refused(network, name, value, said):
-    arrays = {**network.arrays(), name: value}
-    if value is None:
-        del arrays[name]
-    with pytest.raises(InputError, match=said):
-        PlaceNetwork.restored(arrays, 2, 6)
-
-
-def test_an_example_has_the_last_that_is_known_of_each_driver():
-    samples = Samples(
-        features=np.arange(5, dtype=np.float32)[:, None], codes=np.zeros(5, np.int8),
-        episode=np.zeros(5, np.int64), agent=np.array([1, 1, 2, 2, 3]),
-        time_s=np.array([0.0, 6.0, 0.0, 12.0, 12.0]), seconds=np.ones(5),
-        window_s=np.full(5, np.inf), moving=np.ones(5, dtype=bool),
-    )  # fmt: skip
-    examples = Examples(samples)
-    (place,) = examples.places
-    assert examples.moments(place).tolist() == [0.0, 6.0, 12.0]
-    assert [examples.latest(place, t).tolist() for t in (0.0, 6.0, 12.0)] == [
-        [0, 2], [1, 2], [1, 3, 4],
-    ]  # fmt: skip

@@ -16,15 +16,6 @@ def test_roots_are_those_of_numpy_but_for_the_last_bit() -> None:
     np.testing.assert_allclose(found, np.sqrt(numbers.astype(np.float64)), rtol=2e-7)
 
 
-def test_the_slope_of_a_root_is_half_its_reciprocal() -> None:
-    numbers = torch.tensor([0.25, 4.0, 100.0], requires_grad=True)
-
-    root(numbers).sum().backward()  # type: ignore[no-untyped-call]
-
-    assert numbers.grad is not None
-    np.testing.assert_allclose(numbers.grad.numpy(), [1.0, 0.25, 0.05], rtol=1e-6)
-
-
 def test_a_step_of_the_optimiser_is_the_one_of_its_paper() -> None:
     """Loshchilov and Hutter 2019, algorithm 2, with PyTorch's usual moments."""
     weight = torch.nn.Parameter(torch.tensor([1.0, -2.0, 3.0]))

@@ -38,20 +38,6 @@ def test_features_do_not_depend_on_place_and_heading(frames):
     assert np.abs(found - turned)[:, same].mean() < 0.01
 
 
-def test_features_do_not_depend_on_names(frames):
-    _, seen, found = watched(frames)
-    _, renamed, again = watched(frames, named=lambda ids: 10_000 - ids)
-    assert renamed.ids.tolist() == (10_000 - seen.ids[::-1]).tolist()
-    assert np.allclose(found, again[::-1], atol=1e-6)
-
-
-def test_features_are_finite_and_named(frames):
-    observer, seen, found = watched(frames)
-    assert found.shape == (seen.ids.size, len(observer.feature_names))
-    assert np.isfinite(found).all()
-    assert len(set(observer.feature_names)) == len(observer.feature_names)
-
-
 def test_noise_shows_in_the_scene_and_hardly_in_the_features(frames):
     rng = np.random.default_rng(0)
     clean, seen, found = watched(frames)

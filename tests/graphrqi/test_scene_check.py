@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graphrqi.scene_check import SceneMonitor, check_scene
-from sim.frames import Frame, Tracks
+from sim.frames import Tracks
 
 STEP_S = 0.1
 
@@ -89,16 +89,6 @@ def test_actors_on_top_of_each_other_are_superimposed():
     assert found.nearest_m == pytest.approx(0.67, abs=0.1)
 
 
-def test_several_recordings_on_one_road_are_superimposed():
-    parts = [road(first=100 * k, spacing_m=14.0) for k in range(4)]
-    parts = [
-        dataclasses.replace(p, xy=p.xy + np.array([3.0 * k, 0.4 * k])) for k, p in enumerate(parts)
-    ]
-    found = check_scene(together(*parts))
-    assert not found.is_scene
-    assert found.overlapping > 0.05
-
-
 @pytest.mark.parametrize("deviation_m", [0.0, 0.1])
 def test_a_shaken_clock_is_found_out(deviation_m):
     tracks = noisy(road(), deviation_m, 0.0)
@@ -154,40 +144,3 @@ def test_one_object_that_is_tracked_twice_is_no_reason_to_doubt():
     twin = tracks.part(np.array([0]), slice(None))
     twin = dataclasses.replace(twin, ids=np.array([500]), names=("500",), xy=twin.xy + 0.2)
     assert check_scene(together(tracks, twin)).is_scene
-
-
-def test_pedestrians_and_empty_frames_are_passed_over():
-    monitor = SceneMonitor()
-    none = np.empty(0)
-    for step in range(30):
-        here = 0.1 * step
-        n = 0 if step % 3 else 40
-        walkers = Frame(here, np.arange(n), np.full((n, 2), here), np.zeros(n), np.ones(n),
-                        np.full(n, 0.5), np.full(n, 0.5), np.full(n, 5, dtype=np.int8))  # fmt: skip
-        assert monitor.update(walkers)
-    empty = Frame(
-        9.0, none.astype(int), none.reshape(0, 2), none, none, none, none, none.astype(int)
-    )
-    assert monitor.update(empty)
-    assert monitor.check().findings == ()
-    assert check_scene(road(n=1)).is_scene
-
-
-def test_evidence_does_not_depend_on_the_order_of_ids():
-    tracks = together(road(), road(first=100))
-    other = np.random.default_rng(0).permutation(48)
-    renamed = dataclasses.replace(
-        tracks, **{name: getattr(tracks, name)[other] for name in ("xy", "speed", "heading")}
-    )
-    one, two = check_scene(tracks), check_scene(renamed)
-    assert one.overlapping == pytest.approx(two.overlapping)
-    assert one.is_scene == two.is_scene
-
-
-def test_without_outlines_only_coinciding_centres_count():
-    """Boxes in an image overlap; half of the centres within a metre of another never do."""
-    one = road()
-    near = dataclasses.replace(road(first=100), xy=one.xy + np.array([0.5, 0.45]))
-    assert not check_scene(together(one, near), outlines=False).is_scene
-    wide = dataclasses.replace(one, length=np.full(24, 14.0), width=np.full(24, 14.0))
-    assert check_scene(wide, outlines=False).is_scene

@@ -60,20 +60,3 @@ def test_noise_of_ten_centimetres_leaves_speed_and_acceleration():
     # A difference over .4 s would be wrong by .35 m/s and, taken twice, by 1.2 m/s2.
     assert speed < 0.08
     assert acceleration < 0.35
-
-
-def test_someone_who_just_came_has_a_speed_and_no_acceleration():
-    motion = SmoothMotion()
-    for step in range(30):
-        ids = IDS if step >= 21 else IDS[:1]
-        motion.push(step * 0.1, ids, parabola(step * 0.1)[: ids.size], np.ones(ids.size, bool))
-    found = motion.fit()
-    assert found.ids.tolist() == IDS.tolist()
-    assert np.isfinite(found.speed).all()
-    assert np.isfinite(found.acceleration[0])
-    assert np.isnan(found.acceleration[1])
-
-
-def test_memory_is_bounded():
-    motion = followed(np.arange(0.0, 30.0, 0.1))
-    assert len(motion._frames) <= 2.0 * MOST_HALF_S / 0.1 + 2

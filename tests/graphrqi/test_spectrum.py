@@ -7,7 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 from behaviors.errors import InputError
 from experiments.benchmarks.graph_sequences import (
     graph_sequence,
-    traffic_positions,
 )
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum, certify, full_spectrum, topology
@@ -116,21 +115,6 @@ def test_sequences_stay_right(name: str, kind: str, end: End) -> None:
         assert errors_against_lapack(previous, 8, end == "smallest").max() < 1e-8
 
 
-@pytest.mark.parametrize("layout", ["road", "crossing"])
-@pytest.mark.parametrize("kind", ["instantaneous", "accumulated"])
-def test_large_graphs_whose_vehicles_come_and_go(layout: str, kind: str) -> None:
-    previous: Spectrum | None = None
-    rng = np.random.default_rng(3)
-    graph = TrafficGraph.empty(kind=cast(Any, kind))
-    for step, xy in enumerate(traffic_positions(layout, 900, 14)):
-        seen = np.flatnonzero(rng.random(900) < 0.995) if step % 5 == 4 else np.arange(900)
-        graph = graph.observe(seen, xy[seen])
-        previous = SOLVERS["graphrqi"](graph, 8, previous=previous)
-        assert previous.certified
-        if step % 4 == 3:
-            assert errors_against_lapack(previous, 8, False).max() < 1e-8
-
-
 def test_a_thousand_hostile_graphs() -> None:
     last: dict[str, Spectrum] = {}
     fallbacks = 0
@@ -177,6 +161,7 @@ def test_more_equal_eigenvalues_than_shifts_are_ever_tried(end: End) -> None:
     np.testing.assert_allclose(found.eigenvalues, expected, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
@@ -220,29 +205,6 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
     found = SOLVERS["graphrqi"](other, 8, previous=previous)
     assert found.certified
     assert errors_against_lapack(found, 8, False).max() < 1e-8
-
-
-def test_kernels_are_compiled_once_whatever_they_are_given() -> None:
-    from graphrqi.graph import kernels
-    from graphrqi.spectrum.certified import factorization, prepared, shifts, tracking
-
-    known = {
-        (module, name): set(getattr(kernel, "signatures", ()))
-        for module in (kernels, factorization, prepared, shifts, tracking)
-        for name, kernel in vars(module).items()
-    }  # other tests give them what they like
-    previous: Spectrum | None = None
-    for name in ("eigh", "graphrqi", "arpack", "graphrqi"):
-        for kind in ("instantaneous", "accumulated"):
-            for graph in graph_sequence("road", kind, 64, 2):
-                again = TrafficGraph.from_edges(graph.ids, graph.edges)
-                for nonzero in (False, True):
-                    previous = SOLVERS[name](graph, 4, "smallest", previous, nonzero=nonzero)
-                    previous = SOLVERS[name](again, 4, "smallest", previous, nonzero=nonzero)
-    for (module, name), before in known.items():
-        kernel = vars(module)[name]
-        assert len(set(getattr(kernel, "signatures", ())) - before) <= 1, name
-    assert len(tracking.track.signatures) == 1  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -357,17 +319,6 @@ def test_the_exact_update_is_the_dense_inverse() -> None:
         np.testing.assert_allclose(found[:, j], np.linalg.solve(matrix, x[:, j]), rtol=1e-9)
 
 
-def test_the_exact_solver_updates_and_does_not_start_anew() -> None:
-    graphs = list(graph_sequence("road", "accumulated", 80, 12, skip=40))
-    previous: Spectrum | None = None
-    notes = []
-    for graph in graphs:
-        previous = SOLVERS["graphrqi-exact"](graph, 8, previous=previous)
-        notes.append(previous.note)
-    assert notes[0].startswith("solved anew")
-    assert sum(note.startswith("solved anew") for note in notes[1:]) <= 2
-
-
 def test_the_printed_update_is_wrong_and_says_so() -> None:
     previous: Spectrum | None = None
     residuals = []
@@ -376,29 +327,6 @@ def test_the_printed_update_is_wrong_and_says_so() -> None:
         residuals.append(previous.residuals.max())
     assert residuals[0] < 1e-10
     assert residuals[-1] > 0.1
-
-
-def test_factorisation_counts_and_solves() -> None:
-    from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
-    from graphrqi.spectrum.certified.prepared import prepare
-
-    rng = np.random.default_rng(6)
-    for graph in graph_sequence("crossing", "accumulated", 70, 5, skip=10):
-        prepared = prepare(graph)
-        order = prepared.order
-        matrix = graph.laplacian.toarray()[np.ix_(order, order)]
-        counts = new_counts()
-        counts.shift[0] = rng.random(8) * 12.0
-        x = rng.normal(size=(70, 8))
-        solution = x.copy()
-        factor = Factor(np.empty((prepared.entries.size, 8)), np.empty((70, 8)), np.empty((70, 8)))
-        factor_and_solve(prepared, counts, 1e-15, 1, factor, solution)
-        values = np.linalg.eigvalsh(matrix)
-        for q, shift in enumerate(counts.shift[0]):
-            assert counts.above[0, q] == (values > shift).sum()
-            residual = (matrix - shift * np.eye(70)) @ solution[:, q] - x[:, q]
-            size = np.linalg.norm(solution[:, q]) * counts.growth[0, q]
-            assert np.linalg.norm(residual) < 1e-12 * max(size, 1.0)
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -423,14 +351,3 @@ def test_the_page_about_the_spectrum_is_true() -> None:
     result = doctest.testfile(str(page), module_relative=False)
     assert result.attempted >= 12
     assert result.failed == 0
-
-
-def test_a_spectrum_shows_itself() -> None:
-    graph = TrafficGraph.from_edges(range(3, 63), [(i, i + 1) for i in range(3, 62)])
-    found = SOLVERS["graphrqi"](graph, 20, "smallest")
-    for part in ("20 pairs at the smallest end", "60 vehicles with ids 3 to 62", "certified"):
-        assert part in repr(found)
-    assert found._repr_html_().count("<tr>") == 12  # a head, ten pairs, how many more
-    table = found.to_pandas()
-    np.testing.assert_array_equal(table.to_numpy(), found.eigenvectors)
-    assert table.index.tolist() == found.ids.tolist()

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from graphrqi.methods import train
 from graphrqi.model_files import load_model, save_model
 from graphrqi.posterior import Posterior
-from graphrqi.samples import Samples, collect
+from graphrqi.samples import collect
 from graphrqi.stream import BehaviorStream, load_stream
 from scenarios import SCENARIOS
 from sim.engines import get_engine
@@ -61,26 +60,6 @@ def test_samples_are_of_labelled_drivers_only(tracks):
     assert set(samples.agent.tolist()) <= driving
     code = dict(zip(tracks.ids.tolist(), tracks.behavior.tolist(), strict=True))
     assert [code[a] for a in samples.agent.tolist()] == samples.codes.tolist()
-
-
-def test_drawing_windows_is_seeded(tracks):
-    from graphrqi.features.spectrum_observers import NullObserver
-
-    one, two, other = (
-        collect(tracks, NullObserver(), per_moment=1, seed=s).seconds for s in (1, 1, 2)
-    )
-    assert one.tolist() == two.tolist()
-    assert one.tolist() != other.tolist()
-
-
-def test_recordings_without_labels_are_refused(tracks):
-    from graphrqi.features.spectrum_observers import NullObserver
-
-    bare = dataclasses.replace(tracks, behavior=None)
-    with pytest.raises(InputError, match=r"tracks\.behavior: found no labels"):
-        collect(bare, NullObserver())
-    with pytest.raises(InputError, match="found no episode"):
-        Samples.join([])
 
 
 def test_stream_answers_after_a_second_for_drivers_only(tracks, model):
@@ -219,40 +198,6 @@ def test_broken_model_files_are_refused_by_name(tmp_path, model, changes, said):
         load_model(broken(tmp_path / "model", **changes))
 
 
-def test_broken_weights_are_refused(tmp_path, model):
-    save_model(model, tmp_path / "model")
-    weights = tmp_path / "model" / "weights.safetensors"
-    weights.write_bytes(weights.read_bytes()[:100])
-    with pytest.raises(InputError, match=r"weights\.safetensors: found weights"):
-        load_model(tmp_path / "model")
-
-
-def test_missing_models_and_foreign_folders_are_refused(tmp_path, model):
-    with pytest.raises(InputError, match="found no model"):
-        load_stream("no-such-model")
-    (tmp_path / "precious").mkdir()
-    (tmp_path / "precious" / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="not a model"):
-        save_model(model, tmp_path / "precious")
-    assert (tmp_path / "precious" / "thesis.txt").exists()
-
-
-@pytest.mark.parametrize(
-    ("ids", "rows", "message"),
-    [
-        ([3, 1, 2], np.eye(6)[:3], r"Posterior\.ids: found ids that do not ascend"),
-        ([1, 1], np.eye(6)[:2], r"Posterior\.ids: found ids that do not ascend"),
-        (["a"], np.eye(6)[:1], r"Posterior\.ids: found <U1"),
-        ([1], np.full((1, 6), np.nan), "sum to 1"),
-        ([1], [[5, 0, 0, 0, 0, 0]], "sum to 1"),
-        ([1], [[2, -1, 0, 0, 0, 0]], "sum to 1"),
-    ],
-)
-def test_what_is_no_posterior_is_refused(ids, rows, message):
-    with pytest.raises(InputError, match=message):
-        Posterior(ids, rows)
-
-
 def test_posterior_checks_and_looks_up():
     with pytest.raises(InputError, match=r"Posterior\.probability"):
         Posterior(ids=[1], probability=[[1.0]])
@@ -260,41 +205,6 @@ def test_posterior_checks_and_looks_up():
     found = known.of(np.array([5, 3]))
     assert found[0].argmax() == 1
     assert found[1] == pytest.approx(np.full(6, 1 / 6))
-
-
-def test_stream_shows_model_time_and_agents(tracks, model):
-    stream = BehaviorStream(model)
-    assert "no frame yet" in repr(stream)
-    frame = tracks.frame(300)
-    stream.push(frame)
-    drivers = int(frame.driving.sum())
-    said = repr(stream)
-    assert "graphrqi-plus" in said
-    assert f"at {frame.time_s:g} s: {drivers} drivers, {len(frame) - drivers} pedestrians" in said
-    assert len(said) < 400
-
-
-def test_posterior_shows_counts_and_a_table():
-    rows = np.eye(6)[np.arange(1000) % 3]
-    posterior = Posterior(ids=np.arange(1000) * 7, probability=rows)
-    said = repr(posterior)
-    assert said.startswith("Posterior(1000 drivers, most likely: 334 impatient, 333 ")
-    assert len(said) < 400
-    assert repr(Posterior(ids=[], probability=np.empty((0, 6)))) == "Posterior(0 drivers)"
-    page = posterior._repr_html_()
-    assert page.count("<tr>") == 1 + 10 + 1
-    assert "and 990 more" in page
-    table = posterior.to_pandas()
-    assert table.index.tolist() == posterior.ids.tolist()
-    assert table.columns.tolist() == [*BEHAVIORS, "most_likely", "unknown", "told"]
-    np.testing.assert_array_equal(table[list(BEHAVIORS)].to_numpy(), posterior.probability)
-    assert table["most_likely"].iloc[:3].tolist() == list(BEHAVIORS[:3])
-
-
-def test_posterior_without_pandas_says_so(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="pandas: found none"):
-        Posterior(ids=[1], probability=np.eye(6)[:1]).to_pandas()
 
 
 def test_importing_the_stream_loads_nothing_heavy():

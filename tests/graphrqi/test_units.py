@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graphrqi.scene_check import check_scene
-from graphrqi.units import Scale, image_scale, in_metres, unit_of
+from graphrqi.units import image_scale, in_metres, unit_of
 from sim.frames import Tracks
 
 
@@ -61,15 +61,6 @@ def test_the_horizon_is_found_and_none_where_there_is_none(horizon):
     assert image_scale(street(0.05)).horizon == np.inf
 
 
-def test_straight_ways_stay_straight_on_the_ground():
-    scale = Scale(0.05, 240.0, 1250.0, 0.4)
-    line = np.stack([np.linspace(0.0, 640.0, 9), np.linspace(100.0, 480.0, 9)], axis=1)
-    way = np.diff(scale.ground(line), axis=0)
-    angle = np.arctan2(way[:, 1], way[:, 0])
-    assert np.ptp(angle) < 1e-9
-    assert np.hypot(*way.T)[-1] > 1.2 * np.hypot(*way.T)[0]
-
-
 @pytest.mark.parametrize("horizon", [np.inf, 2500.0, 1250.0])
 def test_speeds_are_the_same_near_and_far(horizon):
     video = street(0.05, horizon)
@@ -78,14 +69,6 @@ def test_speeds_are_the_same_near_and_far(horizon):
     assert np.median(speed) == pytest.approx(6.0, rel=0.25)
     assert speed.std() < 0.12 * speed.mean()
     assert found.length.std() < 0.12 * found.length.mean()
-
-
-def test_an_unknown_pace_leaves_the_sizes():
-    still = street()
-    still = dataclasses.replace(still, xy=np.repeat(still.xy[:, :1], 250, axis=1))
-    scale = image_scale(still)
-    assert scale.metres == pytest.approx(0.05, rel=0.2)
-    assert scale.spread == pytest.approx(0.4)
 
 
 def test_unseen_agents_and_gaps_stay_unknown():

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from behaviors import InputError
 from experiments.cli.commands import app
 from scenarios.networks.build import find_program
 from scenarios.networks.convert import kind_of
@@ -176,39 +175,6 @@ def test_everybody_leaves_generated_nets(options, tmp_path):
         assert everybody_leaves(net, engine)
 
 
-def test_oncoming_lanes_on_one_line_are_passed(tmp_path):
-    lanes = json.loads(argoverse2())["lane_segments"]
-    for number, one in list(lanes.items()):
-        other = int(number) + 10
-        lanes[str(other)] = {
-            **one, "id": other,
-            "left_lane_boundary": one["right_lane_boundary"][::-1],
-            "right_lane_boundary": one["left_lane_boundary"][::-1],
-            "predecessors": [n + 10 for n in one["successors"]],
-            "successors": [n + 10 for n in one["predecessors"]],
-        }  # fmt: skip
-    path = tmp_path / "alley.json"
-    path.write_text(json.dumps({"lane_segments": lanes, "pedestrian_crossings": {}}))
-    for engine in ("sumo", "highway"):
-        assert everybody_leaves(path, engine)
-
-
-def test_warnings_name_what_netconvert_and_nobody_can_use(tmp_path):
-    path = tmp_path / "streets.osm"
-    way = '<way id="12"><nd ref="1"/><nd ref="99"/><tag k="highway" v="tertiary"/></way>'
-    path.write_text(crossroads_osm(extra=way))
-    assert any("99" in text for text in survey(path).warnings)
-    places = {"a": (0, 0), "b": (300, 0), "x": (0, 90), "y": (200, 90), "z": (100, 200)}
-    nodes = "".join(f'<node id="{n}" x="{x}" y="{y}"/>' for n, (x, y) in places.items())
-    edges = "".join(f'<edge id="{a}{b}" from="{a}" to="{b}"/>' for a, b in ("ab", "xy", "yz", "zx"))
-    (tmp_path / "a.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
-    (tmp_path / "a.edg.xml").write_text(f"<edges>{edges}</edges>")
-    net = tmp_path / "ring.net.xml"
-    command = [find_program("netconvert"), "-n", "a.nod.xml", "-e", "a.edg.xml", "-o", str(net)]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
-    assert "edge xy: found no way to it from any entry" in survey(net).warnings
-
-
 def test_a_net_without_paths_over_junctions_gets_them(tmp_path):
     net = tmp_path / "gaps.net.xml"
     options = "--grid --grid.number 2 --grid.attach-length 60 --no-internal-links"
@@ -223,40 +189,6 @@ def test_a_net_without_paths_over_junctions_gets_them(tmp_path):
     touching = tmp_path / "straight.net.xml"
     touching.write_text(straight_net(2, 20.0, 300.0))
     assert own_road(net=touching).road.source == touching
-
-
-def test_ways_onto_edges_that_cars_may_not_use_are_no_part_of_the_road(tmp_path):
-    nodes = "".join(f'<node id="{n}" x="{300 * k}" y="0"/>' for k, n in enumerate("abc"))
-    edges = '<edge id="ab" from="a" to="b"/><edge id="bc" from="b" to="c" allow="bus"/>'
-    (tmp_path / "a.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
-    (tmp_path / "a.edg.xml").write_text(f"<edges>{edges}</edges>")
-    net = tmp_path / "bus.net.xml"
-    files = ["-n", str(tmp_path / "a.nod.xml"), "-e", str(tmp_path / "a.edg.xml")]
-    command = [find_program("netconvert"), *files, "-o", str(net)]
-    subprocess.run(command, check=True, capture_output=True)
-    for engine in ("sumo", "highway"):
-        assert everybody_leaves(net, engine)
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("b.osm", "<osm/>"),
-        ("c.osm", '<!DOCTYPE osm [<!ENTITY a "b">]><osm/>'),
-        ("e.xodr", straight_xodr(length="nan")),
-        ("f.json", "[]"),
-        ("h.osm", crossroads_osm()[:300]),
-        ("i.txt", "not a map"),
-        ("j.net.xml", "<net><edge/></net>"),
-    ],
-)
-def test_hostile_maps_are_refused_in_one_line(name, content, tmp_path):
-    path = tmp_path / name
-    path.write_text(content)
-    for look in (survey, lambda net: own_road(net=net)):
-        with pytest.raises(InputError) as caught:
-            look(path)
-        assert "\n" not in str(caught.value)
 
 
 def test_the_command_writes_a_net_a_picture_and_a_scenario(tmp_path):

@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from behaviors import InputError
-from behaviors.populations import read_population
 from scenarios import SCENARIOS, get_scenario
 from scenarios.networks.grid import grid_net
-from scenarios.networks.written import ramp_net, straight_net
+from scenarios.networks.written import ramp_net
 from scenarios.own.demand import EdgeGraph, flows_of
 from scenarios.own.file import ScenarioFile
 from scenarios.own.road import own_road
@@ -68,15 +67,6 @@ def test_demand_leads_from_fringe_to_fringe_over_joined_edges():
         assert all(pair in graph.links for pair in itertools.pairwise(flow.route))
 
 
-def test_wider_entries_get_more_of_the_traffic(ramp):
-    road = read_road(ramp, "ramp")
-    shares = {
-        edge: sum(f.per_hour for f in flows_of(road, 900.0, None) if f.route[0] == edge)
-        for edge in ("before", "on")
-    }
-    assert shares == {"before": pytest.approx(600.0), "on": pytest.approx(300.0)}
-
-
 @pytest.mark.parametrize("engine", ["sumo", "highway"])
 def test_everybody_leaves_a_grid_where_turns_need_the_right_lane(engine):
     entered, present = ride(own_road(net=grid_net(3), flow=1500.0), engine, 12.0, 300.0)
@@ -102,23 +92,6 @@ def test_a_route_file_says_how_often_each_route_is_driven(ramp, tmp_path):
     assert scaled.per_hour(walking=False) == pytest.approx(420.0)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("<routes/>", "found no vehicle, trip or flow"),
-        ('<routes><vehicle id="v" depart="0"/></routes>', "vehicle 'v': found no route"),
-        ('<routes><flow id="f" from="on" to="nowhere" period="1"/></routes>', "edge 'nowhere'"),
-        ('<routes><flow id="f" from="off" to="on" period="1"/></routes>', "no way from 'off'"),
-        ('<routes><route id="r" edges="on after"/></routes>', "no way from 'on' to 'after'"),
-        ('<routes><vehicle id="v" route="r" depart="0"/></routes>', "found route 'r'"),
-    ],
-)
-def test_broken_route_files_are_refused_in_one_line(ramp, tmp_path, content, said):
-    routes = tmp_path / "bad.rou.xml"
-    routes.write_text(content)
-    assert said in refusal(lambda: own_road(net=ramp, routes=routes))
-
-
 def test_a_file_describes_a_scenario(ramp, tmp_path):
     file = tmp_path / "rush.toml"
     file.write_text(
@@ -132,18 +105,6 @@ def test_a_file_describes_a_scenario(ramp, tmp_path):
     assert scenario.per_hour(walking=False) == pytest.approx(300.0)
     assert max(lane.speed_limit_mps for lane in scenario.road.lanes) == pytest.approx(10.0)
     assert entry(limit_mps=20.0).road.lanes[0].speed_limit_mps == pytest.approx(20.0)
-
-
-def test_a_file_changes_a_registered_scenario(tmp_path):
-    file = tmp_path / "quiet.toml"
-    file.write_text(
-        'scenario = "four_way_intersection"\nname = "quiet"\nflow = "light"\nlanes = 1\n'
-        'pedestrians_per_h = 0\nkinds = "car=.5,bus=.5"\n[options]\ncontrol = "priority"\n'
-    )
-    scenario = get_scenario(str(file))(duration_s=5.0)
-    assert (scenario.name, scenario.road.signal_groups) == ("quiet", ())
-    assert scenario.per_hour(walking=True) == 0.0
-    assert set(scenario.kinds.values()) == {0.5}
 
 
 def documented(heading: str) -> dict[str, str]:
@@ -179,16 +140,6 @@ def test_the_page_on_roads_has_every_further_option_of_every_scenario():
     assert told == known
 
 
-def test_a_file_names_a_population_beside_it(tmp_path):
-    people = read_population("profiles")
-    (tmp_path / "people.toml").write_text(people.to_toml())
-    file = tmp_path / "town.toml"
-    for given in ('"people.toml"', '"profiles"'):
-        file.write_text(f'scenario = "straight_road"\npopulation = {given}\n')
-        population = get_scenario(str(file))(duration_s=5.0).population
-        assert population.option == people.option
-
-
 @pytest.mark.parametrize(
     ("content", "said"),
     [
@@ -217,10 +168,3 @@ def test_signals_can_be_taken_out_of_a_net():
     assert not dark.road.signal_groups
     assert all(link.signal < 0 for link in dark.road.connections)
     assert any(link.must_yield for link in dark.road.connections)
-
-
-def test_a_net_on_which_nobody_can_drive_anywhere_is_refused(tmp_path):
-    net = tmp_path / "slow.net.xml"
-    net.write_text(straight_net(1, 25.0, 300.0).replace('speed="25.00"', 'speed="0.00"'))
-    with pytest.raises(InputError, match="found no edge"):
-        own_road(net=net)

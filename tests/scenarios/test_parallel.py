@@ -7,8 +7,6 @@ import warnings
 import numpy as np
 import pytest
 
-from behaviors import InputError
-
 pytest.importorskip("pettingzoo")
 from pettingzoo.test import parallel_api_test
 
@@ -74,32 +72,3 @@ def test_one_agent_sees_what_the_environment_for_one_shows():
         )  # fmt: skip
         if ended or cut:
             break
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"egos": 0}, "egos: found 0"),
-        ({"every_s": -1.0}, "every_s"),
-        ({"name": "graphrqi/Roundabot-v0"}, "Roundabout"),
-        ({"render_mode": "ansi"}, "render_mode"),
-        ({"config": {"ego_route": ["nowhere"]}}, "nowhere"),
-    ],
-)
-def test_unusable_arguments_are_refused(given, said):
-    with pytest.raises(InputError, match=said):
-        parallel_env(**given)
-
-
-def test_an_action_of_an_agent_that_is_not_there_is_refused():
-    env = parallel_env("graphrqi/Roundabout-v0", egos=2, config=QUICK)
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="ego_1"):
-        env.step({"ego_1": 0})
-
-
-def test_an_action_that_there_is_not_is_refused_as_by_the_environment_for_one():
-    env = parallel_env("graphrqi/Roundabout-v0", egos=1, config=QUICK)
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="expected 0 to 4"):
-        env.step({"ego_0": 99})

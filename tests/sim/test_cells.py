@@ -7,7 +7,7 @@ import pytest
 
 from scenarios.networks.build import FOLDER, NET
 from sim.road import Road
-from sim.road.cells import cells_of, near_pairs
+from sim.road.cells import near_pairs
 from sim.road.net import read_road
 
 
@@ -62,13 +62,6 @@ def test_pairs_are_those_whose_boxes_touch() -> None:
     for size in (0.5, 5.0, 500.0):
         assert list(map(tuple, near_pairs(one, other, size).tolist())) == touch
     assert near_pairs(one, np.empty((0, 4)), 1.0).shape == (0, 2)
-
-
-def test_cells_stay_few_where_items_are_far_apart() -> None:
-    boxes = np.array([[0.0, 0.0, 1.0, 1.0], [1e7, 1e7, 1e7 + 1.0, 1e7 + 1.0]])
-    cells = cells_of(boxes, np.arange(2), 1.0)
-    assert cells.columns * cells.rows < 1000
-    assert sorted(cells.items.tolist()) == [0, 1]
 
 
 @pytest.mark.parametrize("name", ["grid_3", "four_way_priority", "four_way_right_before_left"])

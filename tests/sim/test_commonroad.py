@@ -15,7 +15,6 @@ from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
 from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
-from sim.formats.commonroad import _without_states
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
 from sim.road.files import read_road_file
@@ -47,17 +46,6 @@ def test_obstacles(tmp_path: Path) -> None:
     assert "pillar" in " ".join(recording.notes)
 
 
-@pytest.mark.parametrize("version", ["2017a", "2018a"])
-def test_early_versions_give_seconds_and_limits_of_lanelets(tmp_path: Path, version: str) -> None:
-    text = COMMONROAD.replace("2020a", version).replace("dynamicObstacle", "obstacle")
-    text = text.replace("<type>truck", "<role>dynamic</role><type>truck")
-    text = text.replace('<trafficSignRef ref="5"/>', "<speedLimit>3.5</speedLimit>")
-    recording = read(tmp_path, text)
-    assert recording.tracks.time_s.tolist() == [0.0, 1.0]
-    assert isinstance(recording.road, Road)
-    assert recording.road.lanes[0].speed_limit_mps == 3.5
-
-
 def test_the_map(tmp_path: Path) -> None:
     road = read(tmp_path).road
     assert isinstance(road, Road)
@@ -72,13 +60,6 @@ def test_the_map(tmp_path: Path) -> None:
     assert road.signal_plans[0].state_at(31.0) == (1,)
     assert road.knows.unknown == ("priority",)
     assert len(LaneGraph.of(road).length) == 2
-
-
-def test_a_programme_in_another_unit_is_not_believed(tmp_path: Path) -> None:
-    road = read(tmp_path, COMMONROAD.replace("<duration>30<", "<duration>3<")).road
-    assert isinstance(road, Road)
-    assert road.signal_groups == ()
-    assert road.knows.unknown == ("signals", "priority")
 
 
 def test_who_yields_at_signs(tmp_path: Path) -> None:
@@ -103,36 +84,6 @@ def test_who_yields_at_signs(tmp_path: Path) -> None:
         ("3", True, (0,)),
     ]
     assert road.knows.priority
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("2020a", "2030z", "commonRoadVersion"),
-        ('timeStepSize="0.1"', 'timeStepSize="0"', "timeStepSize"),
-        ("<x>50</x>", "", "leftBound"),
-        ("<x>50</x>", "<x>1e300</x>", "beyond"),
-        ('<lanelet id="2"', '<lanelet id="1"', "lanelet 1 twice"),
-        ('<lanelet id="2"', '<lanelet id="two"', "lanelet id: found 'two'"),
-        ('<lanelet id="2"', f'<lanelet id="{10**400}"', "expected a whole number"),
-        ('<successor ref="2"', '<successor ref="x"', "successor ref"),
-        (">13.5<", ">-1<", "speed limit"),
-        (">green<", ">blue<", "color"),
-        ("<length>8.5<", "<length>nan<", "length"),
-        ("<time><exact>1<", "<time><exact>soon<", "time"),
-        ('id="31"', 'id="30"', "obstacle 30 twice"),
-        ("<?xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><?xml", "declaration"),
-        ('encoding="utf-8"', 'encoding="cp037"', "encoding"),
-        ("</commonRoad>", "", "no element found"),
-        ("</commonRoad>", "</x>", "mismatched"),
-    ],
-)
-def test_what_cannot_be_is_refused(tmp_path: Path, old: str, new: str, told: str) -> None:
-    assert old in COMMONROAD
-    with pytest.raises(InputError, match=r"scene\.xml") as caught:
-        read(tmp_path, COMMONROAD.replace(old, new))
-    assert told in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_road_is_stored_as_it_is(tmp_path: Path) -> None:
@@ -184,42 +135,3 @@ def test_real_scenarios(place: str, shared_data: Path) -> None:
         at = road.project(tracks.xy[tracks.valid], tracks.heading[tracks.valid])
         width = np.array([lane.width_m for lane in road.lanes])[at.lane]
         assert np.mean(np.abs(at.offset) < width / 2) > 0.9
-
-
-def states(count: int) -> str:
-    """A trajectory of so many states, the last of which drives backwards."""
-    form = (
-        "\n  <state>\n    <position><point>\n<x>{}</x> <y>-2.5e-1</y></point></position>\n"
-        "    <orientation><exact>0.1</exact></orientation>\n    <time><exact>{}</exact></time>\n"
-        "    <velocity><exact>{}</exact></velocity>\n"
-        "    <acceleration><exact>1</exact></acceleration>\n  </state>"
-    )
-    rows = [form.format(2 + k / 3, k + 1, 4.0 if k + 1 < count else -4.0) for k in range(count)]
-    return f"<trajectory>{''.join(rows)}\n</trajectory>"
-
-
-def with_states(trajectory: str) -> str:
-    start, end = COMMONROAD.index("<trajectory>"), COMMONROAD.index("</trajectory>")
-    return COMMONROAD[:start] + trajectory + COMMONROAD[end + len("</trajectory>") :]
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("</state>\n  <state>", "</state>\n  <!-- here --><state>"),
-        ("</state>\n  <state>", "</state>\n\n  <state>"),
-        ("<exact>2<", "<exact> 2 <"),
-    ],
-)
-def test_runs_of_states_are_read_as_single_states_are(tmp_path: Path, old: str, new: str) -> None:
-    text = states(5)
-    tables: list[np.ndarray] = []
-    assert b"<state>" not in _without_states(with_states(text).encode(), tables)
-    assert [len(table) for table in tables] == [5]
-    other = text.replace(old, new, 1)
-    assert other != text
-    one, two = (read(tmp_path, with_states(t)).tracks for t in (text, other))
-    assert one.time_s.tolist() == two.time_s.tolist()
-    assert one.speed[0].tolist() == [10.0, 4.0, 4.0, 4.0, 4.0, 4.0]
-    for name in ("xy", "heading", "speed"):
-        assert getattr(one, name).tobytes() == getattr(two, name).tobytes()

@@ -5,7 +5,7 @@ import pytest
 
 from sim.episode.contacts import Contact, contacts
 from sim.episode.rows import TrajectoryRows
-from sim.frames import PEDESTRIAN, Tracks
+from sim.frames import Tracks
 
 
 def scene(xy, heading=None, **changes):
@@ -44,21 +44,6 @@ def scene(xy, heading=None, **changes):
 def test_two_boxes(xy, heading, touch):
     steps = scene([[(0.0, 0.0)] * 2, [xy] * 2], [[0.0] * 2, [heading] * 2])
     assert contacts(steps) == ((Contact((0, 1), 0, 2),) if touch else ())
-
-
-def test_every_stretch_is_told_and_only_of_those_seen():
-    away, there = (50.0, 0.0), (2.0, 0.0)
-    xy = [[(0.0, 0.0)] * 6, [away, there, there, away, there, there], [there] * 6]
-    valid = np.ones((3, 6), dtype=bool)
-    valid[2] = False
-    valid[1, 5] = False
-    found = contacts(scene(xy, valid=valid))
-    assert found == (Contact((0, 1), 1, 3), Contact((0, 1), 4, 5))
-
-
-def test_pedestrians_may_touch_each_other():
-    steps = scene([[(0.0, 0.0)] * 2, [(0.1, 0.0)] * 2], kind=np.full(2, PEDESTRIAN))
-    assert contacts(steps) == ()
 
 
 @pytest.mark.parametrize("far_m", [0.0, 5000.0])

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
@@ -17,18 +15,14 @@ from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError, sample_profile
 from scenarios import SCENARIOS
-from scenarios.demand import parse_mix
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.scenario import AgentSpec
-from sim.store import schema
-from sim.store.catalogue import rows_where
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import (
     HEADING_QUANTUM,
     POSITION_QUANTUM,
     TABLES,
     EpisodeMeta,
-    block_of,
     split_of,
 )
 from sim.store.writing import new_dataset
@@ -113,17 +107,6 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(whole, np.rint(whole), err_msg=name)
 
 
-@pytest.mark.parametrize("heading", [np.pi, np.nextafter(-np.pi, 0.0)])
-def test_rounded_headings_stay_in_range(tmp_path: Path, heading: float) -> None:
-    one = np.ones(1)
-    frame = Frame(0.1, [0], [[0, 0]], [heading], one, one, one, [0])  # type: ignore[arg-type]
-    with new_dataset(tmp_path, {}) as out:
-        entry = out.write_episode(META, [frame], population()[:1])
-    back = open_dataset(tmp_path).read(entry).tracks.heading[0, 0]
-    assert -np.pi < back <= np.pi
-    assert np.cos(back - heading) > 1 - 1e-6
-
-
 def test_recordings_come_back_to_the_last_digit(tmp_path: Path) -> None:
     source = Tracks.from_frames(frames(), names={i: f"track-{i}" for i in range(7)})
     with new_dataset(tmp_path, {}) as out:
@@ -133,14 +116,6 @@ def test_recordings_come_back_to_the_last_digit(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(tracks, name), getattr(source, name), err_msg=name)
     assert tracks.names == source.names
     assert tracks.behavior is None
-
-
-def test_an_episode_without_agents_is_an_episode(tmp_path: Path) -> None:
-    none = np.empty(0)
-    empty = Frame(0.1, [], np.empty((0, 2)), none, none, none, none, [])  # type: ignore[arg-type]
-    with new_dataset(tmp_path, {}) as out:
-        entry = out.write_episode(META, [empty], ())
-    assert open_dataset(tmp_path).read(entry).tracks.xy.shape == (0, 1, 2)
 
 
 def test_steps_say_lane_leader_gap_and_acceleration(tmp_path: Path) -> None:
@@ -181,23 +156,6 @@ def test_steps_say_lane_leader_gap_and_acceleration(tmp_path: Path) -> None:
     assert unknown[["lane", "lane_s_m", "leader", "gap_m"]].isna().all(axis=None)
 
 
-def test_numbers_of_events_have_columns(tmp_path: Path) -> None:
-    source = Tracks.from_frames(frames())
-    events = (
-        Event(EventKind.NEAR_MISS, 1.0, 1, 2, time_to_collision_s=1.25),
-        Event(EventKind.WRONG_WAY, 1.0, 3, distance_m=20.0),
-        Event(EventKind.COLLISION, 2.0, 1, 2, "cut in", end_s=2.2, cut_in_headway_s=0.5),
-    )
-    contact = Event(EventKind.CONTACT, 2.1, 1, 2)
-    with new_dataset(tmp_path, {}) as out:
-        entry = out.write_recording(META, source.changed(events=(*events, contact)))
-    dataset = open_dataset(tmp_path)
-    assert dataset.read(entry).tracks.events == events
-    table = dataset.scan("events").to_table().to_pylist()
-    assert [row["time_to_collision_s"] for row in table] == [1.25, None, None]
-    assert [row["end_s"] for row in table] == [None, None, 2.2]
-
-
 def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
@@ -233,29 +191,6 @@ def test_tables_open_in_pandas(tmp_path: Path) -> None:
     assert joined.time_s.max() == pytest.approx(4.0)
 
 
-def test_tables_open_in_polars(tmp_path: Path) -> None:
-    import polars as pl
-
-    dataset = small(tmp_path)
-    steps = pl.scan_parquet(tmp_path / "steps", hive_partitioning=True).collect()
-    assert steps.height == dataset.episodes()[0].agent_steps
-    assert steps["episode"].n_unique() == 1
-    assert steps["scenario"].unique().to_list() == ["hand-made"]
-
-
-def test_tables_open_in_duckdb(tmp_path: Path) -> None:
-    import duckdb
-
-    small(tmp_path)
-    query = (
-        f"SELECT behavior, avg(speed_mps) FROM '{tmp_path}/steps/*/*/*.parquet' "
-        f"JOIN '{tmp_path}/agents/*/*/*.parquet' USING (episode, agent) GROUP BY behavior"
-    )
-    speeds = dict(duckdb.sql(query).fetchall())
-    assert set(speeds) == {*BEHAVIORS, None}
-    assert all(0 < speed < 20 for speed in speeds.values())
-
-
 def test_splits() -> None:
     splits = [split_of(i) for i in range(100)]
     assert {s: splits.count(s) for s in ("train", "validation", "test")} == {
@@ -264,18 +199,6 @@ def test_splits() -> None:
         "test": 20,
     }
     assert {split_of(i) for i in range(3)} == {"train", "validation", "test"}
-
-
-def test_blocks_grow_and_depend_on_the_index_alone() -> None:
-    index, sizes = 0, []
-    while index < 100_000:
-        first, last = block_of(index)
-        assert first == index
-        assert block_of(last) == (first, last)
-        sizes.append(last - first + 1)
-        index = last + 1
-    assert sizes == sorted(sizes)
-    assert (sizes[0], sizes[-1]) == (schema.SMALLEST_BLOCK, schema.LARGEST_BLOCK)
 
 
 # --- as a whole or not at all -------------------------------------------------------------------
@@ -300,24 +223,6 @@ def test_nothing_is_left_of_a_dataset_that_fails(tmp_path: Path) -> None:
         write()
     assert list(tmp_path.iterdir()) == []
     assert closed == [True]
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda f: {"ids": f.ids + 50}, "found agent 50"),
-        (lambda f: {"xy": np.full((len(f), 2), np.nan)}, "found nan"),
-        (lambda f: {"speed": np.full(len(f), np.inf)}, "found inf"),
-        (lambda f: {"time_s": 0.1}, "expected later"),
-    ],
-    ids=["stranger", "nan", "infinite", "time"],
-)
-def test_frames_that_cannot_be(
-    tmp_path: Path, change: Callable[[Frame], dict[str, object]], message: str
-) -> None:
-    bad = [dataclasses.replace(f, **change(f)) for f in list(frames())[1:5]]  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=message), new_dataset(tmp_path / "new", {}) as out:
-        out.write_episode(META, bad, population())
 
 
 # --- several episodes ---------------------------------------------------------------------------
@@ -401,71 +306,7 @@ def test_filters_choose_episodes(made: Path) -> None:
         assert dataset.scan("steps", **nothing).to_table().num_rows == 0
 
 
-def test_a_mix_of_styles_is_found_as_it_was_asked_for(made: Path) -> None:
-    asked = "aggressive=.25, timid=.75"
-    kept = {str(behavior): share for behavior, share in parse_mix(asked).items()}
-    table = open_dataset(made).catalogue
-    column = pa.array([json.dumps(kept, sort_keys=True)] * len(table))
-    table = table.set_column(table.schema.get_field_index("mix"), "mix", column)
-    assert len(rows_where(table, mix=asked)) == EPISODES
-    assert len(rows_where(table, mix={"timid": 0.75, "aggressive": 0.25})) == EPISODES
-    assert len(rows_where(table, mix="aggressive=.75, timid=.25")) == 0
-
-
 # --- broken datasets ----------------------------------------------------------------------------
-
-
-def test_no_dataset(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="run the same generate again"):
-        open_dataset(tmp_path)
-    with pytest.raises(InputError, match="found nothing there"):
-        open_dataset(tmp_path / "nowhere")
-    (tmp_path / "manifest.json").touch()
-    with pytest.raises(InputError, match="found a dataset of an older version"):
-        open_dataset(tmp_path)
-
-
-def rewritten(path: Path, change: Callable[[pa.Table], pa.Table], **said: object) -> None:
-    """Change a table, and what its file says of itself, as somebody else could."""
-    parquet = pq.ParquetFile(path)
-    metadata = json.loads((parquet.metadata.metadata or {}).get(b"graphrqi", b"{}"))
-    parts = [change(parquet.read_row_group(i)) for i in range(parquet.num_row_groups)]
-    with pq.ParquetWriter(path, parts[0].schema, store_schema=False) as writer:
-        for part in parts:
-            writer.write_table(part)
-        writer.add_key_value_metadata({"graphrqi": json.dumps({**metadata, **said})})
-
-
-def column(table: pa.Table, name: str, value: object) -> pa.Table:
-    index = table.schema.get_field_index(name)
-    field = table.schema.field(index)
-    return table.set_column(index, field, pa.array([value] * len(table), type=field.type))
-
-
-def same(table: pa.Table) -> pa.Table:
-    return table
-
-
-@pytest.mark.parametrize(
-    ("change", "said", "message"),
-    [
-        (same, {"schema_version": 99}, "found schema_version 99, expected 3; a newer"),
-        (same, {"schema_version": 2}, "found schema_version 2, expected 3; make it again"),
-        (same, {"schema_version": "x"}, "schema_version"),
-        (same, {"extra": 1}, "extra"),
-        (lambda t: t.drop_columns(["road"]), {}, "found no column road"),
-        (lambda t: column(t, "id", "../../etc"), {}, "row 0: id"),
-        (lambda t: column(t, "split", "all"), {}, "row 0: split"),
-        (lambda t: column(t, "options", "{"), {}, "row 0: found options that are no JSON"),
-    ],
-)
-def test_catalogues_that_cannot_be(
-    folder: Path, change: Callable[[pa.Table], pa.Table], said: Mapping[str, object], message: str
-) -> None:
-    rewritten(folder / "episodes.parquet", change, **said)
-    with pytest.raises(InputError, match=message) as caught:
-        open_dataset(folder).episodes()
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("table", ["steps", "agents", "frames", "signals"])
@@ -496,34 +337,6 @@ def made_by(path: Path, data: bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("steps", lambda t: t.take(list(range(t.num_rows))[::-1]), "out of order"),
-        ("steps", lambda t: t.slice(1), "rows of .*, expected 10"),
-        ("steps", lambda t: t.drop_columns(["x_m"]), "found no column x_m"),
-        ("steps", lambda t: column(t, "x_m", float("nan")), "x_m that is not finite"),
-        ("steps", lambda t: column(t, "step", 10**6), "outside of 0"),
-        ("steps", lambda t: column(t, "agent", 10**12), "does not have"),
-        ("agents", lambda t: column(t, "behavior", "evil"), "'evil', expected one of"),
-        ("agents", lambda t: column(t, "agent", 1), "out of order"),
-        ("agents", lambda t: column(t, "min_gap_m", -1.0), "agent 3: "),
-        ("frames", lambda t: column(t, "time_s", 1.0), "each after"),
-        ("signals", lambda t: column(t, "state", "blue"), "'blue', expected one of"),
-        ("signals", lambda t: column(t, "group", -1), "signal group outside"),
-        ("signals", lambda t: column(t, "step", 1), "every signal group at step 0"),
-    ],
-)
-def test_tables_that_cannot_be(
-    folder: Path, name: str, change: Callable[[pa.Table], pa.Table], message: str
-) -> None:
-    rewritten(shard(folder, name), change)
-    dataset = open_dataset(folder)
-    with pytest.raises(InputError, match=message) as caught:
-        dataset.read(dataset.episodes()[0])
-    assert f"{name}/" in str(caught.value)
-
-
 @settings(max_examples=60, deadline=None, database=None)
 @given(data=st.data())
 def test_altered_shards_and_catalogues_are_read_or_refused(
@@ -549,16 +362,6 @@ def test_altered_shards_and_catalogues_are_read_or_refused(
     shutil.rmtree(folder)
     assert ".parquet" in message
     assert "\n" not in message
-
-
-def test_datasets_and_episodes_show_themselves(made: Path, tmp_path: Path) -> None:
-    dataset = small(tmp_path)
-    shown = repr(dataset)
-    assert "1 episode (1 train) of 1 scenario, 7 agents, 252 agent-steps" in shown
-    assert "MB" in shown
-    episode = dataset.read(dataset.episodes()[0])
-    assert "hand-made 0 by sumo, seed 4, train; 8 agents drawn, 0 shown traits" in repr(episode)
-    assert open_dataset(made)._repr_html_().count("<tr>") == 1 + EPISODES
 
 
 def test_tables_for_pandas(tmp_path: Path) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from scenarios import SCENARIOS
 from sim.engines import ENGINES, get_engine
@@ -88,19 +86,6 @@ def test_an_early_end_leaves_the_engine_usable(episode):
     next(opened)
     opened.close()
     np.testing.assert_array_equal(next(get_engine(engine)(scenario, agents, 1)).xy, frames[0].xy)
-
-
-@pytest.mark.parametrize("engine", sorted(ENGINES))
-def test_refuses_what_cannot_be_driven(engine):
-    scenario = SCENARIOS["straight_road"](duration_s=1.0)
-    go = get_engine(engine)
-    with pytest.raises(InputError, match="seed"):
-        go(scenario, (), -1)
-    (agent, *_) = sample_agents(SCENARIOS["straight_road"](duration_s=60.0), 0)
-    with pytest.raises(InputError, match="twice"):
-        go(scenario, (agent, agent), 0)
-    with pytest.raises(InputError, match="nowhere"):
-        go(scenario, (dataclasses.replace(agent, route=("nowhere",)),), 0)
 
 
 @pytest.mark.parametrize("engine", SIMULATORS)

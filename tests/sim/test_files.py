@@ -1,17 +1,13 @@
-"""Files and folders appear as a whole: through links, into pipes, beside what is there."""
+"""Files and folders appear as a whole: through links, and beside what is there."""
 
 from __future__ import annotations
 
 import os
-import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
-from behaviors import InputError
-from sim.files import new_folder, whole_file, whole_folder, write_whole
+from sim.files import whole_file, whole_folder, write_whole
 
 
 def test_a_link_is_followed(tmp_path: Path) -> None:
@@ -25,17 +21,6 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
     assert (tmp_path / "new").read_bytes() == b"two"
 
 
-def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
-    pipe, got = tmp_path / "pipe", []
-    os.mkfifo(pipe)
-    reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
-    reader.start()
-    write_whole(pipe, b"through")
-    reader.join()
-    assert got == [b"through"]
-    assert pipe.is_fifo()
-
-
 def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"old")
@@ -43,23 +28,6 @@ def test_an_error_leaves_what_was_there(tmp_path: Path) -> None:
         partial.write_bytes(b"half" * (1 // 0))
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
     assert path.read_bytes() == b"old"
-
-
-@pytest.mark.parametrize("whole", [whole_file, whole_folder])
-@pytest.mark.parametrize(
-    "words", ["Permission denied", "Failed to open '{partial}'. Detail: [errno 13] Permission"]
-)
-def test_an_error_names_the_path_that_was_given(
-    whole: Callable[[Path], AbstractContextManager[Path]],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(OSError, match="denied") as found, whole(Path("out")) as partial:
-        raise PermissionError(13, words.format(partial=partial))
-    assert (found.value.filename, found.value.strerror) == ("out", "Permission denied")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_is_written_again_keeps_other_files(tmp_path: Path) -> None:
@@ -80,13 +48,3 @@ def test_a_folder_that_is_written_again_keeps_other_files(tmp_path: Path) -> Non
     assert not (target / "old").exists()
     assert target.is_symlink()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["disk", "link"]
-
-
-def test_a_new_folder_is_new(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    for name in ("empty", "new"):
-        with new_folder(tmp_path / name) as folder:
-            (folder / "a").touch()
-        assert (tmp_path / name / "a").exists()
-    with pytest.raises(InputError, match="found a there"), new_folder(tmp_path / "new"):
-        pass

@@ -31,11 +31,3 @@ def test_separation_holds_during_a_move():
     moved = np.array([[-1.5, 0.0]])
     gap = separation(outline(5.0, 0.0), outline(0.0, 0.0), moved)
     assert gap[0] == pytest.approx(1.0 - 1.5)
-
-
-def test_rows_may_repeat():
-    two = Outlines.of(
-        np.array([[0.0, 0.0], [5.0, 0.0]]), np.zeros(2), np.full(2, 4.0), np.full(2, 2.0)
-    )
-    gaps = separation(two.rows(np.array([0, 0])), two.rows(np.array([0, 1])))
-    assert gaps.tolist() == [-2.0, 1.0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
 
@@ -16,12 +15,10 @@ from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Frame, Tracks
 from sim.highway.demand import Demand
-from sim.highway.draws import RUNS_RED, chance, driver_key
 from sim.highway.engine import network_of, read_frame, run
 from sim.highway.motion import CLEAR_AFTER_S
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import Driver, ProfileVehicle
-from sim.highway.walkers import Walker, find_footway
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
 
 STRAIGHT = ("east_in", "east_out")
@@ -73,15 +70,6 @@ def straight_network():
 
 
 # Draws ---------------------------------------------------------------------------------------
-
-
-def test_draws_depend_on_the_driver_and_the_encounter_alone():
-    keys = [driver_key((0, number)) for number in range(400)]
-    drawn = np.array([[chance(key, RUNS_RED, path) for path in range(5)] for key in keys])
-    assert drawn[7, 3] == chance(driver_key((0, 7)), RUNS_RED, 3)
-    assert len(np.unique(drawn)) == drawn.size
-    assert drawn.mean() == pytest.approx(0.5, abs=0.03)
-    assert np.abs(np.corrcoef(drawn.T) - np.eye(5)).max() < 0.2
 
 
 def test_a_driver_runs_the_same_lights_whoever_else_is_there():
@@ -160,10 +148,6 @@ def test_nobody_drives_backwards_and_the_road_clears():
 
 
 # Lane changes --------------------------------------------------------------------------------
-
-
-def lanes_of(seen: Tracks, row: int = 0):
-    return seen.xy[row, seen.valid[row], 1]
 
 
 def test_an_impatient_driver_overtakes_and_a_timid_one_stays_behind():
@@ -264,22 +248,6 @@ def test_a_left_turner_lets_oncoming_traffic_pass_first():
     assert turned > through
 
 
-@pytest.mark.parametrize("light", ["red", "green"])
-def test_who_is_inside_after_its_green_goes_before_those_who_stand_at_the_line(light):
-    road = TrafficRoad(network_of(SCENARIOS["four_way_intersection"]().road))
-    network = road.network_info
-    turn, across = ("west_in>", "north_out<", 0), ("north_in>", "south_out<", 0)
-    waits_on, onto = next(key for key, path in network.onward.items() if path == across)
-    inside = put(road, turn, 4.0, 0.0, Behavior.CAREFUL, 0)
-    waits = put(road, waits_on, network.lanes[waits_on].length - 4.0, 0.0, Behavior.CAREFUL, 1)
-    waits.stretches = (waits_on[:2], onto)
-    inside.standing_since = waits.standing_since = -5.0
-    road.signals[network.info[across].signal] = SIGNALS.index("green")
-    road.signals[network.info[turn].signal] = SIGNALS.index(light)
-    road.act()
-    assert (inside.stop_gap == math.inf) is (light == "red")
-
-
 def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
     """A driver and a pedestrian who come to the zebra together."""
     arrives_s = 10.0 + 395.0 / (PROFILES[behavior].speed_factor * 13.89)
@@ -301,22 +269,6 @@ def test_conservative_drivers_let_pedestrians_cross_and_reckless_ones_do_not(beh
     assert EventKind.COLLISION not in kinds
     assert (EventKind.YIELDED in kinds) is yields
     assert (EventKind.NOT_YIELDED in kinds) is (not yields)
-
-
-@pytest.mark.parametrize("waits", [True, False])
-def test_pedestrians_do_not_mind_who_comes_behind_one_that_waits(waits):
-    road = TrafficRoad(network_of(SCENARIOS["straight_road"]().road))
-    footway = find_footway(road.network_info.road, ("west_in", "east_in"))
-    person = Walker(walker(9, ("west_in", "east_in")), footway, (9,))
-    person.s = footway.crossovers[0].begin_s - 0.1
-    road.walkers.append(person)
-    lane = ("east_in<", "east_out>", 1)
-    if waits:
-        put(road, lane, 394.0, 0.0, Behavior.RECKLESS).standing_since = -5.0
-    put(road, lane, 350.0, 13.0, Behavior.RECKLESS, 1)
-    road.act()
-    road.step(0.1)
-    assert (person.speed > 0.0) is waits
 
 
 def test_pedestrians_cross_at_the_crossing_and_reach_the_other_side():
@@ -356,20 +308,6 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
     own_side = seen.xy[0, seen.valid[0]][0, 1]
     assert seen.xy[1, seen.valid[1]][-1, 1] == pytest.approx(own_side, abs=0.5)
     assert not [e for e in seen.events if e.kind is EventKind.COLLISION]
-
-
-def test_nobody_enters_a_short_road_too_fast_to_stop_at_its_light():
-    network = network_of(SCENARIOS["four_way_intersection"]().road)
-    road, lane = TrafficRoad(network), ("east_in<", "east_in>", 0)
-    limits = {k: copy.copy(v) for k, v in network.lanes.items()}
-    limits[lane].speed_limit = 60.0
-    road.network_info = dataclasses.replace(network, lanes=limits)
-    agent = driver(Behavior.CAREFUL, route=("east_in", "west_out"))
-    Demand(road, [agent], 0).enter()
-    (entered,) = road.vehicles
-    left = network.lanes[lane].length - 4.6
-    assert 13.89 < entered.speed < 60.0
-    assert entered.speed**2 / 2.0 / left <= agent.profile.comfort_decel_mps2
 
 
 # Collisions ----------------------------------------------------------------------------------
@@ -428,43 +366,6 @@ def test_all_kinds_of_vehicles_drive():
     assert seen.kind.tolist() == [a.kind.code for a in agents]
     assert np.nanmax(seen.speed[1]) < 5.6  # as fast as bicycles go
     assert not seen.events
-
-
-def test_nobody_enters_standing_because_somebody_stands_far_ahead():
-    road = TrafficRoad(network_of(SCENARIOS["straight_road"]().road))
-    for lane in range(3):
-        put(road, ("east_in<", "east_out>", lane), 90.0, 0.0, Behavior.CAREFUL, lane)
-    Demand(road, [driver(Behavior.CAUTIOUS, 9)], 0).enter()
-    entered = road.vehicles[-1]
-    gap = 90.0 - 2.3 - entered.position[0] - 2.3
-    assert entered.agent == 9
-    assert 8.0 < entered.speed < entered.desired_speed
-    room = gap - entered.profile.min_gap_m - entered.profile.time_headway_s * entered.speed
-    assert entered.speed**2 / 2.0 == pytest.approx(room, rel=0.05)  # braking with 1 m/s2
-
-
-def test_nobody_enters_a_lane_beside_somebody_who_changes_to_it():
-    road = TrafficRoad(network_of(SCENARIOS["straight_road"]().road))
-    for lane in range(3):
-        put(road, ("east_in<", "east_out>", lane), 8.0, 10.0, Behavior.CAREFUL, lane)
-    road.vehicles[1].target_lane_index = ("east_in<", "east_out>", 2)
-    road.vehicles.pop()  # lane 2 is free, but for who comes to it
-    Demand(road, [driver(Behavior.RECKLESS, 9)], 0).enter()
-    assert len(road.vehicles) == 2
-
-
-def test_who_finds_no_room_waits_and_enters_later():
-    agents = [driver(Behavior.TIMID, i) for i in range(9)]
-    scenario = SCENARIOS["straight_road"](duration_s=30.0)
-    road = TrafficRoad(network_of(scenario.road))
-    demand = Demand(road, agents, 0)
-    demand.enter()
-    assert len(road.vehicles) == 3  # one a lane
-    for _ in range(300):
-        demand.enter()
-        road.act()
-        road.step(0.1)
-    assert len(read_frame(road)) == 9
 
 
 @pytest.mark.parametrize("name", ["four_way_intersection", "two_way_road", "motorway_ramps"])

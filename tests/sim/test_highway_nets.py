@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from sim.engines import get_engine
 from sim.road import Road
 from sim.road.net import read_road
@@ -98,11 +97,6 @@ def test_cars_keep_off_lanes_of_others(tmp_path: Path, engine: str, who: str) ->
     ids, places = drive(engine, road, "a")
     assert len(ids) > 5
     assert min(xy[:, 1].min(initial=9.0) for xy in places) > 1.6
-
-
-def test_a_net_without_a_lane_for_cars_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="found no drivable lane"):
-        straight(tmp_path / "a.net.xml", "rail")
 
 
 @pytest.mark.parametrize("engine", ["sumo", "highway"])

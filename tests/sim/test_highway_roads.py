@@ -6,18 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from highway_env.road.lane import lane_from_config
-from highway_env.road.road import RoadNetwork
 
-from behaviors import PROFILES, Behavior, InputError
+from behaviors import InputError
 from scenarios import SCENARIOS
 from sim.highway.conflicts import CONFLICT_M, SAMPLE_M
 from sim.highway.engine import network_of
-from sim.highway.lanes import PolylineLane
-from sim.highway.scene import ALIGNED
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import Driver, ProfileVehicle
-from sim.highway.walkers import find_footway
 from sim.road import Road as SumoRoad
 
 FOUR_WAY = ("south_in>", "north_out<")
@@ -113,57 +107,6 @@ def test_lights_show_what_their_plan_says_at_every_time(step_s):
         assert (traffic.signal_since[list(plan.groups)] == changed_s).all()
 
 
-@pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "motorway_ramps", "city"])
-def test_who_is_on_a_lane_is_what_a_search_of_all_lanes_finds(name):
-    made, rng, n = network(name), np.random.default_rng(0), 150
-    road, keys = TrafficRoad(made), list(made.lanes)
-    for number in rng.integers(len(keys), size=n).tolist():
-        lane = made.lanes[keys[number]]
-        s, aside = rng.uniform(-50.0, lane.length + 15.0), rng.uniform(-4.0, 4.0)
-        vehicle = ProfileVehicle(
-            road, lane.position(s, aside), lane.heading_at(max(s, 0.0)), 10.0,
-            driver=Driver(PROFILES[Behavior.CAREFUL]), length=rng.uniform(3.0, 20.0),
-            lane_index=keys[number],
-        )  # fmt: skip
-        road.vehicles.append(vehicle)
-    road.locate()
-    lanes, on, expected = made.tables.net.lanes, set(), set()
-    for k, (key, lane) in enumerate(made.lanes.items()):
-        along, rows, _ = road.on_lane(key)
-        assert along == sorted(along)
-        on |= {(row, k) for row in rows}
-        for row, vehicle in enumerate(road.vehicles):
-            s, aside = lane.local_coordinates(vehicle.position)
-            facing = np.cos(vehicle.heading - lane.heading_at(s))
-            if (
-                abs(aside) <= lanes[k].margin
-                and (facing if lanes[k].connector else abs(facing)) > ALIGNED
-                and -lanes[k].behind <= s <= lane.length + vehicle.LENGTH / 2
-            ):
-                expected.add((row, k))
-    assert len(expected) > n
-    assert len(on ^ expected) <= 0.02 * len(expected)  # headings turn smoothly, pieces do not
-
-
-def test_lanes_keep_their_order_over_the_junction():
-    made = network("four_way_intersection")
-    for number in range(2):
-        path = made.onward[("south_in<", "south_in>", number), ("north_out<", "north_out>")]
-        assert made.exit_of[path][2] == number
-        assert path[2] == number  # highway-env's own vehicles rely on it
-
-
-def test_only_two_way_roads_have_lanes_on_the_wrong_side():
-    assert network("straight_road").wrong_side == {}
-    made = network("two_way_road")
-    for lane, wrong_side in made.wrong_side.items():
-        own, over = made.lanes[lane], made.lanes[wrong_side]
-        np.testing.assert_allclose(over.direction, own.direction, atol=1e-9)
-        s, lateral = own.local_coordinates(over.position(10.0, 0.0))
-        assert s == pytest.approx(10.0)
-        assert lateral == pytest.approx(-own.width)  # to the left
-
-
 def test_routes_that_do_not_exist_are_refused_by_name():
     made = network("four_way_intersection")
     with pytest.raises(InputError, match="'up'"):
@@ -172,64 +115,4 @@ def test_routes_that_do_not_exist_are_refused_by_name():
         made.stretches(("east_out", "west_in"))
 
 
-def test_polylines_project_back_and_survive_their_config():
-    lane = PolylineLane(np.array([[0.0, 0.0], [10.0, 0.0], [16.0, 8.0], [16.0, 20.0]]), 3.2)
-    for s in (0.0, 4.0, 12.0, 19.0, 28.0):
-        for lateral in (-0.5, 0.0, 0.5):
-            back = lane.local_coordinates(lane.position(s, lateral))
-            np.testing.assert_allclose(back, [s, lateral], atol=0.35)
-    again = lane_from_config(lane.to_config())
-    np.testing.assert_array_equal(again.points, lane.points)
-    assert lane.heading_at(-1.0) == 0.0
-    assert lane.heading_at(lane.length) == pytest.approx(np.pi / 2)
-
-
-@pytest.mark.parametrize("turn", [-1.0, 1.0])
-def test_beyond_a_sharp_corner_is_outside_of_it_whatever_piece_is_nearer(turn):
-    far = np.array([10.0 + 10.0 * np.cos(2.6), 10.0 * turn * np.sin(2.6)])
-    lane = PolylineLane(np.array([[0.0, 0.0], [10.0, 0.0], far]), 3.2)
-    for across in (-1.0, 0.0, 1.0):  # from either piece, and straight on
-        _, lateral = lane.local_coordinates(np.array([12.0, across]))
-        assert np.sign(lateral) == -turn
-
-
-def test_footways_use_crossings_only_where_they_have_to():
-    road = SCENARIOS["four_way_intersection"]().road
-    assert find_footway(road, ("east_in", "north_out")).crossovers == ()
-    assert len(find_footway(road, ("east_in", "west_out")).crossovers) == 1
-    assert len(find_footway(road, ("east_in", "south_out")).crossovers) == 2
-    with pytest.raises(InputError, match="sidewalk"):
-        find_footway(road, ("nowhere",))
-
-
-@pytest.mark.parametrize("name", ["four_way_intersection", "two_way_road", "roundabout"])
-def test_the_closest_lane_is_the_one_that_the_stock_search_finds(name):
-    net = network(name).net
-    centre = np.concatenate([lane.position(0.0, 0.0)[None] for lane in net.lanes_list()])
-    rng = np.random.default_rng(0)
-    for place in rng.uniform(centre.min(axis=0) - 30, centre.max(axis=0) + 30, (60, 2)):
-        heading = float(rng.uniform(-np.pi, np.pi))
-        found = net.get_closest_lane_index(place, heading)
-        assert found == RoadNetwork.get_closest_lane_index(net, place, heading)
-
-
 # Profiles ------------------------------------------------------------------------------------
-
-
-def test_a_new_profile_is_heeded_at_the_next_step():
-    road = TrafficRoad(network("straight_road"))
-    lane = road.network_info.lanes["east_in<", "east_out>", 1]
-    vehicle = ProfileVehicle(
-        road, lane.position(50.0, 0.0), 0.0, 9.0, driver=Driver(PROFILES[Behavior.CAREFUL]),
-        lane_index=("east_in<", "east_out>", 1), stretches=(("east_in<", "east_out>"),),
-    )  # fmt: skip
-    road.vehicles.append(vehicle)
-    for _ in range(20):
-        road.act()
-        road.step(0.1)
-    before = vehicle.action["acceleration"]
-    assert before > 0
-    vehicle.profile = dataclasses.replace(PROFILES[Behavior.CAREFUL], speed_factor=0.3)
-    road.act()
-    road.step(0.1)
-    assert vehicle.action["acceleration"] < 0

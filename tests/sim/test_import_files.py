@@ -1,16 +1,15 @@
-"""Which files of a folder are read, however they are called and begin, and what is in odd ones."""
+"""Which files of a folder are read, however they are called and begin."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from experiments.data.exchange import as_dataset, import_recordings
-from sim.formats import formats_in, read_recordings, recognise, recording_files
+from experiments.data.exchange import import_recordings
+from sim.formats import read_recordings, recognise, recording_files
 from sim.frames import KINDS, AgentKind
 from tests.sim.test_formats import (
     AV1,
@@ -24,15 +23,6 @@ from tests.sim.test_formats import (
 )
 
 IND_BROKEN = IND.replace("xCenter", "xCentre")
-
-
-def test_every_file_with_a_formats_own_name_is_read_or_refused(tmp_path: Path) -> None:
-    (tmp_path / "00_tracks.csv").write_text(IND)
-    for content in ("", IND_BROKEN):
-        (tmp_path / "01_tracks.csv").write_text(content)
-        assert len(recording_files(tmp_path, "ind")[0]) == 2
-        with pytest.raises(InputError, match=r"01_tracks\.csv"):
-            list(read_recordings(tmp_path))
 
 
 def test_others_with_a_common_ending_are_left_out_and_named(
@@ -76,17 +66,6 @@ def test_a_byte_order_mark_changes_nothing(
     assert len(list(read_recordings(path))) == 1
 
 
-@pytest.mark.parametrize(
-    "content",
-    ["1,1,5,6,10,20,7", "1, 1, 5, 6, 10, 20, 7\n", "1,900" + ",5,6,10,20,7" * 900 + "\n"],
-    ids=["no end of line", "spaces", "a long line"],
-)
-def test_traf_is_known_by_its_first_line(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "a_gt.txt"
-    path.write_text(content)
-    assert recognise(path) == "traf"
-
-
 def test_ngsim_is_told_by_its_content_not_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "header.txt").write_text(NGSIM_CSV)
     (tmp_path / "rows.csv").write_text(NGSIM_ROWS)
@@ -127,13 +106,6 @@ def test_an_id_that_comes_again_after_long_is_another_vehicle(tmp_path: Path) ->
     np.testing.assert_allclose(recording.tracks.length, np.array([15, 15, 40]) * 0.3048)
 
 
-def test_two_recordings_in_one_ind_file_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "00_tracks.csv"
-    path.write_text(IND.replace("7,1,50", "8,1,50"))
-    with pytest.raises(InputError, match="recordingid: found 7 and 8, expected one"):
-        list(read_recordings(path, "ind"))
-
-
 def test_cases_of_one_interaction_file_are_recordings_of_their_own(tmp_path: Path) -> None:
     path = tmp_path / "vehicle_tracks_000.csv"
     header, *rows = INTERACTION.strip().splitlines()
@@ -162,13 +134,6 @@ def test_a_vehicle_and_a_person_may_have_one_name(tmp_path: Path) -> None:
     assert recording.tracks.valid.sum(axis=0).tolist() == [2, 0, 2]
 
 
-@pytest.mark.parametrize("name", [None, "ngsim"])
-def test_a_pipe_is_refused_at_once(tmp_path: Path, name: str | None) -> None:
-    os.mkfifo(tmp_path / "a.csv")
-    with pytest.raises(InputError, match="found no file and no folder"):
-        list(read_recordings(tmp_path / "a.csv", name))
-
-
 def test_a_failed_import_leaves_nothing_and_may_be_tried_again(tmp_path: Path) -> None:
     source, out = tmp_path / "source", tmp_path / "deep" / "out"
     source.mkdir()
@@ -183,41 +148,3 @@ def test_a_failed_import_leaves_nothing_and_may_be_tried_again(tmp_path: Path) -
     assert list(out.iterdir()) == []
     (source / "02_tracks.csv").write_text(IND)
     assert len(import_recordings(source, out, quiet=True).episodes) == 3
-
-
-def test_a_folder_without_a_name_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "00_tracks.csv").write_text(IND)
-    (tmp_path / "inside").mkdir()
-    monkeypatch.chdir(tmp_path / "inside")
-    with as_dataset(Path("..")) as folder:
-        assert (folder / "episodes.parquet").is_file()
-
-
-def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
-    for folder in ("north", "south"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "00_tracks.csv").write_text(IND)
-    (tmp_path / "01_tracks.csv").write_text(IND)
-    names = [recording.name for recording in read_recordings(tmp_path)]
-    alone = [recording.name for recording in read_recordings(tmp_path / "north")]
-    assert [name.rpartition("/")[0] for name in names] == ["", "north", "south"]
-    assert alone == [names[1].removeprefix("north/")]
-
-
-def test_an_empty_folder_is_called_empty(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="found an empty folder, expected one of argoverse2"):
-        formats_in(tmp_path)
-
-
-@pytest.mark.parametrize("between", [";", "\t"])
-def test_an_unknown_table_is_named_by_its_first_line(tmp_path: Path, between: str) -> None:
-    header = between.join(["Time [s]", "veh", "x"])
-    (tmp_path / "mine.csv").write_text(f"{header}\n{between.join('0a1')}\n")
-    with pytest.raises(InputError) as caught:
-        formats_in(tmp_path / "mine.csv")
-    assert f"no known format in its first line {header!r}," in str(caught.value)
-    (tmp_path / "mine.xlsx").write_bytes(b"PK\x03\x04\x14\xff\n")
-    with pytest.raises(InputError, match="no known format, expected one of"):
-        formats_in(tmp_path / "mine.xlsx")

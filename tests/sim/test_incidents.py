@@ -1,5 +1,4 @@
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.road.net import read_road
 
 STEP_S = 0.1
-SOUTH = -math.pi / 2
 
 
 @pytest.fixture(scope="module")

@@ -59,26 +59,6 @@ def test_wrong_labels_are_refused_by_line(tmp_path, text, said):
         labels(tmp_path, text)
 
 
-def test_names_in_two_recordings_need_a_recording(tmp_path):
-    found = labels(tmp_path, "name,label\n3,timid\n")
-    assert found.of(["3"], "one") == [TIMID]
-    with pytest.raises(InputError, match="name '3': found it in the recordings one and two"):
-        found.of(["3"], "two")
-    found = labels(tmp_path, "name,label,recording\n3,timid,one\n3,aggressive,two.csv\n")
-    assert found.of(["3"], "one", "folder/one.csv") == [TIMID]
-    assert found.of(["3"], "two", "folder/two.csv") == [RUDE]
-    found.check()
-
-
-def test_labels_of_nobody_are_named(tmp_path):
-    found = labels(tmp_path, "name,label,recording\n3,timid,\n4,timid,elsewhere\n")
-    found.of(["3", "4"], "one")
-    with pytest.raises(
-        InputError, match=r"found a label of '4' of recording elsewhere, which no driver is called"
-    ):
-        found.check()
-
-
 def test_sheets_beside_tracks_label_them(tmp_path):
     """Annotators of two drivers agree; on the third they do not, and nobody looked at the last."""
     rows = [f"{t},4," + ",".join(f"{9 * t + 90 * i},{40 * i},40,20,{i}" for i in range(1, 5))
@@ -103,11 +83,3 @@ def test_sheets_beside_tracks_label_them(tmp_path):
         sheet.rename(tracks.with_name(sheet.name))
     (beside,) = read_recordings(tracks.parent, "traf")
     np.testing.assert_array_equal(beside.tracks.behavior, read.tracks.behavior)
-
-
-def test_a_missing_file_and_a_file_that_is_no_text_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"none\.csv: found no file"):
-        read_driver_labels(tmp_path / "none.csv")
-    (tmp_path / "odd.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"odd\.csv: found a broken file"):
-        read_driver_labels(tmp_path / "odd.csv")

@@ -8,11 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from sim.formats import read_recordings
 from sim.road import Road
-from sim.road.files import read_road_file
-from sim.road.map_fit import map_fit
 from sim.road.maps.lanelet2 import read_map
 from sim.road.maps.transverse_mercator import EQUATOR_M, FLATTENING, SCALE, to_metres
 
@@ -102,28 +99,6 @@ def test_priority(tmp_path: Path) -> None:
     assert [way.must_yield for way in road.connections] == [True]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ('v="40"', 'v="forty"', "no number"),
-        ('v="40"', 'v="inf"', "beyond"),
-        ('<nd ref="3"/>', '<nd ref="99"/>', "node 99"),
-        ('ref="12" role="left"', 'ref="92" role="left"', "lanelet 22: found no left border"),
-        ('<relation id="22"', '<relation id="21"', "lanelet 21 twice"),
-        ('<relation id="22"', '<relation id="?"', "relation id"),
-        ("50 km/h", "50 furlongs", "speed limit"),
-        ("<osm>", "<html>", "mismatched"),
-        ('v="lanelet"', 'v="multipolygon"', "no lanelet"),
-    ],
-)
-def test_what_cannot_be_is_refused(tmp_path: Path, old: str, new: str, told: str) -> None:
-    text = osm()
-    assert old in text
-    with pytest.raises(InputError, match=r"place\.osm") as caught:
-        read(tmp_path, text.replace(old, new))
-    assert told in str(caught.value)
-
-
 def test_the_map_is_found_by_the_folders_name(tmp_path: Path) -> None:
     for folder in ("maps", "place"):
         (tmp_path / folder).mkdir()
@@ -134,13 +109,3 @@ def test_the_map_is_found_by_the_folders_name(tmp_path: Path) -> None:
     (recording,) = read_recordings(tmp_path / "place")
     assert isinstance(recording.road, Road)
     assert recording.road.name == "place"
-
-
-def test_real_maps_lie_under_their_recordings(shared_data: Path) -> None:
-    folder = shared_data / "real" / "fzi_karlsruhe" / "k729_2022-03-16"
-    shares = []
-    for recording in read_recordings(folder, "interaction"):
-        assert isinstance(recording.road, Road)
-        shares.append(map_fit(recording.road, recording.tracks).share)
-    assert np.median(shares) > 0.95
-    assert read_road_file(shared_data / "real/fzi_karlsruhe/maps/k733_2018-05-02.osm").lanes

@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
 from scenarios import SCENARIOS
 from sim.formats import get_writer, read_recordings
-from sim.formats.common.motion import at_rate, doubt_of_times
+from sim.formats.common.motion import doubt_of_times
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
@@ -79,13 +79,6 @@ def test_whether_limits_rule(road: Road, of_limit: float, rules: bool) -> None:
     assert fit.limits_rule == rules
 
 
-def test_nothing_can_be_told_of_those_who_stand(road: Road) -> None:
-    fit = map_fit(road, dataclasses.replace(traffic(road), speed=np.zeros((12, STEPS))))
-    assert math.isnan(fit.share)
-    assert fit.fits
-    assert fit.limits_rule
-
-
 def exported(folder: Path, tracks: Tracks) -> Path:
     """Traffic as a file of SUMO's."""
     folder.mkdir()
@@ -116,25 +109,6 @@ def test_a_wrong_rate_is_refused_until_the_rate_is_given(road: Road, tmp_path: P
     stored = dataset.read(entry).tracks
     assert stored.time_s == pytest.approx(tracks.time_s)
     assert stored.speed == pytest.approx(tracks.speed)
-
-
-def test_speeds_that_follow_from_the_motion_follow_the_rate() -> None:
-    x = np.arange(30.0)
-    one = Tracks(
-        ids=np.arange(1), names=("a",), kind=np.zeros(1, np.int8), length=np.full(1, 4.5),
-        width=np.full(1, 1.8), time_s=x / 10, xy=np.stack([x, 0 * x], axis=1)[None],
-        heading=np.zeros((1, 30)), speed=np.full((1, 30), 10.0), valid=np.ones((1, 30), bool),
-        signals=np.empty((0, 30), np.int8),
-    )  # fmt: skip
-    slower = at_rate(one, 5.0)
-    assert slower.step_s == pytest.approx(0.2)
-    assert slower.speed == pytest.approx(np.full((1, 30), 5.0))
-
-
-def test_speeds_in_another_unit_are_named(road: Road) -> None:
-    tracks = traffic(road)
-    wrong = dataclasses.replace(tracks, speed=3.6 * tracks.speed)
-    assert "3.6 times what the motion shows, as in km/h" in str(doubt_of_times(wrong))
 
 
 def test_real_recordings_fit_their_maps_and_no_others(shared_data: Path) -> None:

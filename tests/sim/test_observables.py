@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.episode.observables import CROSSING_MARGIN_M, crossing_people, observe
+from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.road import Connection, Crossing, Lane, Road
@@ -161,14 +161,6 @@ def test_tracks_give_at_each_instant_what_each_frame_gives(junction):
             assert np.where(rows >= 0, agent[rows], -1).tolist() == getattr(alone, name).tolist()
 
 
-def test_who_is_not_seen_leads_nobody(junction):
-    tracks = Tracks.from_frames(
-        [frame([[60, 0], [90, 0]], [5, 5]), frame([[61, 0]], [5], time_s=1.0)]
-    )
-    seen = observe(TrajectoryRows.of(tracks), junction)
-    assert seen.leader.tolist() == [2, -1, -1]  # agent 0 twice, then agent 1
-
-
 def test_leader_search_equals_brute_force():
     road = Road("long road", (lane("a", [[0, 0], [500, 0]]),), (), (), (), Path("none"))
     rng = np.random.default_rng(0)
@@ -208,14 +200,3 @@ def test_along_equals_the_least_distance_to_any_piece():
     assert aside == pytest.approx(left[each, best])
     assert total == pytest.approx(size.sum())
     assert along(line, xy[:0])[2] == total
-
-
-def test_crossing_people_by_instant(junction):
-    occupied, waiting = crossing_people(
-        junction,
-        np.array([0, 2, 2]),
-        np.array([[142.0, 0.0], [141.0, 4.0 + CROSSING_MARGIN_M / 2], [160.0, 0.0]]),
-        3,
-    )
-    assert occupied.tolist() == [[True, False, False]]
-    assert waiting.tolist() == [[False, False, True]]

@@ -5,9 +5,7 @@ An environment `.venv-asam` with ASAM's checkers runs these, too (docs/check_asa
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import importlib.util
 import itertools
 import math
 import subprocess
@@ -18,14 +16,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behaviors import BEHAVIORS, InputError
+from behaviors import BEHAVIORS
 from scenarios import SCENARIOS
-from scenarios.networks.build import find_program
 from sim.engines import get_engine
 from sim.formats import get_writer
 from sim.frames import KINDS, SIGNALS, AgentKind, Tracks
 from sim.road import Road
-from sim.road.net import read_road
 from sim.scenario import sample_agents
 
 pytest.importorskip("scenariogeneration")
@@ -170,22 +166,6 @@ def test_vehicles_are_on_lanes_of_the_road_file(written):
     assert covered.mean() > 0.995
 
 
-@pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="needs netconvert")
-def test_netconvert_reads_the_road_file_back(written, tmp_path):
-    _, road, road_file, _ = written
-    net = tmp_path / "back.net.xml"
-    command = [find_program("netconvert"), "--opendrive-files", str(road_file), "-o", str(net)]
-    subprocess.run([*command, "--no-warnings", "true"], check=True, capture_output=True)
-    back = read_road(net)
-
-    def usual(one: Road) -> list[float]:
-        return [n.length_m for n in one.lanes if n.cars and not n.walking and not n.internal]
-
-    assert len(usual(back)) == len(usual(road))
-    assert sum(usual(back)) == pytest.approx(sum(usual(road)), rel=0.05)
-    assert len(back.connections) == len(road.connections)
-
-
 def test_the_same_episode_gives_the_same_bytes(written, tmp_path):
     tracks, road, *files = written
     again = tmp_path / "again"
@@ -194,40 +174,6 @@ def test_the_same_episode_gives_the_same_bytes(written, tmp_path):
         files, get_writer("openscenario")(again, "one", tracks, road), strict=True
     ):
         assert one.read_bytes() == other.read_bytes()
-
-
-def test_agents_that_come_back_and_roads_that_are_not_known(tmp_path):
-    tracks, _ = episode("straight_road", "sumo")
-    valid = tracks.valid.copy()
-    row = int(np.argmax(valid.sum(axis=1)))
-    there = np.flatnonzero(valid[row])
-    valid[row, there[2]] = False
-    kept = {one.name: getattr(tracks, one.name) for one in dataclasses.fields(Tracks)}
-    for name in ("xy", "heading", "speed"):
-        kept[name] = kept[name].copy()
-        kept[name][row, there[2]] = np.nan
-    left = Tracks(**{**kept, "valid": valid})
-    (only,) = get_writer("openscenario")(tmp_path, "two", left, None)
-    root = ET.parse(only).getroot()
-    added = [one.get("entityRef") for one in root.iter("EntityAction")]
-    assert added.count(f"agent {tracks.ids[row]}") == 4  # it comes and goes twice
-    assert root.find("RoadNetwork/LogicFile") is None
-
-
-def test_an_episode_without_anybody_is_written(tmp_path):
-    scenario = SCENARIOS["straight_road"](duration_s=1.0, flow=0, pedestrians_per_h=0)
-    tracks = Tracks.from_frames(get_engine("highway")(scenario, (), 0))
-    _, written = get_writer("openscenario")(tmp_path, "none", tracks, scenario.road)
-    root = ET.parse(written).getroot()
-    assert root.find("Storyboard/StopTrigger") is not None
-    assert not list(root.iter("ScenarioObject"))
-
-
-def test_without_the_library_one_line_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "scenariogeneration", None)
-    with pytest.raises(InputError, match=r"pip install graphrqi\[asam\]"):
-        get_writer("openscenario")(tmp_path, "one", *episode("straight_road", "sumo"))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.asam

@@ -277,13 +277,6 @@ def test_contact_and_what_is_not_known():
     assert [len(value) for value in pair_measures(none, none)] == [0] * 6
 
 
-@pytest.mark.parametrize("field", ["xy", "speed"])
-def test_arrays_of_other_shapes_are_named(field):
-    one = bodies([(0, 0, 0, 10, 0, 5, 2)])
-    with pytest.raises(InputError, match=field):
-        pair_measures(one, one._replace(**{field: np.zeros(3)}))
-
-
 def test_a_body_that_stops_short_is_never_met():
     """8 m/s, 20 m, braking at 1.6 m/s2: it stands after exactly 20 m."""
     ahead = bodies([(24.5, 0, 0, 0, 0, 4, 2)] * 2)

@@ -13,7 +13,6 @@ from sim.scenario import (
     KIND_LIMITS,
     RouteFlow,
     Scenario,
-    check_agents,
     sample_agents,
     with_behavior,
 )
@@ -27,13 +26,6 @@ def scenario() -> Scenario:
 def test_same_seed_same_agents(scenario):
     assert sample_agents(scenario, 4) == sample_agents(scenario, 4)
     assert sample_agents(scenario, 4) != sample_agents(scenario, 5)
-
-
-def test_agents_come_in_order_with_ids_from_zero(scenario):
-    agents = sample_agents(scenario, 0)
-    assert [a.id for a in agents] == list(range(len(agents)))
-    assert [a.depart_s for a in agents] == sorted(a.depart_s for a in agents)
-    assert all(0 < a.depart_s < 200.0 for a in agents)
 
 
 def test_one_stream_does_not_change_another(scenario):
@@ -92,31 +84,6 @@ def test_jaywalkers_are_as_many_as_asked_for():
 def test_what_cannot_be_is_refused_by_name(scenario, field, value):
     with pytest.raises(InputError, match=f"^{field}: found"):
         dataclasses.replace(scenario, **{field: value})
-
-
-def test_a_scenario_shows_its_demand_its_duration_and_its_road(scenario):
-    text = repr(scenario)
-    assert text.startswith(
-        "Scenario(straight_road: 2100 vehicles/h and 600 pedestrians/h on 5 routes"
-    )
-    assert "200 s in steps of 0.1 s, road straight_road with" in text
-    assert len(repr(dataclasses.replace(scenario, name="x" * 500))) < 400
-
-
-@pytest.mark.parametrize(
-    ("change", "seed", "message"),
-    [
-        ({}, -1, "seed: found -1, expected an integer from 0"),
-        ({}, 2**31, "seed: found 2147483648"),
-        ({"id": 0}, 0, "agents: found an id twice"),
-        ({"route": ("east_in", "nowhere")}, 0, "agent 1: found edge 'nowhere' in its route"),
-    ],
-)
-def test_agents_that_no_engine_can_drive_are_refused(scenario, change, seed, message):
-    first, second, *_ = sample_agents(scenario, 0)
-    check_agents(scenario, (first, second), 0)
-    with pytest.raises(InputError, match=message):
-        check_agents(scenario, (first, dataclasses.replace(second, **change)), seed)
 
 
 def test_a_population_changes_drivers_numbers_and_nothing_else():

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.formats import get_writer, read_recordings, recognise
@@ -103,34 +102,3 @@ def test_our_export_is_read_back(tmp_path: Path) -> None:
     widths = sorted(lane.width_m for lane in driven)
     assert sorted(lane.width_m for lane in road.lanes) == pytest.approx(widths)
     assert sum(lane.internal for lane in road.lanes) == sum(lane.internal for lane in driven)
-
-
-def cut(value: Any, *keys: str) -> dict[str, Any]:
-    """The sample with one value in another place."""
-    scene = scenarionet_scene()
-    at: Any = scene
-    for key in keys[:-1]:
-        at = at[key]
-    at[keys[-1]] = value
-    return scene
-
-
-STATE = ("tracks", "car", "state")
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [
-        {}, [], cut(4, "length"), cut(-1, "length"), cut(10**9, "length"),
-        cut(np.array([0.0, 0.1, 0.1, 0.3, 0.4]), "metadata", "ts"),
-        cut(np.full((5, 3), np.nan), *STATE, "position"), cut(np.zeros((4, 3)), *STATE, "position"),
-        cut(["x"] * 5, *STATE, "heading"),
-        cut(None, "tracks", "car", "state"), cut(7, "tracks"),
-        cut(np.full((2, 2), 1e300), "map_features", "7", "polyline"),
-        cut(1e300, "map_features", "7", "speed_limit_mph"),
-        cut(-1.0, "map_features", "7", "width"), cut([], "map_features", "55", "polygon"),
-    ],
-)  # fmt: skip
-def test_odd_scenarios_are_refused_in_one_line(tmp_path: Path, scene: Any) -> None:
-    with pytest.raises(InputError, match=r"sd_odd\.pkl: [^\n]+$"):
-        read(tmp_path / "sd_odd.pkl", scene)

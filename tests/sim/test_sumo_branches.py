@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,26 +85,6 @@ def test_a_killed_or_closed_branch_leaves_the_trunk_alive_and_no_zombie() -> Non
         assert children(trunk.process_id) == []
 
 
-def test_branches_end_with_the_trunk() -> None:
-    scenario, agents = scenario_and_agents("straight_road")
-    trunk = Trunk(scenario, agents, SEED)
-    trunk.advance(5.0)
-    branch = trunk.branch(scenario.duration_s)
-    os.kill(trunk.process_id, signal.SIGKILL)
-    with pytest.raises(InputError, match="ended before its last frame"):
-        list(branch)
-    trunk.close()
-    assert not Path(f"/proc/{trunk.process_id}").exists()
-
-
-def test_what_cannot_be_branched_is_refused() -> None:
-    scenario, agents = scenario_and_agents("straight_road")
-    with pytest.raises(InputError, match="found 'highway', expected sumo or sumo-idm"):
-        Trunk(scenario, agents, SEED, engine="highway")
-    with Trunk(scenario, agents, -1) as trunk, pytest.raises(InputError, match="seed: found -1"):
-        trunk.advance(1.0)
-
-
 def speeds(frames: tuple[Frame, ...], agent: int) -> float:
     here = [frame.speed[frame.ids == agent] for frame in frames]
     return float(np.concatenate(here).mean())
@@ -130,21 +109,6 @@ def test_one_driver_changes_and_the_others_are_not_drawn_anew() -> None:
     far = away_m > 60.0  # who is nearer may react at once
     assert far.sum() > 5
     assert np.array_equal(first.xy[far], unchanged.xy[far])
-
-
-def test_only_drivers_on_the_road_change() -> None:
-    scenario, agents = scenario_and_agents("four_way_intersection")
-    walker = next(agent for agent in agents if agent.profile is None)
-    late = max((agent for agent in agents if agent.profile), key=lambda agent: agent.depart_s)
-    with Trunk(scenario, agents, SEED) as trunk:
-        trunk.advance(1.0)
-        with pytest.raises(InputError, match=f"agent {walker.id}: found no such driver"):
-            trunk.branch(2.0, walker.id, Behavior.TIMID)
-        with pytest.raises(InputError, match="expected both or none"):
-            trunk.branch(2.0, late.id)
-        with pytest.raises(InputError, match=f"agent {late.id}: found it not on the road at 1 s"):
-            tuple(trunk.branch(2.0, late.id, Behavior.TIMID))
-        assert len(trunk.advance(2.0)) == 10
 
 
 def test_an_action_lasts_and_then_the_driver_goes_on() -> None:

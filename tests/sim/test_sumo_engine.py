@@ -2,18 +2,14 @@ import dataclasses
 import hashlib
 import itertools
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
 from behaviors.profiles import PROFILES
 from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
-from sim.engines import get_engine
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
@@ -119,14 +115,6 @@ def test_signals_are_those_that_sumo_shows(kind, tmp_path):
     assert on_time == (kind == "static")
 
 
-@pytest.mark.parametrize("step_s", [0.05, 0.1, 0.25, 0.5, 1.0])
-def test_step_is_kept_whatever_it_is(step_s):
-    scenario = short(duration_s=20.0, step_s=step_s)
-    frames = drive(scenario)
-    assert len(frames) == round(20.0 / step_s)
-    assert frames[-1].time_s == pytest.approx(20.0)
-
-
 def test_a_timid_driver_keeps_a_longer_headway_than_a_threatening_one():
     headway = {}
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
@@ -164,16 +152,6 @@ def test_only_the_reckless_drive_on_the_wrong_side():
         metres[behavior] = float(steps.speed[wrong].sum()) * 0.1
     assert metres[Behavior.RECKLESS] > 50.0
     assert metres[Behavior.IMPATIENT] == 0.0
-
-
-@pytest.mark.parametrize("step_s", [0.1, 0.5])
-def test_who_stands_on_the_wrong_side_is_taken_off_and_the_others_drive_on(step_s):
-    scenario = get_scenario("two_way_road")(duration_s=600.0, step_s=step_s)
-    frames = drive(scenario, 3)
-    assert len(frames) == 600.0 / step_s
-    (removal,) = [e for f in frames for e in f.events if e.kind is EventKind.REMOVAL]
-    after = next(f for f in frames if f.time_s > removal.time_s)
-    assert removal.agent not in after.ids
 
 
 def test_threatening_drivers_cut_in_and_the_careful_do_not():
@@ -260,31 +238,6 @@ def test_leaving_early_closes_the_simulation():
         frames.close()
 
 
-def test_a_broken_net_is_one_line_with_the_reason(tmp_path):
-    scenario = short(duration_s=5.0)
-    net = tmp_path / "road.net.xml"
-    net.write_text("<net version='1.20'><edge")
-    road = dataclasses.replace(scenario.road, source=net)
-    with pytest.raises(SumoError, match="sumo: could not start: ") as error:
-        drive(dataclasses.replace(scenario, road=road))
-    assert "\n" not in str(error.value)
-    assert f"unexpected end of input In file '{net}'" in str(error.value)
-    assert len(drive(scenario)) == 50
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"route": ("nowhere",)}, "found edge 'nowhere' in its route"),
-        ({"profile": None}, "found no profile"),
-    ],
-)
-def test_unusable_agents_are_refused(changes, message):
-    scenario = short(duration_s=5.0)
-    with pytest.raises(InputError, match=message):
-        list(run(scenario, [lone(scenario, **changes)], 0))
-
-
 def test_every_kind_drives_with_its_own_size():
     scenario = short(
         kinds="car=.4,bus=.15,truck=.15,motorcycle=.15,bicycle=.15", duration_s=120.0, flow=1800.0
@@ -293,17 +246,3 @@ def test_every_kind_drives_with_its_own_size():
     assert {int(k) for f in frames for k in f.kind} >= {0, 1, 2, 3, 4}
     bicycles = [float(f.speed[f.kind == AgentKind.BICYCLE.code].max(initial=0)) for f in frames]
     assert 3.0 < max(bicycles) < 12.0
-
-
-def test_nothing_is_printed_and_other_engines_names_are_suggested():
-    code = (
-        "from scenarios import get_scenario; from sim.engines import get_engine\n"
-        "from sim.scenario import sample_agents\n"
-        "s = get_scenario('straight_road')(duration_s=3.0)\n"
-        "n = sum(1 for _ in get_engine('sumo')(s, sample_agents(s, 0), 0))\n"
-        "assert n == 30\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == ""
-    with pytest.raises(InputError, match="did you mean 'sumo'"):
-        get_engine("summo")

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import copy
 import pickle
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
-from behaviors.row_index import RowIndex
 from experiments.data.exchange import export_dataset, import_recordings
 from sim.formats import read_recordings
 from sim.frames import KINDS, Tracks
@@ -88,27 +85,6 @@ def test_frames_and_windows_hold_who_is_present() -> None:
     again = Tracks.from_frames(rows.frames())
     there = np.flatnonzero(dense.valid.any(axis=1))
     assert np.array_equal(again.xy, dense.xy[there], equal_nan=True)
-
-
-def test_places_of_some_agents_at_some_times() -> None:
-    dense = sparse(7, 11)
-    agent, step = np.arange(7)[:, None], np.arange(11)
-    assert np.array_equal(dense.as_rows().places(agent, step), dense.xy, equal_nan=True)
-    assert dense.as_rows().first_steps().tolist() == dense.valid.argmax(axis=1).tolist()
-    nobody = TrackRows(
-        RowIndex.of(np.zeros((2, 3), bool)), np.empty((0, 2)), np.empty(0), np.empty(0)
-    )
-    assert np.isnan(nobody.places(agent[:2], step[:3])).all()
-
-
-def test_arrays_that_do_not_fit_are_refused_before_they_are_made() -> None:
-    index = RowIndex.of_rows(np.arange(ONCE), np.arange(ONCE), ONCE, ONCE)
-    rows = TrackRows(index, np.zeros((ONCE, 2)), np.zeros(ONCE), np.zeros(ONCE))
-    tracemalloc.start()
-    with pytest.raises(InputError, match="found 8000 agents at 8000 times, expected"):
-        rows.dense("xy")
-    assert tracemalloc.get_traced_memory()[1] < 10**6
-    tracemalloc.stop()
 
 
 def test_agents_seen_once_each_cost_what_was_seen(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.stream import load_stream
@@ -69,12 +68,3 @@ def test_predictions_are_those_of_the_window_alone(frames: list[Frame]) -> None:
         window=Window(around=10**9),
     )  # fmt: skip
     assert nobody.ids.size == 0
-
-
-@pytest.mark.parametrize(
-    "given",
-    [{"region": (1.0, 0.0, 0.0, 1.0)}, {"region": (float("nan"), 0, 1, 1)}, {"radius_m": -1.0}],
-)
-def test_windows_that_cannot_be_are_refused_by_name(given: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=r"window\.(region|radius_m): found"):
-        Window(**given)  # type: ignore[arg-type]

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
-from sim.formats.waymo.tfrecord import write_record
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
 from tests.sim.scenes import waymo_message, waymo_record
@@ -143,11 +141,6 @@ def test_tfrecord(tmp_path: Path) -> None:
     assert road.knows.unknown == ("priority",)
 
 
-def test_several_scenarios_in_a_file(tmp_path: Path) -> None:
-    (tmp_path / "a.tfrecord").write_bytes(waymo_record() * 3)
-    assert len(list(read_recordings(tmp_path))) == 3
-
-
 def protobuf_json() -> dict[str, Any]:
     from google.protobuf.json_format import MessageToDict
 
@@ -207,31 +200,3 @@ def test_the_json_of_nocturne_and_gpudrive(tmp_path: Path, unit: float) -> None:
     assert isinstance(recording.road, Road)
     assert [(w.from_lane, w.to_lane) for w in recording.road.connections] == [("21", "22")]
     assert recording.road.knows.unknown == ("limits", "priority")
-
-
-# --- broken -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda data: data[:-3], "record 1: found the file's end"),
-        (lambda data: data[:5], "no length with its checksum"),
-        (lambda data: b"\xff" + data[1:], "no length with its checksum"),
-        (lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:], "checksum of its data"),
-        (lambda data: data + data[:9], "record 2"),
-        (lambda _: write_record(b"\xff\xff\xff"), "expected a Waymo scenario"),
-        (lambda _: write_record(b""), "no timestamps"),
-        (lambda _: write_record(waymo_message().replace(struct.pack("<d", 0.1), b"\xff" * 8)),
-         "times"),
-        (lambda _: write_record(waymo_message().replace(struct.pack("<d", 30.0), b"\xff" * 8)),
-         "speed limit|beyond|no number"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_is_refused(tmp_path: Path, change: Any, told: str) -> None:
-    path = tmp_path / "a.tfrecord"
-    path.write_bytes(change(waymo_record()))
-    with pytest.raises(InputError, match=r"a\.tfrecord") as caught:
-        list(read_recordings(path, "womd"))
-    assert any(word in str(caught.value) for word in told.split("|")), caught.value
-    assert "\n" not in str(caught.value)
