@@ -76,6 +76,5 @@ def _special_graph(d: int, rng: np.random.Generator) -> TrafficGraph:
         np.empty((0, 2), np.int64),
     ][shape].astype(np.int64)
     edges = edges[edges[:, 0] != edges[:, 1]]
-    weights = rng.random(len(edges)) ** 3 * 10.0 if rng.random() < 0.4 else None
     ids = rng.permutation(5 * d)[:d]
-    return TrafficGraph.from_edges(ids, ids[edges], weights)
+    return TrafficGraph.from_edges(ids, ids[edges])
