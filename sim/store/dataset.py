@@ -171,6 +171,7 @@ class Dataset:
             InputError: if there is no such table, or a filter is wrong.
         """
         from pyarrow import dataset as arrow_dataset
+        from pyarrow.fs import LocalFileSystem
 
         if table not in TABLES:
             raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
@@ -184,7 +185,7 @@ class Dataset:
             [self._place.full(file) for file in files],
             schema=pa.schema([*schema, *parts]),
             format="parquet",
-            filesystem=self._place.filesystem,
+            filesystem=self._place.filesystem if self._place.remote else LocalFileSystem(),
             partitioning=arrow_dataset.partitioning(parts, flavor="hive"),
             partition_base_dir=self._place.full(table),
         )
