@@ -28,6 +28,7 @@ from sim.formats.common.recording import Recording, Rows, assemble
 from sim.formats.common.tables import read_parquet
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
+from sim.input_files import stem
 from sim.road import Road
 from sim.road.maps.argoverse2 import read_map, static_map
 
@@ -116,7 +117,7 @@ def read(path: Path) -> Iterator[Recording]:
     agents = table.part(np.flatnonzero(road_agent))
     agent, names = agents.names("track_id")
     _, first = np.unique(agent, return_index=True)
-    name = path.stem.removeprefix("scenario_")
+    name = stem(path).removeprefix("scenario_")
     rows = Rows.of(
         agent,
         names,
