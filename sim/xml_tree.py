@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from sim.input_files import read_bytes as read_bytes
+from sim.input_files import read_bytes
 
 DECLARED: Final = re.compile(rb"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 """A declaration of a document type or an entity."""

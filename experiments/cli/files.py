@@ -100,8 +100,8 @@ def road(
     from experiments.score.rows import stamped, tidy_row
     from scenarios.own.survey import survey
     from sim.files import write_whole
+    from sim.input_files import read_bytes
     from sim.road.net import MAX_NET_BYTES
-    from sim.xml_tree import read_bytes
 
     found = guarded_call(file, survey, file)
     if out is not None:

@@ -28,7 +28,7 @@ from scenarios.environments.observation import (
     observe_graph,
 )
 from sim.frames import Event, EventKind, FloatArray, Frame
-from sim.geometry import Outlines, separation
+from sim.geometry import separation
 from sim.highway.demand import Demand
 from sim.highway.ego import (
     EgoEnv,
@@ -40,7 +40,7 @@ from sim.highway.ego import (
 )
 from sim.highway.engine import network_of, read_frame
 from sim.highway.lanes import LaneIndex
-from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.traffic import TrafficRoad, agent_of, outlines_of
 from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import AgentSpec, Scenario, sample_agents
 
@@ -527,7 +527,7 @@ class TrafficEnv(EgoEnv):
             if one is not ego and float(np.hypot(*(one.position - ego.position))) < NEARBY_M
         ]  # fmt: skip
         if others:
-            gaps = separation(_outlines([ego] * len(others)), _outlines(others))
+            gaps = separation(outlines_of([ego] * len(others)), outlines_of(others))
             near |= {agent_of(others[i]) for i in np.flatnonzero(gaps < NEAR_MISS_M)}
         return near
 
@@ -571,12 +571,3 @@ class TrafficEnv(EgoEnv):
             ids = np.array([agent_of(one) for one in others], dtype=np.int64)
             found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
         return found
-
-
-def _outlines(everyone: Sequence[Any]) -> Outlines:
-    """The outlines of highway-env's vehicles, in its axes."""
-    position, heading, length, width = (
-        np.array([getattr(one, name) for one in everyone])
-        for name in ("position", "heading", "LENGTH", "WIDTH")
-    )
-    return Outlines.of(position, heading, length, width)

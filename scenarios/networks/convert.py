@@ -18,10 +18,11 @@ from typing import Final
 from behaviors.errors import InputError
 from scenarios.networks.build import NET, cache_folder, find_program, run_program
 from sim.files import temporary_folder, write_whole
+from sim.input_files import read_bytes
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.road.net import read_road
-from sim.xml_tree import DECLARED, read_bytes
+from sim.xml_tree import refuse_declarations
 
 MAX_MAP_BYTES: Final = 2**28
 """Largest map, unpacked (256 MiB, as of nets)."""
@@ -128,8 +129,7 @@ def _content(path: Path) -> bytes:
     if path.is_dir():
         raise InputError(f"{path}: found a folder, expected a map file")
     data = read_bytes(path, MAX_MAP_BYTES)
-    if DECLARED.search(data.replace(b"\0", b"")):
-        raise InputError(f"{path}: found a document type or entity declaration, expected none")
+    refuse_declarations(path, data)
     return data
 
 

@@ -10,8 +10,9 @@ from typing import Final
 from behaviors.errors import InputError
 from scenarios.networks.convert import kept_net
 from sim.files import write_whole
+from sim.input_files import read_bytes
 from sim.road.net import MAX_NET_BYTES
-from sim.xml_tree import read_bytes, read_tree
+from sim.xml_tree import read_tree
 
 LEAST_LIMIT_MPS: Final = 1.0
 """Lowest speed limit that may be asked for, m/s (walking pace)."""

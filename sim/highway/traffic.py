@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -450,11 +451,10 @@ def agent_of(one: Any) -> int:
     return int(getattr(one, "agent", -1))
 
 
-def outlines_of(everyone: list[Any]) -> Outlines:
+def outlines_of(everyone: Sequence[Any]) -> Outlines:
     """The outlines of vehicles and pedestrians, in highway-env's axes."""
-    heading = np.array([one.heading for one in everyone])
-    return Outlines(
-        centre=np.array([one.position for one in everyone]),
-        forward=np.stack([np.cos(heading), np.sin(heading)], axis=1),
-        half=np.array([(one.LENGTH / 2, one.WIDTH / 2) for one in everyone]),
+    position, heading, length, width = (
+        np.array([getattr(one, name) for one in everyone])
+        for name in ("position", "heading", "LENGTH", "WIDTH")
     )
+    return Outlines.of(position, heading, length, width)

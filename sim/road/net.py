@@ -16,8 +16,9 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import Signal
+from sim.input_files import read_bytes
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
-from sim.xml_tree import DECLARED, read_bytes
+from sim.xml_tree import refuse_declarations
 
 _DIRECTIONS: Final = {
     "s": "straight",
@@ -104,8 +105,7 @@ def read_road(path: str | Path, name: str | None = None) -> Road:
 def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
     """The road in a net's file: read once as long as the file stays as it is."""
     data = read_bytes(source, MAX_NET_BYTES)
-    if DECLARED.search(data.replace(b"\0", b"")):
-        raise InputError(f"{source}: found a document type or entity declaration, expected none")
+    refuse_declarations(source, data)
     odd = _NO_NUMBER.search(data)
     if odd is not None:
         told = odd[0][:60].decode("utf-8", "replace").strip()
