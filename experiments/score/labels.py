@@ -19,6 +19,7 @@ from experiments.console.progress import Progress
 from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured, places_of, traffic_of
+from experiments.guard import guarded_call
 from experiments.score.answers import Answers, is_scored, score_answers, score_places
 from experiments.score.metrics import of_likelier_style
 from experiments.score.rows import Row
@@ -187,7 +188,7 @@ def answer_episodes(
     Raises:
         InputError: if a label is of nobody.
     """
-    given = None if labels is None else read_driver_labels(labels)
+    given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
     every = [(d.path, e) for d in datasets for e in d.episodes()]
     chosen = [
         (path, entry, place)

@@ -14,6 +14,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.windows import measured
+from experiments.guard import guarded_call
 from experiments.score.rows import Row, tidy_row
 from graphrqi.adaptation import LEAST_PAIRS, from_agreement, from_labels
 from graphrqi.methods import Model
@@ -144,7 +145,7 @@ def adapt(
     """
     trained = load_model(model)
     check_model_folder(out)
-    given = None if labels is None else read_driver_labels(labels)
+    given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
     drivers = drivers_of(open_dataset(recordings), trained, given, quiet)
     rows: list[Row] = [tidy_row({}, "drivers", len(drivers.labels))]
     if given is None:
