@@ -9,8 +9,7 @@ from typing import Any, Unpack
 
 from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
-from scenarios.networks.convert import drivable_net, name_of
-from scenarios.networks.edited import edited_net
+from scenarios.networks.convert import drivable_net, edited_net, name_of
 from scenarios.own.demand import flows_of
 from scenarios.own.routes import read_routes
 from sim.road.net import read_road
