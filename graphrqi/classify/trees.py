@@ -135,8 +135,10 @@ class Trees:
         padded[:n] = features
         turned = np.ascontiguousarray(padded.reshape(batches, WIDTH, width).swapaxes(1, 2))
         out = np.zeros((batches, sums, WIDTH))
+        first, feature, threshold, keep, leaf, column = self._wide
         sum_of_leaves(
-            turned.reshape(-1, WIDTH), *self._wide, np.empty(WIDTH, np.uint32), out
+            turned.reshape(-1, WIDTH), first, feature, threshold, keep, leaf, column,
+            np.empty(WIDTH, np.uint32), out,
         )  # fmt: skip
         return out.swapaxes(1, 2).reshape(-1, sums)[:n]
 
