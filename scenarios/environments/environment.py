@@ -279,9 +279,9 @@ class TrafficEnv(EgoEnv):
             self.advance()
         else:
             for vehicle in list(self.road.vehicles):
-                away_m = abs(self.road.distance_along(vehicle, lane) - BEGIN_M)
-                if away_m < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
-                    self.road.vehicles.remove(vehicle)
+                s, _ = self.road.network_info.lanes[lane].local_coordinates(vehicle.position)
+                if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+                    self.road.remove(vehicle)
         self._enter(ego, lane, room, speed)
         self.events = []
 
@@ -350,7 +350,7 @@ class TrafficEnv(EgoEnv):
     def remove(self, ego: Ego) -> None:
         """Take an ego vehicle off the road."""
         self.egos.remove(ego)
-        self.road.vehicles.remove(ego.vehicle)
+        self.road.remove(ego.vehicle)
 
     # Steps -----------------------------------------------------------------------------------
 
@@ -490,10 +490,10 @@ class TrafficEnv(EgoEnv):
     def _near_ids(self, ego: Any) -> set[int]:
         """Ids of those that an ego vehicle is about to hit or passes too near."""
         road, near = self.road, set[int]()
-        lead = road.neighbours(ego, ego.lane_index)
+        lead = road.beside(ego)
         closing = ego.speed - lead.front_speed
-        if lead.front is not None and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
-            near.add(agent_of(lead.front))
+        if lead.front >= 0 and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
+            near.add(agent_of(road.vehicles[lead.front]))
         if ego.speed <= WALKING_PACE_MPS:
             return near
         others = [
