@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -47,14 +47,29 @@ def import_(
     shift: Annotated[
         str | None, option("Move the map so far onto the positions, m.", metavar="X,Y")
     ] = None,
+    columns: Annotated[
+        str | None,
+        option("Columns of your own table; also heading, speed, vx, vy, length, width, kind.",
+               metavar="id=NAME,t=NAME,x=NAME,y=NAME"),
+    ] = None,
+    units: Annotated[
+        str | None, option("Units of these columns, where they are not SI.", metavar="t=ms,x=ft")
+    ] = None,
+    name: Annotated[
+        str | None, option("What the scenario is called; the format's name if not.", metavar="NAME")
+    ] = None,
+    split: Annotated[
+        Literal["train", "validation", "test"] | None,
+        option("The part of the data that everything belongs to.", show_default="all"),
+    ] = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Make a dataset of recordings in other formats."""
     from experiments.data.exchange import import_recordings
 
     import_recordings(
-        source, out, format, net, quiet=quiet, types=types, labels=labels, rate_hz=rate,
-        shift_m=_metres(shift),
+        source, out, format, net, split, quiet, types, labels, rate, _metres(shift),
+        _pairs("columns", columns), _pairs("units", units) or None, name,
     )  # fmt: skip
     say_size(out)
 
@@ -70,6 +85,18 @@ def _metres(text: str | None) -> tuple[float, float] | None:
 
         raise InputError(f"--shift: found {text!r:.60}, expected X,Y in metres") from None
     return x, y
+
+
+def _pairs(what: str, text: str | None) -> dict[str, str] | None:
+    """Values by name from ``NAME=VALUE,NAME=VALUE``."""
+    if text is None:
+        return None
+    found = dict(word.split("=", 1) for word in text.split(",") if word.count("="))
+    if len(found) != len(text.split(",")) or not all(found.values()):
+        from behaviors.errors import InputError
+
+        raise InputError(f"--{what}: found {text!r:.80}, expected NAME=VALUE,NAME=VALUE")
+    return {key.strip(): value.strip() for key, value in found.items()}
 
 
 def export(
