@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.frames import IntArray, Signal, Tracks
 from sim.road import Road
-from sim.road.lane_search import along
+from sim.road.lane_coordinates import along
 from sim.safety.encounters import Driven
 
 NEAR_S = 10.0
