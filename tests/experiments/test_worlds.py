@@ -15,12 +15,13 @@ from experiments.data.disturbances import (
 )
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate import RANDOM_WORLD
+from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS
 from experiments.generate.worlds.sensor import Sensor
 from experiments.generate.worlds.world import draw_world
-from scenarios.networks.written import ramp_net, straight_net
+from experiments.generate.worlds.written_nets import ramp_net, straight_net
 from sim.frames import Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
