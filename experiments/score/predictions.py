@@ -272,7 +272,7 @@ def off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int)
         return np.full(rows.size, np.nan)
     best = prediction.best[rows]
     moved = best[:, at] - best[:, max(at - 5, 0)]
-    place = road.project(best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
+    place = LaneGraph.of(road).project(best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
     width = LaneGraph.of(road).width[place.lane]
     return np.asarray(np.abs(place.offset) > width / 2 + LANE_MARGIN_M, dtype=np.float64)
 

@@ -105,7 +105,7 @@ def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray
     if not rows.size:
         return off, on_red
     xy = steps.xy[rows]
-    place = road.project(xy, steps.heading[rows])
+    place = LaneGraph.of(road).project(xy, steps.heading[rows])
     width = np.array([lane.width_m for lane in road.lanes])
     internal = np.array([lane.internal for lane in road.lanes])
     on_road = (np.abs(place.offset) < width[place.lane] / 2) & ~internal[place.lane]

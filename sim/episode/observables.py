@@ -148,7 +148,7 @@ def _perceive(
 ) -> tuple[LanePosition, lane_search.LaneView]:
     """The lane that each row is on, and what it sees on its way; arguments as of `_observe`."""
     xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
-    place = road.project(xy, heading)
+    place = LaneGraph.of(road).project(xy, heading)
     view = lane_search.perceive(
         xy, heading, length, driving, place.lane, place.s, place.offset, by_time, begins,
         LaneGraph.of(road),

@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 
 from sim.compiled import compiled, in_place
-from sim.road.lane_graph import FIT_MARGIN_M
+
+FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
+"""Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
+margin, m (a driver is nearly always within 4 m of its lane, so one cell suffices)."""
 
 
 @in_place(inner=True)
@@ -36,7 +39,7 @@ def fit(
         length: (G,) m.
         turn_cost_m: (G,) what facing across a piece costs, m; the other way costs twice as much.
         cells: `sim.road.cells.Cells` of the pieces; each cell lists at least all pieces within
-            `sim.road.lane_graph.FIT_MARGIN_M` of it.
+            `FIT_MARGIN_M` of it.
         best: (n,) receives the piece.
         at: (n,) receives the distance along it, m, from 0 to its length.
         left: (n,) receives the signed distance to its left, m.

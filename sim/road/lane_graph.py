@@ -32,10 +32,6 @@ NEAR_M, CELL_M = 0.01, 30.0
 """Lines whose boxes are farther apart than this do not meet; width of the cells in which such boxes
 are looked for, m (beyond rounding errors, and about the size of a junction)."""
 
-FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
-"""Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
-margin, m (a driver is nearly always within 4 m of its lane, so one cell suffices)."""
-
 TURN_COST_M, PATH_TURN_COST_M = 0.7, 4.0
 """What facing across a lane costs when a place is put on a lane, m, and what it costs on a path
 inside a junction (a lane is some 3 m wide)."""
@@ -135,6 +131,8 @@ class LaneGraph:
     @cached_property
     def _fitted(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, Cells]:
         """Start, direction, length, number and turn cost of vehicles' pieces, and their cells."""
+        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
+
         lane = np.repeat(np.arange(self.length.size), self.segment_last - self.segment_first + 1)
         piece = np.flatnonzero(self.drivable[lane] & (self.segment_length > LEAST_PIECE_M))
         if not piece.size:
@@ -152,7 +150,22 @@ class LaneGraph:
         return start, direction, length, piece, cost_m, cells
 
     def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
-        """Lane coordinates of points, as `Road.project` explains them."""
+        """Lane coordinates of points, on the vehicles' lane that fits place and heading best.
+
+        The fit is the distance to the centre line plus, in metres, how far the heading is from
+        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
+        junctions, where paths overlap and only the heading tells them apart.
+
+        Args:
+            xy: (n, 2) m.
+            heading: (n,) rad.
+
+        Returns:
+            Lane index, distance along it and signed offset of each point.
+
+        Raises:
+            InputError: if the road has no lane for vehicles.
+        """
         from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
 
         start, direction, length, piece, cost_m, cells = self._fitted

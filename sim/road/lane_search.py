@@ -73,7 +73,7 @@ def perceive(
         heading: (m,) rad.
         length: (m,) m.
         drives: (m,) whether the row is a vehicle's; the others are on no lane.
-        lane: (m,) lane that fits best, as `Road.project` finds it.
+        lane: (m,) lane that fits best, as `LaneGraph.project` finds it.
         s: (m,) distance along it, m.
         offset: (m,) distance to its left, m.
         by_time: (m,) the rows in order of time.

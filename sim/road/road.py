@@ -342,21 +342,3 @@ class Road:
         if not self.green_together(first.signal, second.signal):
             return True
         return two in first.yields_to and one in second.yields_to
-
-    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
-        """Lane coordinates of points, on the drivable lane that fits place and heading best.
-
-        The fit is the distance to the centre line plus, in metres, how far the heading is from
-        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
-        junctions, where paths overlap and only the heading tells them apart.
-
-        Args:
-            xy: (n, 2) m.
-            heading: (n,) rad.
-
-        Returns:
-            Lane index, distance along it and signed offset of each point.
-        """
-        from sim.road.lane_graph import LaneGraph  # which is made of roads
-
-        return LaneGraph.of(self).project(xy, heading)

@@ -7,6 +7,7 @@ import numpy as np
 from sim.frames import IntArray, Signal, Tracks
 from sim.road import Road
 from sim.road.lane_coordinates import along
+from sim.road.lane_graph import LaneGraph
 from sim.safety.encounters import Driven
 
 NEAR_S = 10.0
@@ -25,7 +26,9 @@ def priorities(
     link, crossing = np.full((2, driven.time_s.size), -1)
     drives = rows[~driven.walking[rows]]
     if drives.size:
-        lane = road.project(driven.bodies.xy[drives], driven.bodies.heading[drives]).lane
+        lane = (
+            LaneGraph.of(road).project(driven.bodies.xy[drives], driven.bodies.heading[drives]).lane
+        )
         link[drives] = road.connection_of_lane[lane]
     walks = rows[driven.walking[rows]]
     for number, place in enumerate(road.crossings):

@@ -79,7 +79,7 @@ def test_position_inverts_project_and_goes_on_straight(junction):
     xy, heading = graph.position(lanes, s, np.array([1.0, 0.0, 0.0, 0.0]))
     assert xy[0] == pytest.approx([30.0, 1.0])
     assert xy[3] == pytest.approx([260.0, 0.0])
-    back = junction.project(xy[:3], heading[:3])
+    back = LaneGraph.of(junction).project(xy[:3], heading[:3])
     assert back.lane.tolist() == [0, 3, 3]
     assert back.s == pytest.approx(s[:3], abs=1e-9)
     assert back.offset == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)

@@ -99,7 +99,7 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     column = columns[instant]
     past_xy, past_heading = xy[agent, column], heading[agent, column]
     past_length = history.length[agent]
-    found = road.project(past_xy, past_heading)
+    found = LaneGraph.of(road).project(past_xy, past_heading)
     view = perceive(
         past_xy, past_heading, past_length, np.ones(agent.size, np.bool_), found.lane, found.s,
         found.offset, np.arange(agent.size), begins, graph,
