@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 from sim.compiled import in_place
 from sim.highway.lanes import BLEND_M, LaneIndex, is_wrong_side
 from sim.road.cells import Cells, boxes_of, cells_of
-
-if TYPE_CHECKING:
-    from sim.highway.network import HighwayNetwork
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -118,10 +115,10 @@ class LaneTables:
     """A road's lanes as arrays, with the numbers of its lanes and stretches.
 
     Args:
-        network: the road in highway-env's terms.
+        network: the road in highway-env's terms, a `HighwayNetwork`.
     """
 
-    def __init__(self, network: HighwayNetwork) -> None:
+    def __init__(self, network: Any) -> None:
         self.network = network
         self.keys: list[LaneIndex] = list(network.lanes)
         self.number: dict[LaneIndex, int] = {key: k for k, key in enumerate(self.keys)}
