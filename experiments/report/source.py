@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,9 +14,6 @@ from behaviors.errors import InputError
 from experiments.score.rows import Row, checked_rows, read_rows
 from graphrqi.model_files import load_model
 from sim.store.catalogue import is_dataset
-
-NOT_ROWS: Final = frozenset({"metrics.json", "model.json"})
-"""JSON files of a folder that hold no rows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,15 +49,14 @@ def read_source(path: Path) -> Source:
         InputError: if there is nothing to report on, or a file is broken.
     """
     if path.is_file():
-        return Source(path, path.stem, table_of(read_rows(path), path))
+        return Source(path, path.stem, _table_of(read_rows(path), path))
     if not path.is_dir():
         raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
     if (path / "model.json").is_file():
         rows = checked_rows(_card_rows(path), f"{path / 'model.json'}: card.scores")
     else:
-        files = [file for file in sorted(path.glob("*.json")) if file.name not in NOT_ROWS]
-        rows = [row for file in files for row in read_rows(file)]
-    return Source(path, path.resolve().name, table_of(rows, path))
+        rows = [row for file in sorted(path.glob("*.json")) for row in read_rows(file)]
+    return Source(path, path.resolve().name, _table_of(rows, path))
 
 
 def _card_rows(path: Path) -> Any:
@@ -81,19 +77,8 @@ def _card_rows(path: Path) -> Any:
         return scores
 
 
-def table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
-    """Rows with a value as a table.
-
-    Args:
-        rows: tidy rows.
-        path: where they are from, for the message.
-
-    Returns:
-        A line for each row.
-
-    Raises:
-        InputError: if no row has a value.
-    """
+def _table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
+    """Rows with a value as a table."""
     measured = [row for row in rows if row.get("value") is not None]
     if not measured:
         raise InputError(
