@@ -24,7 +24,7 @@ from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
 from experiments.training.roads import generate_roads
 from graphrqi.model_files import MODELS, load_model, save_model
-from graphrqi.portable_torch import leave_onednn_out
+from graphrqi.networks.portable_torch import leave_onednn_out
 from graphrqi.predict.rollout.driver_table import CARD
 from sim.store.dataset import open_dataset
 

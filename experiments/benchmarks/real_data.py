@@ -43,7 +43,7 @@ from experiments.score.metrics import (
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.classify import make_classifier
 from graphrqi.features.observer import Observer
-from graphrqi.features.unit_free import standardised, unit_free_features
+from experiments.benchmarks.unit_free import standardised, unit_free_features
 from graphrqi.methods import METHODS
 from sim.formats import traf, traf_sheets
 from sim.formats.common.recording import CAR_LENGTH_M

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.methods import Model
-from graphrqi.other_traffic import Traffic
+from graphrqi.places.other_traffic import Traffic
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray, IntArray, Tracks

@@ -21,7 +21,7 @@ from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
 from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.model_files import load_model
-from graphrqi.units import image_scale
+from experiments.data.units import image_scale
 from sim.episode.annotate import annotate_recording
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS

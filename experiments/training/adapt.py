@@ -16,7 +16,7 @@ from experiments.console.progress import Progress
 from experiments.data.windows import measured
 from experiments.guard import guarded_call
 from experiments.score.rows import Row, tidy_row
-from graphrqi.adaptation import LEAST_PAIRS, from_agreement, from_labels
+from graphrqi.places.adaptation import LEAST_PAIRS, from_agreement, from_labels
 from graphrqi.methods import Model
 from graphrqi.model_files import check_model_folder, load_model, save_model
 from graphrqi.posterior import AGGRESSIVE, aggressive_share

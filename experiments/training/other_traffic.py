@@ -18,8 +18,8 @@ from experiments.score.answers import Answers, score_answers
 from experiments.score.rows import Row
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import RelativeObserver
-from graphrqi.other_traffic import OtherTraffic
-from graphrqi.other_traffic_training import EXACT, NOISY, OTHER, train_other_traffic
+from graphrqi.places.other_traffic import OtherTraffic
+from graphrqi.places.other_traffic_training import EXACT, NOISY, OTHER, train_other_traffic
 from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -121,6 +121,6 @@ def _observed(folder: Path, entry: EpisodeEntry, part: int, seed: int) -> Sample
     if part == NOISY:
         tracks = seen_badly(tracks, rng)
     try:
-        return collect(tracks, RelativeObserver(), number, WHOLE_TRACK_S, EVERY_S)
+        return collect(tracks, DriverObserver("smoothed"), number, WHOLE_TRACK_S, EVERY_S)
     except NoSamplesError:
         return None

@@ -8,7 +8,7 @@ import pytest
 from graphrqi.features.relative.observer import EVERY_S
 from graphrqi.live_answers import LiveAnswers
 from graphrqi.model_files import load_model
-from graphrqi.other_traffic import OtherTraffic
+from graphrqi.places.other_traffic import OtherTraffic
 
 
 def positions(time_s, noise_m=0.0, rng=None):

@@ -7,7 +7,7 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.adaptation import Adaptation, from_agreement, from_labels
+from graphrqi.places.adaptation import Adaptation, from_agreement, from_labels
 from graphrqi.features.observer import Observation
 from graphrqi.features.relative.observer import (
     SCENE_NAMES,
@@ -15,8 +15,8 @@ from graphrqi.features.relative.observer import (
 )
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
-from graphrqi.other_traffic import TRAFFIC
-from graphrqi.other_traffic_training import OTHER, train_other_traffic
+from graphrqi.places.other_traffic import TRAFFIC
+from graphrqi.places.other_traffic_training import OTHER, train_other_traffic
 from graphrqi.samples import Samples
 
 F = len(RelativeObserver.feature_names)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from graphrqi.scene_check import SceneMonitor, check_scene
+from experiments.data.scene_check import SceneMonitor, check_scene
 from sim.frames import Tracks
 
 STEP_S = 0.1
