@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks.scores import majority_of
 from experiments.data.disturbances import DISTURBANCES
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import gather, measured
 from experiments.rival import whole_tracks
+from experiments.score.rows import Cell
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.samples import WINDOWS_S, Samples
@@ -35,6 +35,28 @@ ASKED_EVERY_S: Final = 1.0
 
 Disturbance = tuple[str, float] | None
 """A key of ``DISTURBANCES`` and a level; None leaves recordings as they are."""
+
+
+def keys_of(
+    protocol: str, scenario: str, method: str, window_s: float | None, variation: str = ""
+) -> dict[str, Cell]:
+    """What a row says was measured; an infinite window is a driver's whole track.
+
+    Examples:
+        >>> keys_of("inductive", "city", "svm", float("inf"))["variation"]
+        'whole track'
+    """
+    if window_s is not None and not np.isfinite(window_s):
+        window_s, variation = None, ", ".join(filter(None, ("whole track", variation)))
+    return {
+        "protocol": protocol, "scenario": scenario, "method": method, "window_s": window_s,
+        "variation": variation,
+    }  # fmt: skip
+
+
+def majority_of(samples: Samples) -> int:
+    """The most frequent class among samples (of the training episodes, to be a fair rival)."""
+    return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
 
 
 class Recordings:

@@ -19,7 +19,7 @@ from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario
 from scenarios.city import city_agents, city_scenario
-from scenarios.networks.grid import grid_net
+from scenarios.networks.build import grid_net
 from sim.engines import get_engine
 from sim.frames import FloatArray
 from sim.road.net import read_road

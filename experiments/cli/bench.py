@@ -75,7 +75,7 @@ def classification(
     json: Json = None,
 ) -> None:
     """Score methods and the plain rival on unseen drivers, scenarios, engines, noise."""
-    from experiments.benchmarks.classification import OURS, measure
+    from experiments.benchmarks.classification import OURS, measure, table
     from experiments.score.parts import show_parts
 
     chosen, duration_s = (method or [], 150.0)
@@ -84,7 +84,7 @@ def classification(
         chosen, duration_s = chosen or [OURS, "majority"], 60.0
     count = episodes or (5 if quick else 15)
     parts = measure(protocol or (), chosen, count, duration_s, jobs, data, out)
-    show_parts("classification", parts, json)
+    show_parts("classification", parts, json, table)
 
 
 @bench.command("real-data", epilog="example: graphrqi bench real-data --data FOLDER --quick")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -17,6 +17,7 @@ from experiments.cli.options import (
     in_a_folder,
     metres_of,
     names_of,
+    pairs_of,
     refuse_to_overwrite,
 )
 
@@ -39,6 +40,25 @@ def import_(
         str | None,
         typer.Option(metavar="X,Y", help="Move the map so far onto the positions, m."),
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="id=NAME,t=NAME,x=NAME,y=NAME",
+            help="Columns of your own table; also heading, speed, vx, vy, length, width, kind.",
+        ),
+    ] = None,
+    units: Annotated[
+        str | None,
+        typer.Option(metavar="t=ms,x=ft", help="Units of these columns, where they are not SI."),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="What the scenario is called; the format's name if not."),
+    ] = None,
+    split: Annotated[
+        Literal["train", "validation", "test"] | None,
+        typer.Option(help="The part of the data that everything belongs to.", show_default="all"),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset of recordings in other formats."""
@@ -47,8 +67,8 @@ def import_(
     from experiments.data.exchange import import_recordings
 
     import_recordings(
-        source, out, format, net, quiet=quiet, types=types, labels=labels, rate_hz=rate,
-        shift_m=metres_of(shift),
+        source, out, format, net, split, quiet, types, labels, rate, metres_of(shift),
+        pairs_of("columns", columns), pairs_of("units", units) or None, name,
     )  # fmt: skip
     say(size_of(out))
 

@@ -81,6 +81,30 @@ def metres_of(text: str | None) -> tuple[float, float] | None:
     return x, y
 
 
+def pairs_of(what: str, text: str | None) -> dict[str, str] | None:
+    """Values by name from ``NAME=VALUE,NAME=VALUE``; None stays.
+
+    Args:
+        what: the option, for the message.
+        text: as it was given.
+
+    Raises:
+        InputError: if it is anything else.
+
+    Examples:
+        >>> pairs_of("columns", "id=track,t=time")
+        {'id': 'track', 't': 'time'}
+    """
+    if text is None:
+        return None
+    found = dict(word.split("=", 1) for word in text.split(",") if word.count("="))
+    if len(found) != len(text.split(",")) or not all(found.values()):
+        from behaviors.errors import InputError
+
+        raise InputError(f"--{what}: found {text!r:.80}, expected NAME=VALUE,NAME=VALUE")
+    return {key.strip(): value.strip() for key, value in found.items()}
+
+
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 

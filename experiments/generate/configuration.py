@@ -12,7 +12,7 @@ from behaviors.errors import InputError
 from behaviors.populations import read_population
 from experiments.guard import guarded_call, is_guarding
 from scenarios import get_scenario
-from scenarios.own.file import is_path
+from scenarios.own.scenario_file import is_path
 from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario

@@ -27,7 +27,7 @@ from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig, sce
 from experiments.generate.episode import Task
 from experiments.generate.lock import sole_writer
 from experiments.generate.workers import in_workers
-from scenarios.own.file import is_path
+from scenarios.own.scenario_file import is_path
 from sim.files import PARTIAL_PREFIX, Place, place_of
 from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
 from sim.store.dataset import open_dataset

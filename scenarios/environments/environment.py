@@ -268,7 +268,21 @@ class TrafficEnv(EgoEnv):
         self.controlled_vehicles = []
         self.define_spaces()
         ego = Ego(max(self.agents, default=-1) + 1, self._own_route())
-        self._enter(ego, *self.warm_up(drawn, seed, self._entry_lanes(ego)))
+        self.road = TrafficRoad(network_of(self.scenario.road))
+        self.demand = Demand(self.road, drawn, seed)
+        for _ in range(round(self.config["warmup_s"] / self.dt)):
+            self.advance()
+        for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
+            lane, room, speed = self._roomiest(ego)
+            if room > ENTRY_ROOM_M:
+                break
+            self.advance()
+        else:
+            for vehicle in list(self.road.vehicles):
+                s, _ = self.road.network_info.lanes[lane].local_coordinates(vehicle.position)
+                if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+                    self.road.remove(vehicle)
+        self._enter(ego, lane, room, speed)
         self.events = []
 
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
@@ -290,44 +304,12 @@ class TrafficEnv(EgoEnv):
             )
         return classify
 
-    def warm_up(
-        self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
-    ) -> tuple[LaneIndex, float, float]:
-        """Let the traffic drive, then until one of some lanes has room for an ego vehicle.
-
-        Args:
-            agents: everybody else.
-            seed: of the traffic.
-            lanes: those on which the ego vehicle may begin.
-
-        Returns:
-            The lane with most room, its room, m, and the speed of the next vehicle on it, m/s.
-        """
-        self.road = TrafficRoad(network_of(self.scenario.road))
-        self.demand = Demand(self.road, agents, seed)
-        for _ in range(round(self.config["warmup_s"] / self.dt)):
-            self.advance()
-        for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
-            self.road.locate()
-            lane, room, speed = self._roomiest(lanes)
-            if room > ENTRY_ROOM_M:
-                return lane, room, speed
-            self.advance()
-        for vehicle in list(self.road.vehicles):
-            s = self.road.distance_along(vehicle, lane)
-            if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
-                self.road.vehicles.remove(vehicle)
-        return lane, room, speed
-
-    def _entry_lanes(self, ego: Ego) -> list[LaneIndex]:
-        """The lanes on which an ego vehicle may begin."""
-        network = network_of(self.scenario.road)
-        return network.lanes_towards(ego.route[0], ego.route[1] if len(ego.route) > 1 else None)
-
-    def _roomiest(self, lanes: list[LaneIndex]) -> tuple[LaneIndex, float, float]:
-        """The lane with most room at its beginning, that room, m, and the next vehicle's speed."""
+    def _roomiest(self, ego: Ego) -> tuple[LaneIndex, float, float]:
+        """Of the lanes to begin on that with most room, its room, m, and the next one's speed."""
+        self.road.locate()
         found: list[tuple[LaneIndex, float, float]] = []
-        for lane in lanes:
+        then = ego.route[1] if len(ego.route) > 1 else None
+        for lane in self.road.network_info.lanes_towards(ego.route[0], then):
             room, speed = math.inf, math.inf
             distances, rows, _ = self.road.on_lane(lane)
             for s, row in zip(distances, rows, strict=True):
@@ -342,8 +324,8 @@ class TrafficEnv(EgoEnv):
         begin = 0.7 * float(self.road.network_info.lanes[lane].speed_limit)
         begin = min(begin, speed) if room < 40.0 else begin
         self.add_ego_vehicle(lane, BEGIN_M, begin, ego.route, ego.id)
-        ego.vehicle, ego.entered_s = self.vehicle, self.time
-        self._came_s = self.time
+        ego.vehicle = self.vehicle
+        ego.entered_s = self._came_s = self.time
         self.road.locate()
         ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
         self.egos.append(ego)
@@ -356,16 +338,11 @@ class TrafficEnv(EgoEnv):
             self.coming.append(Ego(self.egos[0].id + 1 + number, route))
 
     def let_in(self, every_s: float) -> None:
-        """Let the next ego vehicles in that have room.
-
-        Args:
-            every_s: least time since the last one came, s.
-        """
+        """Let the next ego vehicles in that have room, this long after the last one, s."""
         for ego in list(self.coming):
             if self.time - self._came_s < every_s - 1e-9:
                 return
-            self.road.locate()
-            lane, room, speed = self._roomiest(self._entry_lanes(ego))
+            lane, room, speed = self._roomiest(ego)
             if room > ENTRY_ROOM_M:
                 self.coming.remove(ego)
                 self._enter(ego, lane, room, speed)
@@ -373,7 +350,7 @@ class TrafficEnv(EgoEnv):
     def remove(self, ego: Ego) -> None:
         """Take an ego vehicle off the road."""
         self.egos.remove(ego)
-        self.road.vehicles.remove(ego.vehicle)
+        self.road.remove(ego.vehicle)
 
     # Steps -----------------------------------------------------------------------------------
 
@@ -463,7 +440,7 @@ class TrafficEnv(EgoEnv):
         return numbers.reshape(space.shape)
 
     def watch(self) -> None:
-        """Look at the step that has just been simulated: who has come too near?"""
+        """Count who has come too near in the step that has just been simulated."""
         self.road.locate()
         for ego in self.egos:
             near = self._near_ids(ego.vehicle)
@@ -471,7 +448,7 @@ class TrafficEnv(EgoEnv):
             ego.near = near
 
     def _judge(self, ego: Ego, before_m: float, frames: int) -> None:
-        """The parts of the reward for a policy step that began with so much of the way left."""
+        """Set the parts of the reward for a policy step that began this far from the goal, m."""
         if is_on_route(self.road, ego.vehicle):
             ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
         mine = [e for e in self.events if ego.id in (e.agent, e.other)]
@@ -493,9 +470,6 @@ class TrafficEnv(EgoEnv):
         cut = self.time - ego.entered_s >= self.config["duration_s"] - 1e-9
         return self.observe(ego), float(reward), bool(ended), bool(cut), self.info(ego)
 
-    def _info(self) -> dict[str, Any]:
-        return self.info(self.egos[0])
-
     def info(self, ego: Ego) -> dict[str, Any]:
         """The figures of an ego vehicle's last step."""
         return {
@@ -516,10 +490,10 @@ class TrafficEnv(EgoEnv):
     def _near_ids(self, ego: Any) -> set[int]:
         """Ids of those that an ego vehicle is about to hit or passes too near."""
         road, near = self.road, set[int]()
-        lead = road.neighbours(ego, ego.lane_index)
+        lead = road.beside(ego)
         closing = ego.speed - lead.front_speed
-        if lead.front is not None and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
-            near.add(agent_of(lead.front))
+        if lead.front >= 0 and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
+            near.add(agent_of(road.vehicles[lead.front]))
         if ego.speed <= WALKING_PACE_MPS:
             return near
         others = [
@@ -538,6 +512,9 @@ class TrafficEnv(EgoEnv):
 
     def _observe(self) -> Observation:
         return self.observe(self.egos[0])
+
+    def _info(self) -> dict[str, Any]:
+        return self.info(self.egos[0])
 
     def observe(self, ego: Ego) -> Observation:
         """What an ego vehicle observes now."""

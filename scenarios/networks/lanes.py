@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
-from scenarios.networks.geometry import LIMIT_MPS, connections, document
+from scenarios.networks.geometries import LIMIT_MPS, connection_rows, document
 from sim.road import Lane, Road
 
 _Link = tuple[str, int, str, int, bool]
@@ -93,7 +93,7 @@ def plain_files(road: Road) -> dict[str, str]:
     return {
         "map.nod.xml": document("nodes", rows),
         "map.edg.xml": document("edges", edge_rows),
-        "map.con.xml": connections(ways),
+        "map.con.xml": document("connections", connection_rows(ways)),
     }
 
 

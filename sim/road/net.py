@@ -51,6 +51,9 @@ STOPPING_STATES: Final = frozenset("sw")
 """Link states of connections with a stop sign."""
 
 
+HEAD_BYTES: Final = 65536
+"""Beginning of a net in which its location stands."""
+
 MAX_NET_BYTES: Final = 2**28
 """Largest net that is read, unpacked (256 MiB; a district of a city has some 20)."""
 
@@ -69,6 +72,24 @@ _BROKEN: Final = (
     OSError, RuntimeError, TypeError, ValueError, zlib.error,
 )  # fmt: skip
 """What sumolib raises on a broken net."""
+
+
+_OFFSET: Final = re.compile(
+    rb"""<location\b[^>]*?\bnetOffset\s*=\s*["']([-+.\deE]+),([-+.\deE]+)"""
+)
+
+
+def net_offset(path: Path) -> tuple[float, float]:
+    """What was added to the coordinates of a SUMO net when it was made, m; 0 where it says none.
+
+    Args:
+        path: a net, or any other map.
+    """
+    found = _OFFSET.search(read_bytes(path, MAX_NET_BYTES)[:HEAD_BYTES])
+    try:
+        return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
+    except ValueError:
+        return 0.0, 0.0
 
 
 def signal_code(letter: str) -> int:

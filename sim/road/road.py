@@ -7,9 +7,11 @@ from a SUMO net by `sim.road.net.read_road`, or from a recording's own map.
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,9 @@ from sim.road.cells import Cells, cells_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+MARGIN_M: Final = 10.0
+"""White round a picture, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +172,7 @@ class LanePosition:
 
 @dataclass(frozen=True, slots=True)
 class MapKnowledge:
-    """What a map tells; what it does not, nobody may take for granted.
+    """Which facts a map provides; anything else is unknown.
 
     Attributes:
         limits: whether it has speed limits.
@@ -184,7 +189,7 @@ class MapKnowledge:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """What it does not tell, in words.
+        """The facts that it does not provide, in words.
 
         Examples:
             >>> MapKnowledge(signals=False).unknown
@@ -218,10 +223,7 @@ class Road:
     knows: MapKnowledge = MapKnowledge()
 
     def __hash__(self) -> int:
-        """Of what tells roads apart at once: what is kept per road is looked up at every frame.
-
-        Equal roads have equal hashes, and the cost does not grow with the road.
-        """
+        """A cheap hash: caches per road are looked up at every frame."""
         return hash((self.name, self.source, len(self.lanes), len(self.connections), self.knows))
 
     def __repr__(self) -> str:
@@ -245,28 +247,43 @@ class Road:
             f"{counted(len(self.signal_groups), 'signal group')}{extent})"
         )
 
-    def _repr_html_(self) -> str:
-        """A picture of the centre lines, for notebooks: sidewalks and crossings are lighter."""
-        lines = [
-            (lane.centerline, lane.width_m, "#bbb" if lane.walking else "#666")
-            for lane in self.lanes
-        ]
-        lines += [(crossing.centerline, crossing.width_m, "#ddd") for crossing in self.crossings]
-        if not lines:
-            return f"<p>{html.escape(repr(self))}</p>"
+    def svg(self, edge_colors: Mapping[str, str] | None = None) -> str:
+        """A picture of the centre lines, as wide as lanes are; paths of junctions lie below.
+
+        Args:
+            edge_colors: colours of the vehicles' lanes by edge, instead of grey.
+        """
         x0, y0, x1, y1 = self.bounds
-        margin = 5.0
-        box = f"{x0 - margin:.1f} {-y1 - margin:.1f} {x1 - x0 + 10:.1f} {y1 - y0 + 10:.1f}"
-        paths = "".join(
-            f'<polyline fill="none" stroke="{color}" stroke-width="{0.9 * width_m:.1f}" points="'
-            + " ".join(f"{x:.1f},{-y:.1f}" for x, y in line)
-            + '"/>'
-            for line, width_m, color in lines
+        wide, high = x1 - x0 + 2 * MARGIN_M, y1 - y0 + 2 * MARGIN_M
+        lines = []
+        for lane in sorted(self.lanes, key=lambda one: not one.internal):
+            color = "#d9d4c7" if lane.walking else "#a9b1bb" if lane.internal else "#5b6470"
+            if edge_colors and not lane.walking:
+                color = edge_colors.get(lane.edge, color)
+            lines.append((lane.centerline, 0.85 * lane.width_m, color))
+        lines += [(crossing.centerline, crossing.width_m, "#e8c468") for crossing in self.crossings]
+        return "\n".join(
+            [
+                '<svg xmlns="http://www.w3.org/2000/svg" width="1000" '
+                f'viewBox="{x0 - MARGIN_M:.1f} {-y1 - MARGIN_M:.1f} {wide:.1f} {high:.1f}" '
+                f'height="{max(1000 * high / wide, 80):.0f}" style="background: white">',
+                f"<title>{html.escape(self.name)}</title>",
+                *(
+                    f'<polyline fill="none" stroke="{color}" stroke-width="{width_m:.2f}" points="'
+                    + " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
+                    + '"/>'
+                    for line, width_m, color in lines
+                ),
+                "</svg>\n",
+            ]
         )
-        return (
-            f'<figure><svg viewBox="{box}" width="480" height="320">{paths}</svg>'
-            f"<figcaption>{html.escape(repr(self))}</figcaption></figure>"
-        )
+
+    def _repr_html_(self) -> str:
+        """A picture and a summary, for notebooks."""
+        if not self.lanes:
+            return f"<p>{html.escape(repr(self))}</p>"
+        caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
+        return f"<figure>{self.svg()}{caption}</figure>"
 
     @cached_property
     def lane_index(self) -> dict[str, int]:

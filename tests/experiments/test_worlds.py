@@ -20,7 +20,7 @@ from experiments.generate.dataset import generate
 from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS
 from experiments.generate.worlds.sensor import Sensor
 from experiments.generate.worlds.world import draw_world
-from scenarios.networks.written import ramp_net, straight_net
+from experiments.generate.worlds.written_nets import ramp_net, straight_net
 from sim.frames import Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset

@@ -9,9 +9,9 @@ import numpy as np
 
 from behaviors.elementwise import log_uniform
 from behaviors.errors import InputError
+from experiments.generate.worlds.written_nets import limited_net, ramp_net, straight_net
 from scenarios.four_way_intersection import TURNS
-from scenarios.networks.geometry import ARMS, TWO_WAY_LENGTH_M
-from scenarios.networks.written import limited_net, ramp_net, straight_net
+from scenarios.networks.geometries import ARMS, TWO_WAY_LENGTH_M
 from sim.scenario import RouteFlow
 
 FAMILIES: Final[dict[str, float]] = {

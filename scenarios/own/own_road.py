@@ -9,10 +9,9 @@ from typing import Any, Unpack
 
 from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
-from scenarios.networks.convert import drivable_net, name_of
-from scenarios.networks.edited import edited_net
-from scenarios.own.demand import flows_of
-from scenarios.own.routes import read_routes
+from scenarios.networks.convert import drivable_net, edited_net, name_of
+from scenarios.own.flows import flows_of
+from scenarios.own.route_file import read_routes
 from sim.road.net import read_road
 from sim.scenario import RouteFlow, Scenario
 
@@ -33,7 +32,7 @@ def own_road(
     Args:
         net: the map: a SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2.
         routes: a SUMO route file; None for routes made from the map, as
-            `scenarios.own.demand.flows_of` does.
+            `scenarios.own.flows.flows_of` does.
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all routes; None for what
             the route file says, or else ``medium``. Levels need routes made from the map.
         demand: vehicles per hour that enter at each edge, by edge; instead of ``flow``.

@@ -19,7 +19,7 @@ from behaviors.errors import InputError
 from behaviors.populations import read_population
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
-from scenarios.own.road import own_road
+from scenarios.own.own_road import own_road
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import RouteFlow, Scenario
 
