@@ -8,6 +8,7 @@ half a metre, and no dense traffic.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from experiments.data.units import size_ratio, unit_of
-from sim.frames import BoolArray, FloatArray, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
 
 LOOK_S: Final = 0.5
 """Time between looks at overlaps and speeds, s."""
@@ -124,8 +125,8 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         >>> check_scene(tracks).is_scene, check_scene(tracks.part(n[:8], slice(None))).is_scene
         (False, True)
     """
-    tracks = tracks.part(np.flatnonzero(tracks.driving), slice(None))
-    seen = tracks.valid.any(axis=1)
+    tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
+    seen: BoolArray = np.asarray(tracks.valid.any(axis=1))
     count = int(seen.sum())
     if not count:
         return SceneCheck(True, (), 0.0, math.nan, math.nan, 0.0, math.nan)
@@ -194,7 +195,7 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
             continue
         xy = tracks.xy[rows, step]
         tree = cKDTree(xy)
-        nearest.append(tree.query(xy, k=2)[0][:, 1])
+        nearest.append(np.asarray(tree.query(xy, k=2)[0])[:, 1])
         pairs = tree.query_pairs(LONGEST_CORE_M * math.sqrt(2.0), output_type="ndarray")
         one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
         away, heading = xy[other] - xy[one], tracks.heading[rows[one], step]
@@ -220,7 +221,7 @@ def _jumps(tracks: Tracks) -> BoolArray:
 def _speeds(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, FloatArray]:
     """Logarithms of displacements over what stated speeds make them, and speeds, look by look."""
     paces, speeds = [], []
-    for first, last in zip(looks[:-1], looks[1:], strict=True):
+    for first, last in itertools.pairwise(looks):
         rows = np.flatnonzero(tracks.valid[:, first] & tracks.valid[:, last])
         passed_s = tracks.time_s[last] - tracks.time_s[first]
         travelled = np.hypot(*(tracks.xy[rows, last] - tracks.xy[rows, first]).T)

@@ -51,8 +51,7 @@ UNKNOWN_SCENE: Final = -10.0
 split it off."""
 
 LEFT_OVER: Final = ("weaving", "unrest")
-"""What courses leave over. People are restless on a scale that no sensor's noise explains; simulated
-drivers are below the noise."""
+"""What courses leave over. People are restless on a scale that no sensor's noise explains."""
 
 SCENE_NAMES: Final = (
     "noise", "frame interval", "pace", "drivers", "share following", "share moving", "seconds",

@@ -132,7 +132,5 @@ def neighbor_speed(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Fl
     from graphrqi.features.kernels import speed_of_neighbors
 
     out = np.empty(drives.size)
-    speed_of_neighbors(
-        graph.indptr, graph.indices, motion.velocity, motion.direction, drives, out
-    )
+    speed_of_neighbors(graph.indptr, graph.indices, motion.velocity, motion.direction, drives, out)
     return out

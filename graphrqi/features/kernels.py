@@ -57,7 +57,7 @@ def find_neighbors(
     nearest: IntArray,
     out: FloatArray,
 ) -> None:
-    """Find the nearest driver ahead and behind and the nearest pedestrian, and count those beside."""
+    """Distance and speed of the nearest ahead and behind, count beside, nearest pedestrian."""
     same_path_m, beside_m, abreast_m, pedestrian_m = limits_m
     for i in range(indptr.size - 1):
         if not drives[i]:

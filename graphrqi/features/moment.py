@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,7 @@ class Moment:
     STEADY_MPS2: float = 0.5
     """Largest acceleration of steady and of free driving."""
 
-    def __init__(
-        self, motion: Motion, around: Interaction, pace: Pace, slowest_mps: float
-    ) -> None:
+    def __init__(self, motion: Motion, around: Interaction, pace: Pace, slowest_mps: float) -> None:
         v, a = np.maximum(motion.speed, 0.0), motion.acceleration
         self.v, self.a, self.around = v, a, around
         self.gap, self.leader_speed = around.gap, around.leader_speed

@@ -256,9 +256,7 @@ class Courses:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._trail: FloatArray = np.empty((0, 0, 2))
 
-    def update(
-        self, time_s: float, ids: IntArray, xy: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Add one moment.
 
         Args:

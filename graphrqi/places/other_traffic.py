@@ -227,9 +227,9 @@ class OtherTraffic:
         return cls(noisy, other, low, high)
 
 
-def scene_of(features: FloatArray) -> FloatArray:
+def scene_of(features: NDArray[np.floating]) -> FloatArray:
     """(n, S) numbers of scenes among features (n, F); a city counts as a crossing."""
-    out = features[:, _SCENE]
+    out = features[:, _SCENE].astype(np.float64)
     drivers = _IN_SCENE["drivers"]
     out[:, drivers] = np.minimum(out[:, drivers], MOST_DRIVERS)
     return out

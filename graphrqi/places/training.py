@@ -22,6 +22,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.classify.contract import CodeArray
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.features.drivers import SCENE_NAMES
+from graphrqi.networks.portable_torch import adamw, one_thread, root
 from graphrqi.places.drivers import weights_of
 from graphrqi.places.network import (
     CLIP,
@@ -31,7 +32,6 @@ from graphrqi.places.network import (
     Member,
     PlaceNetwork,
 )
-from graphrqi.networks.portable_torch import adamw, one_thread, root
 from graphrqi.places.other_traffic import OtherTraffic, scene_of
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
