@@ -165,7 +165,7 @@ def _streamed(
     tracks = measured(open_dataset(folder).read(entry))
     if disturbance is not None:
         name, level = disturbance
-        tracks = DISTURBANCES[name][0](tracks, level, np.random.default_rng(number))
+        tracks = DISTURBANCES[name](tracks, level, np.random.default_rng(number))
     return look(tracks, BehaviorStream(model), number)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import all_in_parallel
 from experiments.data.windows import measured
-from experiments.generate.configuration import RANDOM_WORLD
+from experiments.generate import RANDOM_WORLD
 from experiments.generate.worlds.sensor import seen_badly
 from experiments.score.answers import Answers, score_answers
 from experiments.score.rows import Cell, Row

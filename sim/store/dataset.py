@@ -25,6 +25,7 @@ from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
+from sim.safety import Conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import (
     EPISODES,
@@ -34,7 +35,7 @@ from sim.store.catalogue import (
     rows_where,
     totals_of,
 )
-from sim.store.decode import read_tables
+from sim.store.decode import read_conflicts, read_tables
 from sim.store.schema import (
     CATALOGUE,
     TABLES,
@@ -160,7 +161,7 @@ class Dataset:
         """One table of all episodes that fit, to be read in pieces.
 
         Args:
-            table: steps, agents, frames, signals, events or traits.
+            table: steps, agents, frames, signals, events, traits or conflicts.
             filters: as of `episodes`; each chooses episodes, not agents.
 
         Returns:
@@ -246,6 +247,17 @@ class Dataset:
             InputError: if a file is missing, altered, or does not fit the schema; names the file.
         """
         return Episode(entry, *read_tables(self._place, entry))
+
+    def conflicts(self, entry: EpisodeEntry) -> Conflicts:
+        """The conflicts of an episode, as `sim.safety.conflicts` finds them in its tracks.
+
+        Args:
+            entry: one of `episodes`.
+
+        Raises:
+            InputError: if the file is missing, altered, or does not fit the schema; names the file.
+        """
+        return read_conflicts(self._place, entry)
 
     def load_episode(self, identity: str) -> Episode:
         """Read the episode of an id, as `read` does.

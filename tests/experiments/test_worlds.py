@@ -15,7 +15,8 @@ from experiments.data.disturbances import (
 )
 from experiments.data.verify import find_flaws
 from experiments.data.windows import gather
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate import RANDOM_WORLD
+from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS
 from experiments.generate.worlds.sensor import Sensor
