@@ -155,6 +155,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             row["agent"], row["kind"] = agent_of(one), 0 if kind is None else kind.code
             for name, value in STOCK_FIELDS.items():
                 row[name] = value
+            row["route"] = self.route_number(one.stretches)
             self._cars.add(one, row)
         self._changed()
 
@@ -167,12 +168,15 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Note that somebody has come or gone."""
         self._scene = None
         self._others = [(i, v) for i, v in enumerate(self.vehicles) if not isinstance(v, RowView)]
+        self._read_others()
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
         if stretches not in self._routes:
             self._routes[stretches] = len(self._routes)
-            self._scene = self._work = None
+            routes = self._route_table()
+            self._work = self._work and self._work._replace(routes=routes)
+            self._scene = self._scene and self._scene._replace(routes=routes)
         return self._routes[stretches]
 
     def footway_number(self, route: tuple[str, ...]) -> int:
@@ -185,21 +189,20 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def scene(self) -> Scene:
         """Everybody on the road as arrays, with rows in the order of ``vehicles``."""
-        for row, vehicle in self._others:
-            self._read(row, vehicle)
         if self._scene is None:
             self._scene = self._new_scene()
         return self._scene
 
-    def _read(self, i: int, vehicle: Vehicle) -> None:
-        """Read a vehicle that is no view of its row into it."""
-        row, number = self._cars.array[i], self.tables.number
-        row.x, row.y = vehicle.position
-        row.heading, row.speed, row.crashed = vehicle.heading, vehicle.speed, vehicle.crashed
-        row.length, row.width = vehicle.LENGTH, vehicle.WIDTH
-        row.lane = number[vehicle.lane_index]
-        row.target = number[getattr(vehicle, "target_lane_index", None) or vehicle.lane_index]
-        row.route = self.route_number(getattr(vehicle, "stretches", ()))
+    def _read_others(self) -> None:
+        """Read the vehicles that are no views of their rows into them."""
+        cars, number = self._cars.array, self.tables.number
+        for i, one in self._others:
+            cars["x"][i], cars["y"][i] = one.position
+            cars["heading"][i], cars["speed"][i] = one.heading, one.speed
+            cars["length"][i], cars["width"][i] = one.LENGTH, one.WIDTH
+            cars["crashed"][i], cars["lane"][i] = one.crashed, number[one.lane_index]
+            target = getattr(one, "target_lane_index", None) or one.lane_index
+            cars["target"][i] = number[target]
 
     def _new_scene(self) -> Scene:
         """The arrays of those who are there now."""
@@ -330,6 +333,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def room_at_entry(self, lanes: IntArray, length: float) -> tuple[list[float], list[float]]:
         """Bumper gap to the first vehicle on lanes or changing to them, m, and its speed, m/s."""
         gap, speed = np.empty(lanes.size), np.empty(lanes.size)
+        self._read_others()
         room_at_entry(lanes, length, self.scene(), gap, speed)
         return gap.tolist(), speed.tolist()
 
@@ -345,18 +349,17 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def act(self) -> None:
         """Let everybody decide."""
+        self._read_others()
         self.locate()
         scene = self.scene()
         astray = act(scene)
         self._read_events(scene)
         if astray:
             for row in np.flatnonzero(scene.vehicles["astray"]).tolist():
-                driver = self.vehicles[row]
-                route = find_way(self.network_info, driver.lane_index, driver.stretches[-1])
+                driver, lane = self.vehicles[row], int(scene.vehicles["lane"][row])
+                route = find_way(self.tables, lane, driver.stretches[-1])
                 if route is not None:
                     driver.stretches = (driver.lane_index[:2], *route)
-            if self._scene is None:
-                self.locate()
             decide(self.scene())
         for _, vehicle in self._others:
             vehicle.act()
@@ -365,6 +368,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
         for _, vehicle in self._others:
             vehicle.step(dt)
+        self._read_others()
         scene = self.scene()
         somebody_goes = move(dt, scene)
         self.update_signals()
@@ -406,7 +410,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             return False
         for vehicle in (one, other):
             lane = network.lanes[keys[vehicle.lane]]
-            s = lane.local_coordinates((vehicle.x, vehicle.y))[0]
+            s = lane.local_coordinates(np.array([vehicle.x, vehicle.y]))[0]
             inside = network.info[keys[vehicle.lane]].connector
             if inside or min(s, lane.length - s) < FROM_JUNCTION_M:
                 return False

@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.display import counted
-from behaviors.errors import InputError
 from sim.frames import Signal
-from sim.road.cells import Cells, cells_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -311,51 +309,6 @@ class Road:
         return float(x0), float(y0), float(x1), float(y1)
 
     @cached_property
-    def _drivable_segments(
-        self,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-        """Start, unit direction, length, lane, start distance and turn cost of each segment."""
-        start, direction, length, lane, at = [], [], [], [], []
-        for i, one in enumerate(self.lanes):
-            if one.walking:
-                continue
-            step = np.diff(one.centerline, axis=0)
-            size = np.hypot(step[:, 0], step[:, 1])
-            keep = size > 1e-9
-            start.append(one.centerline[:-1][keep])
-            direction.append(step[keep] / size[keep, None])
-            length.append(size[keep])
-            lane.append(np.full(int(keep.sum()), i, dtype=np.int64))
-            at.append((np.cumsum(size) - size)[keep])
-        if not start:
-            raise InputError(f"road {self.name!r}: found no drivable lane, expected at least one")
-        return (
-            np.concatenate(start),
-            np.concatenate(direction),
-            np.concatenate(length),
-            np.concatenate(lane),
-            np.concatenate(at),
-            # a lane is some 3 m wide
-            np.where(
-                np.array([one.internal for one in self.lanes])[np.concatenate(lane)], 4.0, 0.7
-            ),
-        )
-
-    @cached_property
-    def _segment_cells(self) -> Cells:
-        """The drivable segments by cell, as `sim.road.lane_coordinates.fit` looks for them."""
-        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
-
-        start, direction, length, *_ = self._drivable_segments
-        parts = np.maximum(np.ceil(length / FIT_CELL_M), 1.0).astype(np.int64)
-        segment = np.repeat(np.arange(parts.size), parts)
-        number = np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts)
-        step = (length / parts)[segment, None] * direction[segment]
-        ends = start[segment, None] + step[:, None] * (number[:, None] + [0.0, 1.0])[..., None]
-        low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
-        return cells_of(np.concatenate([low, high], axis=1), segment, FIT_CELL_M)
-
-    @cached_property
     def _plan_of_group(self) -> dict[int, SignalPlan]:
         """The plan that controls each signal group."""
         return {group: plan for plan in self.signal_plans for group in plan.groups}
@@ -389,29 +342,3 @@ class Road:
         if not self.green_together(first.signal, second.signal):
             return True
         return two in first.yields_to and one in second.yields_to
-
-    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
-        """Lane coordinates of points, on the drivable lane that fits place and heading best.
-
-        The fit is the distance to the centre line plus, in metres, how far the heading is from
-        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
-        junctions, where paths overlap and only the heading tells them apart.
-
-        Args:
-            xy: (n, 2) m.
-            heading: (n,) rad.
-
-        Returns:
-            Lane index, distance along it and signed offset of each point.
-        """
-        from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
-
-        start, direction, length, lane, at, turn_cost_m = self._drivable_segments
-        n = len(xy)
-        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
-        fit(
-            np.ascontiguousarray(xy, dtype=np.float64),
-            np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, turn_cost_m, self._segment_cells, best, along, across,
-        )  # fmt: skip
-        return LanePosition(lane=lane[best], s=at[best] + along, offset=across)
