@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 import xml.sax
@@ -74,6 +75,7 @@ _BROKEN: Final = (
 """What sumolib raises on a broken net."""
 
 
+_LEFT_HAND: Final = re.compile(rb"""<net\b[^>]*?\blefthand\s*=\s*["'](?:true|1)["']""")
 _OFFSET: Final = re.compile(
     rb"""<location\b[^>]*?\bnetOffset\s*=\s*["']([-+.\deE]+),([-+.\deE]+)"""
 )
@@ -140,6 +142,8 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
         raise InputError(
             f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
         ) from None
+    if _LEFT_HAND.search(data[:HEAD_BYTES]):
+        road = dataclasses.replace(road, left_hand=True)
     _check_ids(source, data.replace(b"\0", b""), road)
     _check(source, road)
     return road

@@ -154,6 +154,8 @@ def road_of_lanelets(
     priority: bool = False,
     signal_groups: tuple[str, ...] = (),
     signal_plans: tuple[SignalPlan, ...] = (),
+    left_hand: bool = False,
+    broken: Sequence[str] = (),
 ) -> Road:
     """A road of lanelets.
 
@@ -165,10 +167,14 @@ def road_of_lanelets(
         priority: whether the map says who yields to whom.
         signal_groups: the names of the lights.
         signal_plans: their programmes, if they are known.
+        left_hand: whether traffic drives on the left.
+        broken: why lanelets are left out, a sentence for each.
 
     Raises:
         InputError: if there is no lanelet for cars, or a line is none.
     """
+    if broken and len(broken) > len(lanelets):
+        raise InputError(broken[0])
     if not any(one.cars and not one.walking for one in lanelets.values()):
         raise InputError(f"{path}: found no lanelet for cars, expected at least one")
     lines = [one.centerline for one in lanelets.values()]
@@ -176,33 +182,37 @@ def road_of_lanelets(
     limits = any(math.isfinite(one.limit_mps) for one in lanelets.values())
     return Road(
         name=name if name is not None else path.name.split(".")[0],
-        lanes=tuple(lanes_of(lanelets)),
+        lanes=tuple(lanes_of(lanelets, left_hand)),
         connections=tuple(connections_of(lanelets)),
         crossings=tuple(crossings),
         signal_groups=signal_groups,
         source=path,
         signal_plans=signal_plans,
         knows=MapKnowledge(limits=limits, signals=bool(signal_groups), priority=priority),
+        left_hand=left_hand,
+        doubts=(f"{len(broken)} lanelets are left out, first {broken[0]}",) if broken else (),
     )
 
 
-def lanes_of(lanelets: Mapping[int, Lanelet]) -> Iterator[Lane]:
+def lanes_of(lanelets: Mapping[int, Lanelet], left_hand: bool = False) -> Iterator[Lane]:
     """Every lanelet as a lane; those side by side in one direction share an edge.
 
     Lanelets of another use (bicycles, buses) are edges of their own: nobody else changes to them.
 
     Args:
         lanelets: by id, in order of the ids.
+        left_hand: whether lanes are counted from the left.
 
     Yields:
         A lane per lanelet, in that order, its id in digits.
     """
     right: dict[int, int] = {}
     for i, one in lanelets.items():
-        beside = None if one.right is None else lanelets.get(one.right)
+        outer = one.left if left_hand else one.right
+        beside = None if outer is None else lanelets.get(outer)
         if (
             beside is not None
-            and beside.left == i
+            and (beside.right if left_hand else beside.left) == i
             and beside.use == one.use
             and beside.internal == one.internal
             and _chord(one) @ _chord(beside) >= 0
