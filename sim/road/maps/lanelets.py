@@ -24,6 +24,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
+from sim.geometry import distances_along
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 
 FloatArray = NDArray[np.float64]
@@ -96,7 +97,7 @@ def check_lines(path: Path, lines: Sequence[FloatArray]) -> None:
         raise InputError(f"{path}: found a line of one point, expected 2 or more")
     if not all((np.abs(line) <= MAX_COORDINATE_M).all() for line in lines):
         raise InputError(f"{path}: found a point beyond {MAX_COORDINATE_M:g} m, expected metres")
-    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
+    length_m = sum(float(distances_along(line)[-1]) for line in lines)
     if not 0 < length_m <= MAX_LENGTH_M:
         raise InputError(
             f"{path}: found {length_m:.3g} m of lanes, expected up to {MAX_LENGTH_M:g}"
@@ -136,7 +137,7 @@ def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
 
 def _shares(line: FloatArray) -> FloatArray:
     """(P,) how much of a line's length comes before each of its points."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    along = distances_along(line)
     return along / along[-1] if along[-1] > 0 else np.linspace(0.0, 1.0, len(line))
 
 
