@@ -113,6 +113,9 @@ class ScenarioFile(BaseModel):
     limits_mps: Annotated[tuple[_Positive, ...], Field(min_length=1, strict=False)] | None = None
     """Speed limits that the episodes of a dataset take in turn, m/s."""
 
+    left_hand: bool | None = None
+    """Whether traffic drives on the left, of an OpenStreetMap map."""
+
     signals: bool | None = None
     """Whether a map's traffic lights work; without them priority rules."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -209,6 +209,8 @@ class Road:
         source: the file it was read from.
         signal_plans: the programmes behind the signal groups, at most one for each group.
         knows: what its map tells; a SUMO net tells everything.
+        left_hand: whether traffic drives on the left; a lane's index 0 is then the leftmost.
+        doubts: what of its map is left out because it is broken, a sentence each.
     """
 
     name: str
@@ -219,6 +221,8 @@ class Road:
     source: Path
     signal_plans: tuple[SignalPlan, ...] = ()
     knows: MapKnowledge = MapKnowledge()
+    left_hand: bool = False
+    doubts: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
         """A cheap hash: caches per road are looked up at every frame."""
@@ -282,6 +286,24 @@ class Road:
             return f"<p>{html.escape(repr(self))}</p>"
         caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
         return f"<figure>{self.svg()}{caption}</figure>"
+
+    @cached_property
+    def mirrored(self) -> Road:
+        """The road in a mirror along the x axis: traffic on the left is then on the right."""
+        other = np.array([1.0, -1.0])
+        swapped = {"left": "right", "right": "left"}
+        return replace(
+            self,
+            lanes=tuple(replace(one, centerline=one.centerline * other) for one in self.lanes),
+            connections=tuple(
+                replace(one, direction=swapped.get(one.direction, one.direction))
+                for one in self.connections
+            ),
+            crossings=tuple(
+                replace(one, centerline=one.centerline * other) for one in self.crossings
+            ),
+            left_hand=not self.left_hand,
+        )
 
     @cached_property
     def lane_index(self) -> dict[str, int]:
