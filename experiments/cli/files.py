@@ -145,6 +145,14 @@ def road(
         option("Write NAME.net.xml, the picture NAME.svg, and the scenario NAME.toml.",
                metavar="NAME", callback=in_a_folder),
     ] = None,
+    left_hand: Annotated[
+        bool | None,
+        typer.Option(
+            "--left-hand/--right-hand",
+            help="On which side traffic drives, of OpenStreetMap.",
+            show_default="as the map says",
+        ),
+    ] = None,
     json: Json = None,
 ) -> None:  # fmt: skip
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
@@ -157,7 +165,7 @@ def road(
     from sim.input_files import read_bytes
     from sim.road.net import MAX_NET_BYTES
 
-    found = guarded_call(file, survey, file)
+    found = guarded_call(file, survey, file, left_hand)
     if out is not None:
         files = {
             Path(f"{out}.net.xml"): read_bytes(found.net, MAX_NET_BYTES),

@@ -35,6 +35,7 @@ class RecordedRoads:
         self._shift_m = shift_m
         self._fitted = 0
         self._refused: dict[str, str] = {}
+        self._said: set[str] = set()
         if net is not None:
             guarded_call(net, read_road_file, net)
 
@@ -62,6 +63,10 @@ class RecordedRoads:
         if self._shift_m is not None:
             road = shifted(road, self._shift_m)
             notes = ("the map is shifted by ({:g}, {:g}) m".format(*self._shift_m),)
+        for text in set(road.doubts) - self._said:
+            LOGGER.warning("%s: %s", road.source, text)
+        self._said |= set(road.doubts)
+        notes += road.doubts
         fit = map_fit(road, recording.tracks)
         if not fit.fits and self._shift_m is None and isinstance(given, Path):
             offset = net_offset(given)

@@ -361,8 +361,7 @@ class TrafficEnv(EgoEnv):
         """Move everybody for one simulation step."""
         road = self.road
         self.demand.enter()
-        road.act()
-        road.step(self.dt)
+        road.advance(self.dt)
         if self._classify is not None:
             frame = read_frame(road)
             self.events += frame.events
@@ -483,10 +482,14 @@ class TrafficEnv(EgoEnv):
 
     def outcome(self, ego: Ego) -> Outcome:
         """What became of an ego vehicle in the last step, as `step` returns it."""
+        return (self.observe(ego), *self.judged(ego))
+
+    def judged(self, ego: Ego) -> tuple[float, bool, bool, dict[str, Any]]:
+        """The same without the observation."""
         reward = sum(REWARDS[name] * value for name, value in ego.rewards.items())
         ended = ego.vehicle.crashed or ego.rewards["off_road"] > 0 or ego.has_arrived
         cut = self.time - ego.entered_s >= self.config["duration_s"] - 1e-9
-        return self.observe(ego), float(reward), bool(ended), bool(cut), self.info(ego)
+        return float(reward), bool(ended), bool(cut), self.info(ego)
 
     def info(self, ego: Ego) -> dict[str, Any]:
         """The figures of an ego vehicle's last step."""

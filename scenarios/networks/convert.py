@@ -22,6 +22,7 @@ from sim.files import temporary_folder, write_whole
 from sim.input_files import read_bytes
 from sim.road import Road
 from sim.road.files import read_road_file
+from sim.road.maps.sources import Source, prepared
 from sim.road.net import MAX_NET_BYTES, read_road
 from sim.xml_tree import read_tree, refuse_declarations
 
@@ -145,7 +146,26 @@ def name_of(path: Path) -> str:
     return _UNUSABLE.sub("_", path.name.split(".")[0])[:60].strip("_") or "road"
 
 
-def drivable_net(path: Path) -> Path:
+def source_of(path: Path, left_hand: bool | None = None) -> tuple[str, Source]:
+    """Which kind of map a file is, and its content as netconvert takes it.
+
+    Args:
+        path: a map.
+        left_hand: whether traffic drives on the left; None for what the map says.
+
+    Raises:
+        InputError: if the file is broken or no map.
+    """
+    content = _content(path)
+    kind = kind_of(path, content)
+    if left_hand is not None and kind != "openstreetmap":
+        raise InputError(
+            f"{path}: left_hand: found {KINDS[kind]}, expected OpenStreetMap: other maps say it"
+        )
+    return kind, prepared(path, kind, content, left_hand)
+
+
+def drivable_net(path: Path, left_hand: bool | None = None) -> Path:
     """The SUMO net of a map: the file itself if it is one, else one made now or before.
 
     A SUMO net without paths over its junctions gets them if netconvert is there; without paths,
@@ -153,6 +173,7 @@ def drivable_net(path: Path) -> Path:
 
     Args:
         path: a map.
+        left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
 
     Returns:
         The path of a SUMO net.
@@ -160,40 +181,43 @@ def drivable_net(path: Path) -> Path:
     Raises:
         InputError: if the map is broken, netconvert refuses it, or is needed and missing.
     """
-    content = _content(path)
-    kind = kind_of(path, content)
+    kind, source = source_of(path, left_hand)
     if kind == "sumo" and (
-        b'function="internal"' in content
+        b'function="internal"' in source.content
         or not _jumps(read_road(path))
         or not has_program("netconvert")
     ):
         return path
-    return _made_net(path, content, kind)
+    return _made_net(path, source, kind)
 
 
-def warnings_of(path: Path) -> tuple[str, ...]:
+def warnings_of(path: Path, left_hand: bool | None = None) -> tuple[str, ...]:
     """What netconvert warns of when it makes a net of a map; nothing where it is missing.
 
     Args:
         path: a map.
+        left_hand: as in `drivable_net`.
 
     Raises:
         InputError: if the map is broken or netconvert refuses it.
     """
+    kind, source = source_of(path, left_hand)
     if not has_program("netconvert"):
-        return ()
-    content = _content(path)
-    warnings = _made_net(path, content, kind_of(path, content)).with_name(WARNINGS)
-    return tuple(warnings.read_text(encoding="utf-8").splitlines()) if warnings.is_file() else ()
+        return source.assumed
+    file = _made_net(path, source, kind).with_name(WARNINGS)
+    warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
+    return (*source.assumed, *warned)
 
 
-def _made_net(path: Path, content: bytes, kind: str) -> Path:
+def _made_net(path: Path, source: Source, kind: str) -> Path:
     """The net that netconvert makes of a map, kept for the next time."""
     inputs = _READ_BY_NETCONVERT.get(kind, _PLAIN_FILES)
     options = OPTIONS[kind if kind in OPTIONS else "lanes"]
+    left_hand = source.left_hand or (kind not in OPTIONS and read_road_file(path).left_hand)
+    options = (*options, "--lefthand", "true") if left_hand else options
 
     def make(net: Path) -> None:
-        files = {inputs[1]: content}
+        files = {inputs[1]: source.content}
         if kind not in OPTIONS:
             from scenarios.networks.lanes import plain_files
 
@@ -206,7 +230,7 @@ def _made_net(path: Path, content: bytes, kind: str) -> Path:
             warnings = run_program(command, scratch, net, what=str(path), within_s=LONGEST_S)
         write_whole(net.with_name(WARNINGS), "\n".join(warnings).encode("utf-8"))
 
-    return _kept_net([kind, "oncoming lanes apart", *options], content, make)
+    return _kept_net([kind, "oncoming lanes apart", *options], source.content, make)
 
 
 def _jumps(road: Road) -> bool:

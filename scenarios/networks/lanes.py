@@ -7,7 +7,6 @@ meet in one node; netconvert works out there who has to let whom go first.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Iterable
 from typing import Final
@@ -19,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
 from scenarios.networks.geometries import LIMIT_MPS, connection_rows, document
+from sim.geometry import pieces_of
 from sim.road import Lane, Road
 
 _Link = tuple[str, int, str, int, bool]
@@ -66,7 +66,7 @@ def plain_files(road: Road) -> dict[str, str]:
             edges.setdefault(lane.edge, []).append(lane)
     if not edges:
         raise InputError(f"road {road.name!r:.60}: found no lane for cars, expected at least one")
-    for edge, lanes in _kept_apart(edges).items():
+    for edge, lanes in _kept_apart(edges, -1.0 if road.left_hand else 1.0).items():
         edges[edge] = sorted(lanes, key=lambda lane: lane.index)
     place = {lane.id: (lane.edge, i) for lanes in edges.values() for i, lane in enumerate(lanes)}
     links = [
@@ -97,8 +97,8 @@ def plain_files(road: Road) -> dict[str, str]:
     }
 
 
-def _kept_apart(edges: dict[str, list[Lane]]) -> dict[str, list[Lane]]:
-    """The lanes of each edge; those too near to an oncoming lane are moved to their right.
+def _kept_apart(edges: dict[str, list[Lane]], side: float) -> dict[str, list[Lane]]:
+    """The lanes of each edge; those too near to an oncoming lane are moved to the kerb.
 
     Maps draw narrow streets so, and drivers there would stand face to face for ever.
     """
@@ -117,7 +117,7 @@ def _kept_apart(edges: dict[str, list[Lane]]) -> dict[str, list[Lane]]:
             beside = beside[beside[:, 2:] @ along[k] < OPPOSED]
             if len(beside):
                 across = np.abs((beside[:, :2] - line[k]) @ left[k]).min()
-                line[k] -= max(least_m - across, 0.0) / 2 * left[k]
+                line[k] -= side * max(least_m - across, 0.0) / 2 * left[k]
         lines[lane.id] = line
     return {
         edge: [dataclasses.replace(lane, centerline=lines[lane.id]) for lane in lanes]
@@ -127,14 +127,11 @@ def _kept_apart(edges: dict[str, list[Lane]]) -> dict[str, list[Lane]]:
 
 def _sampled(line: np.ndarray) -> np.ndarray:
     """(k, 4) points of a line at most `SAMPLE_M` apart, and the direction at each."""
-    parts = []
-    for a, b in itertools.pairwise(line):
-        size = math.dist(a, b)
-        if size > 0:
-            share = np.linspace(0.0, 1.0, math.ceil(size / SAMPLE_M) + 1)[:, None]
-            along = np.broadcast_to((b - a) / size, (len(share), 2))
-            parts.append(np.hstack([a + share * (b - a), along]))
-    return np.concatenate([np.zeros((0, 4)), *parts])
+    parts = [np.zeros((0, 4))]
+    for start, direction, size, _ in zip(*pieces_of(line), strict=True):
+        along = np.linspace(0.0, size, math.ceil(size / SAMPLE_M) + 1)[:, None]
+        parts.append(np.hstack([start + along * direction, np.tile(direction, (len(along), 1))]))
+    return np.concatenate(parts)
 
 
 def _without(links: list[_Link], loops: set[str]) -> list[_Link]:
@@ -218,6 +215,6 @@ def _shape(line: np.ndarray) -> str:
     for point in line[1:]:
         if math.dist(point, kept[-1]) > 0.05:
             kept.append(point)
-    if len(kept) == 1 or sum(itertools.starmap(math.dist, itertools.pairwise(kept))) < 1e-6:
-        kept = [line[0], line[0] + np.array([LEAST_LENGTH_M, 0.0])]
+    if len(kept) == 1:
+        kept.append(line[0] + np.array([LEAST_LENGTH_M, 0.0]))
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in kept)

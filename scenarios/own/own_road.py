@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Final, Unpack
 
 from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
-from scenarios.networks.convert import drivable_net, edited_net, name_of
+from scenarios.networks.convert import drivable_net, edited_net, name_of, source_of
 from scenarios.own.flows import flows_of
 from scenarios.own.route_file import read_routes
 from sim.road.net import read_road
 from sim.scenario import RouteFlow, Scenario
+
+LOGGER: Final = logging.getLogger("graphrqi")
 
 
 def own_road(
@@ -25,6 +28,7 @@ def own_road(
     flows: Sequence[RouteFlow] | None = None,
     signals: bool = True,
     limit_mps: float | None = None,
+    left_hand: bool | None = None,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
     """Any road: a SUMO net, or a map that netconvert turns into one.
@@ -40,6 +44,7 @@ def own_road(
             ``demand``.
         signals: whether traffic lights work; else priority rules at their junctions.
         limit_mps: greatest speed limit, m/s; None for the map's own.
+        left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
         population: see `scenarios.demand.PopulationOptions`.
 
     Returns:
@@ -56,7 +61,9 @@ def own_road(
         raise InputError(f"{both[0]}: found {both[1]} beside it, expected one of them")
     path = Path(net)
     name = name_of(path)
-    road = read_road(edited_net(drivable_net(path), signals, limit_mps), name)
+    road = read_road(edited_net(drivable_net(path, left_hand), signals, limit_mps), name)
+    for text in source_of(path, left_hand)[1].warnings:
+        LOGGER.warning("%s: %s", path, text)
     if flows is not None:
         wanted = list(flows)
     elif routes is not None:

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order
 
 from behaviors.errors import InputError
-from scenarios.networks.convert import KINDS, drivable_net, kind_of, name_of, warnings_of
+from scenarios.networks.convert import KINDS, drivable_net, name_of, source_of, warnings_of
 from scenarios.own.flows import EdgeGraph, capacity_per_h, routes_of
 from sim.road import MapKnowledge, Road
 from sim.road.files import read_road_file
@@ -53,6 +53,7 @@ class Survey:
         limits = [lane.speed_limit_mps for lane in cars]
         found: dict[str, str | int | float] = {
             "map": KINDS[self.kind],
+            "traffic": "on the left" if road.left_hand else "on the right",
             "edges for cars": len(graph.lanes),
             "lanes for cars": len(cars),
             "length of these lanes, km": round(sum(one.length_m for one in cars) / 1000, 3),
@@ -81,22 +82,25 @@ class Survey:
         return self.road.svg(colors)
 
 
-def survey(path: Path) -> Survey:
+def survey(path: Path, left_hand: bool | None = None) -> Survey:
     """Look at a map.
 
     Args:
         path: a SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.
+        left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
 
     Raises:
         InputError: if it is no map, or no road can be made of it; one line says why.
     """
-    kind, net = kind_of(path), drivable_net(path)
+    kind, source = source_of(path, left_hand)
+    net, doubts = drivable_net(path, left_hand), tuple[str, ...]()
     road = read_road(net, name_of(path))
     if kind in ("sumo", "openstreetmap", "opendrive"):
-        knows = MapKnowledge(signals=bool(road.signal_groups))
+        knows = MapKnowledge(not source.unlimited, bool(road.signal_groups))
     else:
-        knows = read_road_file(path).knows
-    warnings = (*warnings_of(path), *_unreachable(EdgeGraph(road)))
+        own = read_road_file(path)
+        knows, doubts = own.knows, own.doubts
+    warnings = (*doubts, *warnings_of(path, left_hand), *_unreachable(EdgeGraph(road)))
     return Survey(name_of(path), kind, net, road, knows, warnings)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from behaviors.driver_models import braking_speed, krauss_safe_speed
 from behaviors.errors import InputError
+from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.highway.driving import idm
 from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR
@@ -122,19 +123,20 @@ class Demand:
 
     def _place(self, vehicle: ProfileVehicle, queue: _Queue) -> bool:
         """Place a vehicle on the lane with most room, and say whether there is any."""
-        me, length = vehicle.table[0], vehicle.LENGTH
+        me, profile, length = vehicle.table[0], vehicle.profile, vehicle.spec.length_m
+        top_speed = float(vehicle.table["top_speed"][0])
         best: tuple[float, float, LaneIndex] | None = None
         room_at = self.road.room_at_entry(queue.numbers, length)
         for lane, bend, gap, ahead in zip(queue.lanes, queue.bends, *room_at, strict=True):
             limit = float(self.road.network_info.lanes[lane].speed_limit)
-            wanted = float(min(me.speed_factor * limit, me.top_speed))
-            speed = min(wanted, _speed_to_slow_down(me, bend, length))
+            wanted = min(profile.speed_factor * limit, top_speed)
+            speed = min(wanted, _speed_to_slow_down(profile, bend, length))
             if gap < math.inf:
-                room = gap - me.min_gap_m
+                room, headway_s = gap - profile.min_gap_m, profile.time_headway_s
                 if idm(me, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
-                    safe = krauss_safe_speed(room, ahead, me.time_headway_s, ENTRY_BRAKING_MPS2)
+                    safe = krauss_safe_speed(room, ahead, headway_s, ENTRY_BRAKING_MPS2)
                     speed = min(speed, max(ahead, safe))
-                if room < me.time_headway_s * speed:
+                if room < headway_s * speed:
                     continue
             if best is None or gap > best[0]:
                 best = (gap, float(speed), lane)
@@ -143,11 +145,11 @@ class Demand:
         return best is not None
 
 
-def _speed_to_slow_down(me: Any, bend: tuple[float, float, bool], length: float) -> float:
+def _speed_to_slow_down(profile: Profile, bend: tuple[float, float, bool], length: float) -> float:
     """The speed from which a driver can stop or take the bend at the end of its lane, m/s."""
     lane_length, limit, waits = bend
     if limit == math.inf:
         return math.inf
-    allowed = 0.0 if waits else min(float(me.speed_factor), BEND_FACTOR) * limit
+    allowed = 0.0 if waits else min(profile.speed_factor, BEND_FACTOR) * limit
     left = max(lane_length - length, 0.0)
-    return braking_speed(left, allowed, BEND_BRAKING * float(me.comfort_decel_mps2))
+    return braking_speed(left, allowed, BEND_BRAKING * profile.comfort_decel_mps2)

@@ -20,7 +20,16 @@ from sim.geometry import Outlines
 from sim.highway.decide import act, decide
 from sim.highway.driving import STOCK_DRIVER, Beside, profile_fields
 from sim.highway.lanes import LaneIndex
-from sim.highway.motion import ARRIVED, STAYS, STUCK, move
+from sim.highway.motion import (
+    ARRIVED,
+    ASTRAY,
+    NO_ROOM,
+    SOMEBODY_GOES,
+    STAYS,
+    STUCK,
+    advance,
+    move,
+)
 from sim.highway.network import HighwayNetwork
 from sim.highway.reroute import find_way
 from sim.highway.scene import beside, locate, read_motion, room_at_entry
@@ -140,7 +149,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     @time_s.setter
     def time_s(self, time_s: float) -> None:
-        self._now["time_s"] = time_s
+        self._now["time_s"][0] = time_s
 
     # Who is there ----------------------------------------------------------------------------
 
@@ -155,6 +164,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             row["agent"], row["kind"] = agent_of(one), 0 if kind is None else kind.code
             for name, value in STOCK_FIELDS.items():
                 row[name] = value
+            row["route"] = self.route_number(one.stretches)
             self._cars.add(one, row)
         self._changed()
 
@@ -167,12 +177,15 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Note that somebody has come or gone."""
         self._scene = None
         self._others = [(i, v) for i, v in enumerate(self.vehicles) if not isinstance(v, RowView)]
+        self._read_others()
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
         if stretches not in self._routes:
             self._routes[stretches] = len(self._routes)
-            self._scene = self._work = None
+            routes = self._route_table()
+            self._work = self._work and self._work._replace(routes=routes)
+            self._scene = self._scene and self._scene._replace(routes=routes)
         return self._routes[stretches]
 
     def footway_number(self, route: tuple[str, ...]) -> int:
@@ -185,21 +198,20 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def scene(self) -> Scene:
         """Everybody on the road as arrays, with rows in the order of ``vehicles``."""
-        for row, vehicle in self._others:
-            self._read(row, vehicle)
         if self._scene is None:
             self._scene = self._new_scene()
         return self._scene
 
-    def _read(self, i: int, vehicle: Vehicle) -> None:
-        """Read a vehicle that is no view of its row into it."""
-        row, number = self._cars.array[i], self.tables.number
-        row.x, row.y = vehicle.position
-        row.heading, row.speed, row.crashed = vehicle.heading, vehicle.speed, vehicle.crashed
-        row.length, row.width = vehicle.LENGTH, vehicle.WIDTH
-        row.lane = number[vehicle.lane_index]
-        row.target = number[getattr(vehicle, "target_lane_index", None) or vehicle.lane_index]
-        row.route = self.route_number(getattr(vehicle, "stretches", ()))
+    def _read_others(self) -> None:
+        """Read the vehicles that are no views of their rows into them."""
+        cars, number = self._cars.array, self.tables.number
+        for i, one in self._others:
+            cars["x"][i], cars["y"][i] = one.position
+            cars["heading"][i], cars["speed"][i] = one.heading, one.speed
+            cars["length"][i], cars["width"][i] = one.LENGTH, one.WIDTH
+            cars["crashed"][i], cars["lane"][i] = one.crashed, number[one.lane_index]
+            target = getattr(one, "target_lane_index", None) or one.lane_index
+            cars["target"][i] = number[target]
 
     def _new_scene(self) -> Scene:
         """The arrays of those who are there now."""
@@ -269,6 +281,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
         plans, now_s = self.network_info.road.signal_plans, self.time_s
+        if not plans:
+            return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
             plan = plans[number]
             states, lasts_s = plan.phase_at(now_s)
@@ -285,12 +299,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _note(self, kind: EventKind, agent: int, other: int | None = None, rule: str = "") -> None:
         self.events.append(Event(kind, self.time_s, agent, other, rule))
-
-    def _read_events(self, scene: Scene) -> None:
-        """Keep the events that kernels recorded."""
-        for kind, agent in scene.events[: int(self._now["events"][0])].tolist():
-            self._note(EVENT_KINDS[kind], agent)
-        self._now["events"] = 0
 
     # Places ----------------------------------------------------------------------------------
 
@@ -330,6 +338,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def room_at_entry(self, lanes: IntArray, length: float) -> tuple[list[float], list[float]]:
         """Bumper gap to the first vehicle on lanes or changing to them, m, and its speed, m/s."""
         gap, speed = np.empty(lanes.size), np.empty(lanes.size)
+        self._read_others()
         room_at_entry(lanes, length, self.scene(), gap, speed)
         return gap.tolist(), speed.tolist()
 
@@ -343,33 +352,56 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     # A step ----------------------------------------------------------------------------------
 
+    def advance(self, dt: float) -> None:
+        """Let everybody decide and move for ``dt`` seconds; the same as `act` and `step`."""
+        if self._others:
+            self.act()
+            return self.step(dt)
+        code = advance(dt, self.scene())
+        if code == NO_ROOM:
+            self._scene = self._work = None
+            return self.advance(dt)
+        if code == ASTRAY:
+            self._reroute()
+            return self.step(dt)
+        return self._end_step(code == SOMEBODY_GOES)
+
     def act(self) -> None:
         """Let everybody decide."""
+        self._read_others()
         self.locate()
-        scene = self.scene()
-        astray = act(scene)
-        self._read_events(scene)
-        if astray:
-            for row in np.flatnonzero(scene.vehicles["astray"]).tolist():
-                driver = self.vehicles[row]
-                route = find_way(self.network_info, driver.lane_index, driver.stretches[-1])
-                if route is not None:
-                    driver.stretches = (driver.lane_index[:2], *route)
-            if self._scene is None:
-                self.locate()
-            decide(self.scene())
+        if act(self.scene()):
+            self._reroute()
         for _, vehicle in self._others:
             vehicle.act()
+
+    def _reroute(self) -> None:
+        """Find other routes for those who need one, and let everybody decide."""
+        rows = self._cars.rows
+        for row in np.flatnonzero(rows["astray"]).tolist():
+            driver = self.vehicles[row]
+            route = find_way(self.tables, int(rows["lane"][row]), driver.stretches[-1])
+            if route is not None:
+                driver.stretches = (driver.lane_index[:2], *route)
+        decide(self.scene())
 
     def step(self, dt: float) -> None:
         """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
         for _, vehicle in self._others:
             vehicle.step(dt)
+        self._read_others()
+        self._end_step(move(dt, self.scene()))
+
+    def _end_step(self, somebody_goes: bool) -> None:
+        """Show signals, record what happened and remove who goes, after everybody has moved."""
         scene = self.scene()
-        somebody_goes = move(dt, scene)
         self.update_signals()
-        self._collide(scene)
-        self._read_events(scene)
+        if self._now["pairs"][0] or self._touching:
+            self._collide(scene)
+        if self._now["events"][0]:
+            for kind, agent, time_s in scene.events[: int(self._now["events"][0])].tolist():
+                self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
+            self._now["events"] = 0
         if somebody_goes:
             self._clear(scene)
 
@@ -406,7 +438,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             return False
         for vehicle in (one, other):
             lane = network.lanes[keys[vehicle.lane]]
-            s = lane.local_coordinates((vehicle.x, vehicle.y))[0]
+            s = lane.local_coordinates(np.array([vehicle.x, vehicle.y]))[0]
             inside = network.info[keys[vehicle.lane]].connector
             if inside or min(s, lane.length - s) < FROM_JUNCTION_M:
                 return False

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Final
@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.display import counted
-from behaviors.errors import InputError
 from sim.frames import Signal
-from sim.road.cells import Cells, cells_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -211,6 +209,8 @@ class Road:
         source: the file it was read from.
         signal_plans: the programmes behind the signal groups, at most one for each group.
         knows: what its map tells; a SUMO net tells everything.
+        left_hand: whether traffic drives on the left; a lane's index 0 is then the leftmost.
+        doubts: what of its map is left out because it is broken, a sentence each.
     """
 
     name: str
@@ -221,6 +221,8 @@ class Road:
     source: Path
     signal_plans: tuple[SignalPlan, ...] = ()
     knows: MapKnowledge = MapKnowledge()
+    left_hand: bool = False
+    doubts: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
         """A cheap hash: caches per road are looked up at every frame."""
@@ -286,6 +288,24 @@ class Road:
         return f"<figure>{self.svg()}{caption}</figure>"
 
     @cached_property
+    def mirrored(self) -> Road:
+        """The road in a mirror along the x axis: traffic on the left is then on the right."""
+        other = np.array([1.0, -1.0])
+        swapped = {"left": "right", "right": "left"}
+        return replace(
+            self,
+            lanes=tuple(replace(one, centerline=one.centerline * other) for one in self.lanes),
+            connections=tuple(
+                replace(one, direction=swapped.get(one.direction, one.direction))
+                for one in self.connections
+            ),
+            crossings=tuple(
+                replace(one, centerline=one.centerline * other) for one in self.crossings
+            ),
+            left_hand=not self.left_hand,
+        )
+
+    @cached_property
     def lane_index(self) -> dict[str, int]:
         """Index into ``lanes`` of each lane id."""
         return {lane.id: i for i, lane in enumerate(self.lanes)}
@@ -309,51 +329,6 @@ class Road:
         points = np.concatenate([lane.centerline for lane in self.lanes])
         (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
         return float(x0), float(y0), float(x1), float(y1)
-
-    @cached_property
-    def _drivable_segments(
-        self,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-        """Start, unit direction, length, lane, start distance and turn cost of each segment."""
-        start, direction, length, lane, at = [], [], [], [], []
-        for i, one in enumerate(self.lanes):
-            if one.walking:
-                continue
-            step = np.diff(one.centerline, axis=0)
-            size = np.hypot(step[:, 0], step[:, 1])
-            keep = size > 1e-9
-            start.append(one.centerline[:-1][keep])
-            direction.append(step[keep] / size[keep, None])
-            length.append(size[keep])
-            lane.append(np.full(int(keep.sum()), i, dtype=np.int64))
-            at.append((np.cumsum(size) - size)[keep])
-        if not start:
-            raise InputError(f"road {self.name!r}: found no drivable lane, expected at least one")
-        return (
-            np.concatenate(start),
-            np.concatenate(direction),
-            np.concatenate(length),
-            np.concatenate(lane),
-            np.concatenate(at),
-            # a lane is some 3 m wide
-            np.where(
-                np.array([one.internal for one in self.lanes])[np.concatenate(lane)], 4.0, 0.7
-            ),
-        )
-
-    @cached_property
-    def _segment_cells(self) -> Cells:
-        """The drivable segments by cell, as `sim.road.lane_coordinates.fit` looks for them."""
-        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
-
-        start, direction, length, *_ = self._drivable_segments
-        parts = np.maximum(np.ceil(length / FIT_CELL_M), 1.0).astype(np.int64)
-        segment = np.repeat(np.arange(parts.size), parts)
-        number = np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts)
-        step = (length / parts)[segment, None] * direction[segment]
-        ends = start[segment, None] + step[:, None] * (number[:, None] + [0.0, 1.0])[..., None]
-        low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
-        return cells_of(np.concatenate([low, high], axis=1), segment, FIT_CELL_M)
 
     @cached_property
     def _plan_of_group(self) -> dict[int, SignalPlan]:
@@ -389,29 +364,3 @@ class Road:
         if not self.green_together(first.signal, second.signal):
             return True
         return two in first.yields_to and one in second.yields_to
-
-    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
-        """Lane coordinates of points, on the drivable lane that fits place and heading best.
-
-        The fit is the distance to the centre line plus, in metres, how far the heading is from
-        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
-        junctions, where paths overlap and only the heading tells them apart.
-
-        Args:
-            xy: (n, 2) m.
-            heading: (n,) rad.
-
-        Returns:
-            Lane index, distance along it and signed offset of each point.
-        """
-        from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
-
-        start, direction, length, lane, at, turn_cost_m = self._drivable_segments
-        n = len(xy)
-        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
-        fit(
-            np.ascontiguousarray(xy, dtype=np.float64),
-            np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, turn_cost_m, self._segment_cells, best, along, across,
-        )  # fmt: skip
-        return LanePosition(lane=lane[best], s=at[best] + along, offset=across)

@@ -8,7 +8,8 @@ import numpy as np
 
 from sim.frames import IntArray, Signal, Tracks
 from sim.road import Road
-from sim.road.lane_search import along
+from sim.road.lane_coordinates import along
+from sim.road.lane_graph import LaneGraph
 from sim.safety.encounters import Driven
 
 NEAR_S: Final = 60.0
@@ -35,7 +36,8 @@ def priorities(
         begins[road.lane_index[connection.from_lane]] = number
     drives = rows[~driven.walking[rows]]
     if drives.size:
-        lane = road.project(driven.bodies.xy[drives], driven.bodies.heading[drives]).lane
+        bodies = driven.bodies
+        lane = LaneGraph.of(road).project(bodies.xy[drives], bodies.heading[drives]).lane
         link[drives], ahead[drives] = road.connection_of_lane[lane], begins[lane]
     walks = rows[driven.walking[rows]]
     for number, place in enumerate(road.crossings):

@@ -77,14 +77,18 @@ CONTRADICTS, AGREES = 0.7, 0.9
 """Mean cosine between an agent's headings and its motion: below the first they contradict each
 other, above the second they agree."""
 
-CONTRADICTING: Final = 0.25
+CONTRADICTING: Final = 0.3
 """Share of the moving agents that must contradict before headings are doubted."""
 
-MOVING_MPS, MOVED_M, LEAST_STEPS = 2.0, 0.15, 5
-"""Speed and step above which motion has a direction, and how many such steps of an agent count."""
+MOVING_MPS, MOVED_M, LEAST_STEPS, LEAST_M = 2.0, 0.15, 5, 5.0
+"""Speed and step above which motion has a direction; how many such steps of an agent, and how many
+metres, make it known."""
 
 RIDING_MPS, RIDING_ROWS = 3.0, 3
 """A pedestrian who is inside a vehicle at such a speed, at so many times, rides in it."""
+
+TURN_RAD: Final = 2.1 * np.pi
+"""Larger angles than this are no radians, or count turns."""
 
 VEHICLES: Final = (AgentKind.CAR.code, AgentKind.BUS.code, AgentKind.TRUCK.code)
 
@@ -209,14 +213,15 @@ def _headings(tracks: Tracks, steps: _Steps, heading: FloatArray) -> list[str]:
     course = np.arctan2(steps.moved[used, 1], steps.moved[used, 0])
     told = heading[steps.row[used]]
     count = np.bincount(who, minlength=n)
-    known = count >= LEAST_STEPS
+    known = (count >= LEAST_STEPS) & (np.bincount(who, steps.way[used], n) >= LEAST_M)
 
     def agreement(angle: FloatArray) -> FloatArray:
         return np.bincount(who, np.cos(angle - course), n)[known] / count[known]
 
     agrees = agreement(told)
     against = int((agrees < CONTRADICTS).sum())
-    if not against or against <= CONTRADICTING * agrees.size:
+    turns = bool((np.abs(told) > TURN_RAD).any()) and agrees.mean() < AGREES
+    if not turns and (not against or against <= CONTRADICTING * agrees.size):
         return []
     causes = {text: float(agreement(undo(told)).mean()) for text, undo in HEADINGS.items()}
     best = max(causes, key=lambda text: causes[text])

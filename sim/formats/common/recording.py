@@ -221,7 +221,8 @@ def _sound(path: Path, rows: Rows, doubts: list[str]) -> tuple[Rows, FloatArray]
     if not rows.agent.size or lost.all():
         raise InputError(f"{path}: found no rows, expected at least one")
     if broken.sum() > MAX_BROKEN * n:
-        raise InputError(f"{path}: {found}")
+        cause = ", as if nanoseconds had been taken for seconds" if "time_s" in found else ""
+        raise InputError(f"{path}: {found}{cause}")
     if broken.any():
         doubts.append(f"{broken.sum()} of {n} agents are left out: {found}")
     kept = ~lost & ~broken[rows.agent]
