@@ -242,8 +242,8 @@ FORMATS: Final[Registry[Format]] = Registry(
 OTHERS: Final = (
     (re.compile(rb"^par1|^arrow1|^fea1"), "a table of other columns"),
     (re.compile(rb"^\s*<(?:!doctype )?html", re.DOTALL), "a web page, no download"),
-    (re.compile(rb"^pk\x03\x04"), "a ZIP archive, expected it unpacked"),
-    (re.compile(rb"^\x1f\x8b"), "a gzipped file, expected a name that ends in .gz"),
+    (re.compile(rb"^pk\x03\x04"), "a ZIP archive (to be unpacked)"),
+    (re.compile(rb"^\x1f\x8b"), "a gzipped file whose name does not end in .gz"),
     (re.compile(rb"^\x89hdf"), "an HDF5 file"),
     (re.compile(rb"^sqlite format 3"), "an SQLite database"),
     (re.compile(rb"^#rosbag|^\x89mcap"), "a ROS bag"),
@@ -366,6 +366,8 @@ def _what_it_is(path: Path) -> str:
         return "no known format" if any(path.iterdir()) else "an empty folder"
     beginning = _beginning(path)
     head = beginning.head
+    if not head:
+        return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
     other = next((text for look, text in OTHERS if look.search(head.lower())), None)
     columns = f"{', '.join(beginning.columns)}"
     if other == OTHERS[0][1]:
