@@ -144,7 +144,7 @@ class Recordings:
         return self._fitted[method, scenario]
 
     def streamed(self, model: Model, disturbance: Disturbance = None) -> tuple[Samples, FloatArray]:
-        """A stream's answers about the drivers of all episodes; see `look`."""
+        """A stream's answers about the drivers of all episodes."""
         entries = self.dataset.manifest.episodes
         calls = [(self.dataset.path, e, i, model, disturbance) for i, e in enumerate(entries)]
         parts = list(in_parallel(_streamed, calls, self._jobs))
@@ -166,21 +166,14 @@ def _streamed(
     if disturbance is not None:
         name, level = disturbance
         tracks = DISTURBANCES[name](tracks, level, np.random.default_rng(number))
-    return look(tracks, BehaviorStream(model), number)
+    return _looked(tracks, BehaviorStream(model), number)
 
 
-def look(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
-    """A stream's answers on one episode.
+def _looked(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
+    """Samples without features for each labelled driver and age that it reaches, and the answers.
 
-    Args:
-        tracks: of the episode.
-        stream: that has seen nothing.
-        number: of the episode, to put on the answers.
-
-    Returns:
-        Samples without features, one for each labelled driver and age of ``AGES_S`` that it
-        reaches, and (n, 6) the answers. A whole track is scored if it lasts ``AGES_S[0]``, so that
-        all ages are scored on the same drivers or fewer.
+    A whole track is scored if it lasts ``AGES_S[0]``, so that all ages are scored on the same
+    drivers or fewer.
     """
     n = tracks.ids.size
     codes = np.full(n, -1, dtype=np.int8) if tracks.behavior is None else tracks.behavior

@@ -17,6 +17,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import Signal
+from sim.geometry import distances_along
 from sim.input_files import read_bytes
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
 from sim.xml_tree import refuse_declarations
@@ -224,7 +225,7 @@ def _check(source: Path, road: Road) -> None:
         near = bool((np.abs(line) <= MAX_COORDINATE_M).all())
         require(near, what, "a point that is not finite or too far away", "metres")
         require(0 < width <= MAX_WIDTH_M, what, f"width {width}", f"up to {MAX_WIDTH_M:g} m")
-        total_m += float(np.hypot(*np.diff(line, axis=0).T).sum())
+        total_m += float(distances_along(line)[-1])
     require(total_m <= MAX_LENGTH_M, "lanes", f"{total_m:.3g} m", f"at most {MAX_LENGTH_M:g}")
     for lane in road.lanes:
         limit = lane.speed_limit_mps

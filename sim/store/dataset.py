@@ -11,7 +11,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -172,7 +172,6 @@ class Dataset:
             InputError: if there is no such table, or a filter is wrong.
         """
         from pyarrow import dataset as arrow_dataset
-        from pyarrow.fs import LocalFileSystem
 
         if table not in TABLES:
             raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
@@ -186,7 +185,7 @@ class Dataset:
             [self._place.full(file) for file in files],
             schema=pa.schema([*schema, *parts]),
             format="parquet",
-            filesystem=self._place.filesystem if self._place.remote else LocalFileSystem(),
+            filesystem=self._place.arrow_filesystem,
             partitioning=arrow_dataset.partitioning(parts, flavor="hive"),
             partition_base_dir=self._place.full(table),
         )
@@ -313,4 +312,15 @@ def open_dataset(path: str | Path) -> Dataset:
     Raises:
         InputError: if there is no catalogue, or it is broken or of another version.
     """
-    return Dataset(path)
+    place = place_of(path)
+    try:
+        stamp = place.stamp(EPISODES)
+    except OSError:
+        return Dataset(path)  # which says what is missing
+    return _opened(place.url, stamp)
+
+
+@lru_cache(maxsize=4)
+def _opened(url: str, stamp: str) -> Dataset:
+    """A dataset, opened once in a process while its catalogue stays the same."""
+    return Dataset(url)

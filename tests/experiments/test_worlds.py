@@ -13,7 +13,7 @@ from experiments.data.disturbances import (
     frame_rate,
     renamed_tracks,
 )
-from experiments.data.verify import find_flaws
+from experiments.data.verify import verify_dataset
 from experiments.data.windows import gather
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.configuration import GenerateConfig
@@ -60,7 +60,7 @@ def test_many_worlds_hold_every_law_family_and_discipline():
 
 def test_episodes_can_be_opened_trained_on_and_verified(dataset: Dataset):
     assert len(dataset.manifest.episodes) == CONFIG.episodes
-    assert find_flaws(dataset) == []
+    assert verify_dataset(dataset.path) == []
     for entry in dataset.manifest.episodes:
         world = draw_world(entry.seed, 15.0)
         episode = dataset.read(entry)

@@ -97,7 +97,7 @@ def check_lines(path: Path, lines: Sequence[FloatArray]) -> None:
         raise InputError(f"{path}: found a line of one point, expected 2 or more")
     if not all((np.abs(line) <= MAX_COORDINATE_M).all() for line in lines):
         raise InputError(f"{path}: found a point beyond {MAX_COORDINATE_M:g} m, expected metres")
-    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
+    length_m = sum(float(distances_along(line)[-1]) for line in lines)
     if not 0 < length_m <= MAX_LENGTH_M:
         raise InputError(
             f"{path}: found {length_m:.3g} m of lanes, expected up to {MAX_LENGTH_M:g}"
