@@ -162,7 +162,7 @@ class Posterior:
     def _repr_html_(self) -> str:
         """A table of the first drivers, for notebooks."""
         table = self.to_pandas().head(_SHOWN)
-        return f"<p>{html.escape(repr(self))}</p>{table.to_html(float_format='%.2f')}"
+        return f"<p>{html.escape(repr(self))}</p>{table.round(2).to_html()}"
 
     def to_pandas(self) -> pd.DataFrame:
         """Table of the probabilities: a row per driver, a column per behaviour.
