@@ -17,6 +17,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import Signal
+from sim.geometry import distances_along
 from sim.input_files import read_bytes
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
 from sim.xml_tree import refuse_declarations
@@ -138,7 +139,9 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
     except _BROKEN as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split())
+        if isinstance(error, AttributeError | LookupError | TypeError) or not reason:
+            reason = "a part is missing, or is of another kind"
         raise InputError(
             f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
         ) from None
@@ -222,7 +225,7 @@ def _check(source: Path, road: Road) -> None:
         near = bool((np.abs(line) <= MAX_COORDINATE_M).all())
         require(near, what, "a point that is not finite or too far away", "metres")
         require(0 < width <= MAX_WIDTH_M, what, f"width {width}", f"up to {MAX_WIDTH_M:g} m")
-        total_m += float(np.hypot(*np.diff(line, axis=0).T).sum())
+        total_m += float(distances_along(line)[-1])
     require(total_m <= MAX_LENGTH_M, "lanes", f"{total_m:.3g} m", f"at most {MAX_LENGTH_M:g}")
     for lane in road.lanes:
         limit = lane.speed_limit_mps
