@@ -183,13 +183,17 @@ def predict(
         ),
     ] = None,
     traffic: TrafficKind = None,
+    split: Annotated[
+        str | None,
+        typer.Option(help="test, validation, train or all [default: test; all of recordings]."),
+    ] = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
     """Predict where everyone goes, and score it."""
     from experiments.console.tables import show_table
-    from experiments.score.predict import errors_table, predict_dataset
+    from experiments.score.predict import default_split, errors_table, predict_dataset
     from experiments.score.rows import stamped
 
     refuse_to_overwrite([source, net], [out, json])
@@ -203,6 +207,7 @@ def predict(
             out=out,
             weights=weights,
             traffic=traffic,
+            split=split or default_split(dataset),
             jobs=jobs,
             quiet=quiet,
         )
