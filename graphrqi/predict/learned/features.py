@@ -99,22 +99,7 @@ def _describe_own_states(
     speed: Any, length: Any, on_path: Any, lane: Any, s: Any, offset: Any, lateral_speed: Any,
     accel: Any, seen: Any, road: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Write the first `STATE` features.
-
-    Args:
-        speed: (n,) present speeds, m/s.
-        length: (n,) m.
-        on_path: (n,) and the next five: columns of the `Scene`.
-        lane: (n,).
-        s: (n,).
-        offset: (n,).
-        lateral_speed: (n,).
-        accel: (n,).
-        seen: (n,) speeds over limit, and lane, as in
-            `graphrqi.predict.scene.agent_states.AgentStates`.
-        road: columns of the `sim.road.lane_graph.LaneGraph`, and the (L,) speed limits, m/s.
-        out: (n, F) receives them; must be zero before.
-    """
+    """Write the first `STATE` features."""
     free, least, on_lane = seen
     left, right, internal, lane_length, limits = road
     for i in range(lane.size):
@@ -134,15 +119,7 @@ def _describe_own_states(
 
 @in_place()
 def _describe_past(valid: Any, speed: Any, heading: Any, columns: Any, out: Any) -> None:
-    """Write the features of the own past.
-
-    Args:
-        valid: (n, T) and the next two: the history.
-        speed: (n, T).
-        heading: (n, T).
-        columns: (P,) the columns of it that are described, -1: before it begins.
-        out: (n, F) receives the features; must be zero before.
-    """
+    """Write the features of the own past."""
     n, moments = speed.shape
     last = moments - 1
     for i in range(n):
@@ -161,22 +138,7 @@ def _describe_neighbors(
     speed: Any, length: Any, accel: Any, leader: Any, gap: Any, follower: Any, adjacent: Any,
     adjacent_gap: Any, who: Any, far: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Write the features of the neighbours.
-
-    Args:
-        speed: (n,) present speeds, m/s.
-        length: (n,) m.
-        accel: (n,) present accelerations, m/s2.
-        leader: (n,) and the next four: who drives around each, as in
-            `graphrqi.predict.scene.agent_states.AgentStates`.
-        gap: (n,).
-        follower: (n,).
-        adjacent: (n, 4).
-        adjacent_gap: (n, 4).
-        who: (NEIGHBORS,) room to work in.
-        far: (NEIGHBORS,) likewise.
-        out: (n, F) receives the features; must be zero before.
-    """
+    """Write the features of the neighbours."""
     for i in range(leader.size):
         who[0], far[0] = leader[i], gap[i]
         who[1] = who[2] = -1
@@ -202,23 +164,7 @@ def _describe_paths(
     on_path: Any, s: Any, length: Any, path_of: Any, stop_state: Any, shown: Any, stop_x: Any,
     stop_row: Any, turn: Any, start: Any, limit: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Write the next stop constraints, the next lower limit, and which way the path turns.
-
-    Args:
-        on_path: (n,) whether each is on a path.
-        s: (n,) distance along its first lane, m.
-        length: (n,) m.
-        path_of: (n,) path of each.
-        stop_state: (R, steps + 1) states of the stop constraints.
-        shown: (A,) columns of them that are described.
-        stop_x: (Q, G) and the next four: columns of the
-            `graphrqi.predict.scene.paths.PathTable`.
-        stop_row: (Q, G).
-        turn: (Q,).
-        start: (Q, P).
-        limit: (Q, P).
-        out: (n, F) receives the features; must be zero before.
-    """
+    """Write the next stop constraints, the next lower limit, and which way the path turns."""
     (_, stops), (_, lanes) = stop_x.shape, start.shape
     for i in range(s.size):
         if not on_path[i]:

@@ -140,19 +140,7 @@ def _decode(
     raw: Any, anchors: Any, time_s: Any, spread_scale: float, weight: Any, own: Any, spread: Any,
     probability: Any,
 ) -> None:  # fmt: skip
-    """Write the columns of `Futures`.
-
-    Args:
-        raw: (n, K, A + 3 J + 1) per future weights of the anchors, residuals at the knots,
-            logarithms of the spreads, and a score.
-        anchors: (n, A, J, 2) m.
-        time_s: (J,) of the knots, s.
-        spread_scale: factor of all spreads.
-        weight: (A,) room to work in.
-        own: (n, K, J, 2) receives the positions, m.
-        spread: (n, K, J) receives the spreads, m.
-        probability: (n, K) receives the probabilities.
-    """
+    """Write the columns of `Futures`."""
     n, modes, _ = raw.shape
     _, count, knots, _ = anchors.shape
     for i in range(n):
@@ -190,19 +178,7 @@ def _find_positions(
     own: Any, matrix: Any, start: Any, speed: Any, heading: Any, now: Any, walks: Any, room: Any,
     out: Any,
 ) -> None:  # fmt: skip
-    """Find positions at every step from knots in the drivers' frames.
-
-    Args:
-        own: (n, K, J, 2) knots ahead and to the left, m.
-        matrix: (J, H) weight of each knot at each step.
-        start: (H,) weight of the present speed.
-        speed: (n,) m/s.
-        heading: (n,) rad.
-        now: (n, 2) present positions, m.
-        walks: (n,) who walks on instead.
-        room: (2, H) room to work in.
-        out: (n, K, H, 2) receives the positions, m.
-    """
+    """Find positions at every step from knots in the drivers' frames."""
     n, modes, knots, _ = own.shape
     steps = start.size
     ahead, left = room[0], room[1]

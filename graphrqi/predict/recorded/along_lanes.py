@@ -192,18 +192,7 @@ def beginnings(ahead: LanesAhead, speed: Floats, time_s: Floats) -> tuple[FloatA
 def _covering(
     futures: FloatArray, weight: FloatArray, time_s: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Choose futures that cover all others, and say which of them stands for each.
-
-    Each further choice is the one that most reduces the mean distance to the nearest chosen future.
-
-    Args:
-        futures: (n, K, H, 2) m.
-        weight: (n, K) probabilities.
-        time_s: (H,) s.
-
-    Returns:
-        (n, MODES - 1) which are chosen, and (n, K) the number of the nearest chosen one.
-    """
+    """Choose futures that cover all others, and say which of them stands for each."""
     at = np.searchsorted(time_s, np.asarray(COMPARED_S) - 1e-9)
     at = np.unique(np.minimum(at, time_s.size - 1))
     some = futures[:, :, at]
@@ -223,18 +212,7 @@ def _stand_for(
     futures: FloatArray, spread: FloatArray, weight: FloatArray, chosen: IntArray,
     belongs: IntArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Probability of the futures that each chosen one stands for, and their spread around it.
-
-    Args:
-        futures: (n, K, H, 2) m.
-        spread: (n, K, H) m.
-        weight: (n, K) probabilities.
-        chosen: (n, C) which are chosen.
-        belongs: (n, K) the number of the chosen one that stands for each.
-
-    Returns:
-        (n, C) probabilities and (n, C, H) spreads, m.
-    """
+    """Probability of the futures that each chosen one stands for, and their spread around it."""
     row = np.arange(len(futures))
     share = np.zeros(chosen.shape)
     around = np.empty((*chosen.shape, spread.shape[2]))

@@ -340,10 +340,7 @@ def _noises(seen: _Seen) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray
 def _white(
     ago: FloatArray, values: FloatArray, valid: BoolArray, order: int, least: float
 ) -> FloatArray:
-    """(n,) deviation of white noise, from differences of an order that vehicles hardly show.
-
-    An agent's own is mixed with the scene's typical one, which counts as `TYPICAL_COUNTS`.
-    """
+    """(n,) deviation of white noise, from differences of an order that vehicles hardly show."""
     n = len(values)
     if ago.size <= order:
         return np.full(n, least)

@@ -67,20 +67,7 @@ def _find_log_ratios(
     probability: Any, accel: Any, asked: Any, on_path: Any, free_factor: Any, least_factor: Any,
     wish: Any, known: Any, lost: Any, out: Any,
 ) -> None:  # fmt: skip
-    """See `agreement`.
-
-    Args:
-        probability: (n, B) beliefs.
-        accel: (n,) present acceleration, m/s2.
-        asked: (B, n) acceleration of each behaviour, m/s2.
-        on_path: (n,) whose acceleration counts.
-        free_factor: (n,) speed over limit driven freely; NaN if never.
-        least_factor: (n,) largest speed over limit.
-        wish: (B,) logarithm of each behaviour's wished speed over limit.
-        known: (n,) room to work in.
-        lost: (B,) likewise.
-        out: (n, 3) receives what `agreement` returns.
-    """
+    """See `agreement`."""
     n, count = probability.shape
     for i in range(n):
         out[i, 0], known[i] = 0.0, False

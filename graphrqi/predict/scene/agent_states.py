@@ -151,15 +151,7 @@ def present_acceleration(history: Tracks) -> FloatArray:
 
 @in_place()
 def _measure_accelerations(time_s: Any, valid: Any, speed: Any, since: Any, accel: Any) -> None:
-    """Measure the present accelerations over the last `RECENT_S`.
-
-    Args:
-        time_s: (T,) and the next two: columns of the history.
-        valid: (n, T).
-        speed: (n, T).
-        since: (n,) receives the first of those columns in which each agent was seen.
-        accel: (n,) receives the accelerations, m/s2; must be 0 before, which stays where unknown.
-    """
+    """Measure the present accelerations over the last `RECENT_S`."""
     last = time_s.size - 1
     begin = last
     while begin > 0 and time_s[last] - time_s[begin - 1] <= RECENT_S + 1e-6:
@@ -180,21 +172,7 @@ def _find_wished_speeds(
     time_s: Any, valid: Any, speed: Any, columns: Any, rows: Any, view: Any, limit: Any, sums: Any,
     free: Any, least: Any,
 ) -> None:  # fmt: skip
-    """Find how fast drivers were seen driving.
-
-    Args:
-        time_s: (T,) and the next two: columns of the history.
-        valid: (n, T).
-        speed: (n, T).
-        columns: (C,) the moments that are looked at, ascending.
-        rows: (m,) each: moment, agent and lane of each vehicle seen.
-        view: what it saw of these: lane, gap, distances to the next stop line and crossing.
-        limit: (L,) speed limits, m/s.
-        sums: (2, n) room to work in; must be 0 before.
-        free: (n,) receives the mean speed over limit while driving freely; must be NaN before,
-            which stays where that was never seen.
-        least: (n,) receives the largest speed over limit seen; must be 0 before.
-    """
+    """Find how fast drivers were seen driving."""
     moment, agent, lane = rows
     on_lane, gap, stop, crossing = view
     for j in range(agent.size):
@@ -222,21 +200,7 @@ def _find_wished_speeds(
 def _describe_present(
     now: int, found: Any, view: Any, beside: Any, history: Any, road: Any, place: Any, around: Any
 ) -> None:
-    """Write what was found of the vehicles that are seen at present.
-
-    Args:
-        now: where those rows begin.
-        found: (m,) agent, lane, distances along it and to its left, m, and (m, 2) position of each
-            row.
-        view: (m,) each: columns of the `sim.road.lane_search.LaneView` of the rows.
-        beside: (p, 4) each, of the present rows: those beside and gaps to them, m.
-        history: (T,) times, s, (n,) first column of recent motion, (n, T, 2) positions, m.
-        road: (L,) widths, m, lanes to the left and right, (S, 2) directions of the straight pieces,
-            (L,) speed limits, m/s.
-        place: (n,) each: columns of the `AgentStates` that receive the places of agents.
-        around: (n,) or (n, 4) each: those that receive the lanes they are on and their neighbours;
-            all as of agents off the road before.
-    """
+    """Write what was found of the vehicles that are seen at present."""
     agent, row_lane, row_s, row_offset, row_xy = found
     seen_lane, segment, missed, turned, seen_leader, seen_gap, seen_follower = view
     beside_row, beside_gap = beside
