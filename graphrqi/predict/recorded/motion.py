@@ -39,6 +39,9 @@ FILTER_FADE_S: Final = 2.0
 ACCEL_FADE_S: Final = 2.5
 """Time in which the base's acceleration falls to 1/e, s."""
 
+STOP_S: Final = 0.7
+"""Time in which what is left of the speed of a standing vehicle falls to 1/e, s."""
+
 YAW_SHARE, YAW_FADE_S = 0.4, 1.0
 """This share of the yaw rate counts, and falls to 1/e in this time, s."""
 
@@ -118,10 +121,10 @@ class Motion:
         calm = np.sqrt(1.0 + (seen.velocity[:, -1] ** 2).sum(axis=-1) / CALM_MPS**2)
         usual = np.asarray(USUAL_ACCEL_MPS2)[None] / calm[:, None]
         noises = np.repeat(filtered_m, 2), np.repeat(filtered_mps, 2)
+        rows = (one.reshape(2 * n, ago.size) for one in (place, rate))
         states, spread = filtered(
-            ago, place.reshape(2 * n, -1), rate.reshape(2 * n, -1), np.repeat(valid, 2, axis=0),
-            *noises, usual.ravel(), FILTER_FADE_S,
-        )  # fmt: skip
+            ago, *rows, np.repeat(valid, 2, axis=0), *noises, usual.ravel(), FILTER_FADE_S
+        )
         states = states.reshape(n, 2, ago.size, 3)
         now = states[:, :, -1]
         ahead, drives = now[:, 0, 1], history.kind != PEDESTRIAN
@@ -139,12 +142,13 @@ class Motion:
         stands = drives & (speed < STANDS_MPS + unsure) & (moved < STANDS_M + 3.0 * noise_m)
         accel = np.where(stands, 0.0, accel)
         lasts = _lasting_share(ago, rate[:, 0], valid & drives[:, None], states[:, 0])
-        off = np.clip(now[:, :, 0], -noise_m[:, None], noise_m[:, None])
+        shaken = (noise_m - LEAST_NOISE_M)[:, None]
+        off = np.clip(now[:, :, 0], -shaken, shaken)
         most = MOST_ACCEL_MPS2
         return cls(
             xy=history.xy[:, -1] + np.einsum("na,nac->nc", off, axes),
             heading=heading + aside,
-            speed=np.where(stands, 0.0, speed),
+            speed=speed,
             accel=np.clip(lasts * accel, -most, most),
             accel_now=np.clip(accel, -2 * most, 2 * most),
             yaw_rate=np.clip(yaw_rate, -MOST_YAW_RADPS, MOST_YAW_RADPS),
@@ -178,14 +182,14 @@ def fading(motion: Motion, time_s: FloatArray) -> FloatArray:
         motion: of the agents.
         time_s: (H,) increasing, s; integrated in steps of at most 0.1 s.
     """
-    return bent(
-        motion.speed, motion.accel, ACCEL_FADE_S, YAW_SHARE * motion.yaw_rate,
-        YAW_FADE_S, time_s,
-    )  # fmt: skip
+    accel = np.where(motion.stands, -motion.speed / STOP_S, motion.accel)
+    fade_s = np.where(motion.stands, STOP_S, ACCEL_FADE_S)
+    yaw_rate = YAW_SHARE * motion.yaw_rate
+    return bent(motion.speed, accel, fade_s, yaw_rate, YAW_FADE_S, time_s)
 
 
 def bent(
-    speed: FloatArray, accel: FloatArray, accel_fade_s: float, yaw_rate: FloatArray,
+    speed: FloatArray, accel: FloatArray, accel_fade_s: FloatArray, yaw_rate: FloatArray,
     yaw_fade_s: float, time_s: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """(n, H, 2) where agents come whose acceleration and yaw rate fade; in their frames, m.
@@ -195,14 +199,15 @@ def bent(
     Args:
         speed: (n,) m/s.
         accel: (n,) m/s2.
-        accel_fade_s: time in which it falls to 1/e, s.
+        accel_fade_s: (n,) time in which it falls to 1/e, s.
         yaw_rate: (n,) rad/s.
         yaw_fade_s: likewise.
         time_s: (H,) increasing, s.
     """
     steps = max(1, round(float(time_s[-1]) / 0.1))
     fine = np.linspace(0.0, float(time_s[-1]), steps + 1)
-    gained = accel[:, None] * accel_fade_s * (1.0 - np.exp(-fine / accel_fade_s))
+    fade_s = accel_fade_s[:, None]
+    gained = accel[:, None] * fade_s * (1.0 - np.exp(-fine / fade_s))
     fast = np.maximum(speed[:, None] + gained, 0.0)
     braked = np.minimum.accumulate(np.where(fast > 0.0, 1.0, 0.0), axis=1)
     fast = fast * np.where(accel[:, None] < 0.0, braked, 1.0)
@@ -418,7 +423,9 @@ def tracked(history: Tracks) -> tuple[FloatArray, FloatArray, FloatArray]:
     seen = _Seen.of(history, np.inf)
     n = len(seen.xy)
     noise_m, noise_mps, _, _ = _noises(seen)
-    place, rate = (np.swapaxes(one, 1, 2).reshape(2 * n, -1) for one in (seen.xy, seen.velocity))
+    place, rate = (
+        np.swapaxes(one, 1, 2).reshape(2 * n, seen.ago.size) for one in (seen.xy, seen.velocity)
+    )
     noises = np.repeat(noise_m, 2), np.repeat(noise_mps, 2)
     valid = np.repeat(seen.valid, 2, axis=0)
     states, _ = filtered(seen.ago, place, rate, valid, *noises, np.ones(2 * n), 1e3, KALMAN_JERK)
