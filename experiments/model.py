@@ -16,7 +16,8 @@ import graphrqi.predict
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
 from experiments.demo import BEST_METHOD, SCENARIOS
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate import RANDOM_WORLD
+from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.other_traffic import train_on_worlds

@@ -7,9 +7,10 @@ ours is good for: what does not beat it needs no theory.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.detector_inputs import lane_changes
 from behaviors.labels import BEHAVIORS
@@ -19,7 +20,7 @@ from graphrqi.samples import Samples
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
-from sim.frames import FloatArray, Tracks
+from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -105,10 +106,19 @@ def _episode(folder: Path, entry: EpisodeEntry, number: int) -> Samples:
     numbers = nine_numbers(tracks, dataset.road(entry))
     codes = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
     rows = np.flatnonzero((codes >= 0) & np.isfinite(numbers[:, 0]))
-    n, whole = rows.size, np.full(rows.size, np.inf)
+    episode = np.full(rows.size, number)
+    return whole_track_samples(numbers[rows], codes[rows], episode, tracks.ids[rows])
+
+
+def whole_track_samples(
+    features: FloatArray, codes: NDArray[np.integer[Any]], episode: IntArray, agent: IntArray
+) -> Samples:
+    """Samples of whole tracks: (n, F) features, (n,) codes of behaviours, episodes and agents."""
+    n = len(features)
+    whole = np.full(n, np.inf)
     return Samples(
-        numbers[rows].astype(np.float32), codes[rows].astype(np.int8), np.full(n, number),
-        tracks.ids[rows], np.zeros(n), whole, whole, np.ones(n, dtype=bool),
+        features.astype(np.float32), codes.astype(np.int8), episode, agent, np.zeros(n), whole,
+        whole, np.ones(n, dtype=bool),
     )  # fmt: skip
 
 

@@ -51,6 +51,43 @@ def adamw(
     return torch.optim.AdamW(parameters, lr=learning_rate, weight_decay=weight_decay, fused=True)
 
 
+class Descent:
+    """Steps of AdamW, whose rate rises and falls in one cycle (Smith 2018).
+
+    Args:
+        module: what is trained.
+        steps: how many there will be.
+        learning_rate: the highest.
+        weight_decay: AdamW's.
+        rising: share of the steps in which the rate rises.
+        longest: gradients are shortened to this norm.
+    """
+
+    def __init__(
+        self,
+        module: torch.nn.Module,
+        steps: int,
+        learning_rate: float,
+        weight_decay: float,
+        rising: float = 0.3,
+        longest: float | None = None,
+    ) -> None:
+        self._module, self._longest = module, longest
+        self._optimizer = adamw(module.parameters(), learning_rate, weight_decay)
+        self._schedule = torch.optim.lr_scheduler.OneCycleLR(
+            self._optimizer, learning_rate, total_steps=steps, pct_start=rising
+        )
+
+    def step(self, loss: torch.Tensor) -> None:
+        """Change the module's weights so that the loss falls."""
+        self._optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        if self._longest is not None:
+            torch.nn.utils.clip_grad_norm_(self._module.parameters(), self._longest)
+        self._optimizer.step()
+        self._schedule.step()
+
+
 def leave_onednn_out() -> None:
     """Let PyTorch compute without oneDNN in this process: it adds up as suits the processor."""
     torch.backends.mkldnn.set_flags(False)  # type: ignore[no-untyped-call]

@@ -38,7 +38,7 @@ def get_scenario(name: str) -> ScenarioEntry:
     Raises:
         InputError: if there is none; the message suggests the nearest name.
     """
-    from scenarios.own.file import is_path, scenario_at
+    from scenarios.own.scenario_file import is_path, scenario_at
 
     if not is_path(name):
         return SCENARIOS[name]

@@ -14,7 +14,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
-from scenarios.networks.grid import SHIPPED_BLOCKS, grid_net
+from scenarios.networks.build import SHIPPED_BLOCKS, grid_net
 from sim.road import Road
 from sim.road.net import read_road
 from sim.scenario import MAX_PER_HOUR, AgentSpec, RouteFlow, Scenario, sample_agents

@@ -12,7 +12,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
 from behaviors.populations import Population, read_population
 from scenarios.networks.build import net_of
-from scenarios.networks.geometry import Geometry
+from scenarios.networks.geometries import Geometry
 from sim.frames import AgentKind
 from sim.road.net import read_road
 from sim.scenario import EQUAL_MIX, RouteFlow, Scenario

@@ -6,7 +6,7 @@ import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.geometry import ARM_M, ARMS, LIMIT_MPS, FourWayGeometry
+from scenarios.networks.geometries import ARM_M, ARMS, LIMIT_MPS, FourWayGeometry
 from sim.scenario import RouteFlow, Scenario
 
 SIGNALISED_FLOWS: Final[dict[str, float]] = {"light": 600.0, "medium": 1200.0, "dense": 1800.0}

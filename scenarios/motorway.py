@@ -6,7 +6,7 @@ import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.motorway_and_roundabout import MOTORWAY_LIMIT_MPS, MotorwayGeometry
+from scenarios.networks.geometries import MOTORWAY_LIMIT_MPS, MotorwayGeometry
 from sim.scenario import RouteFlow, Scenario
 
 MOTORWAY_FLOWS_PER_LANE: Final[dict[str, float]] = {

@@ -7,8 +7,7 @@ from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
 from scenarios.four_way_intersection import TURNS
-from scenarios.networks.geometry import ARMS, LIMIT_MPS
-from scenarios.networks.motorway_and_roundabout import RoundaboutGeometry
+from scenarios.networks.geometries import ARMS, LIMIT_MPS, RoundaboutGeometry
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS: Final[dict[str, float]] = {"light": 400.0, "medium": 800.0, "dense": 1200.0}

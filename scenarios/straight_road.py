@@ -6,7 +6,7 @@ import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.geometry import LIMIT_MPS, TWO_WAY_LENGTH_M, StraightGeometry
+from scenarios.networks.geometries import LIMIT_MPS, TWO_WAY_LENGTH_M, StraightGeometry
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 300.0, "medium": 700.0, "dense": 1000.0}

@@ -34,9 +34,13 @@ class Event:
         time_s: when, s.
         agent: id of the agent that did it (of a collision: the one that caused it).
         other: id of the second party, or None.
-        rule: the rule by which the agent counts as its cause, in words; "" where there is none.
+        rule: the rule by which the agent counts as its cause, in words; of a near miss: the kind
+            of conflict; "" where there is none.
         end_s: of a collision: when the two last touch, s; None for other events.
-        time_to_collision_s: of a near miss: the least one, s.
+        time_to_collision_s: of a near miss: the least one, s; None if they never were on a
+            collision course.
+        post_encroachment_s: of a near miss: the time after which one came where the other had
+            been, s; None if that was never soon.
         distance_m: of driving the wrong way: how far, m.
         cut_in_headway_s: of a collision after a cut-in: the headway that it left, s.
     """
@@ -48,6 +52,7 @@ class Event:
     rule: str = ""
     end_s: float | None = None
     time_to_collision_s: float | None = None
+    post_encroachment_s: float | None = None
     distance_m: float | None = None
     cut_in_headway_s: float | None = None
 
@@ -56,11 +61,15 @@ class Event:
         """The rule and the event's number, for people.
 
         Examples:
-            >>> Event(EventKind.NEAR_MISS, 2.0, 1, 2, time_to_collision_s=1.4).words
-            'time to collision 1.40 s'
+            >>> Event(EventKind.NEAR_MISS, 2.0, 1, 2, "crossing", time_to_collision_s=1.4).words
+            'crossing, time to collision 1.40 s'
         """
-        if self.time_to_collision_s is not None:
-            return f"time to collision {self.time_to_collision_s:.2f} s"
+        if self.kind is EventKind.NEAR_MISS:
+            ttc_s, pet_s = self.time_to_collision_s, self.post_encroachment_s
+            parts = [self.rule] if self.rule else []
+            parts += [] if ttc_s is None else [f"time to collision {ttc_s:.2f} s"]
+            parts += [] if pet_s is None else [f"post-encroachment time {pet_s:.2f} s"]
+            return ", ".join(parts)
         if self.distance_m is not None:
             return f"{self.distance_m:.0f} m"
         if self.cut_in_headway_s is not None:

@@ -331,6 +331,19 @@ class Place:
         with errors_named(self._called(name)):
             return cast("IO[bytes]", self.filesystem.open(self.full(name), "rb"))
 
+    def for_arrow(self, name: str) -> Any:
+        """A file for Arrow to read; its own of this machine, whose threads need no Python."""
+        import pyarrow as pa
+
+        return self.open(name) if self.remote else pa.OSFile(self.full(name))
+
+    @property
+    def arrow_filesystem(self) -> Any:
+        """What Arrow scans tables with; its own on this machine, whose threads need no Python."""
+        from pyarrow.fs import LocalFileSystem
+
+        return self.filesystem if self.remote else LocalFileSystem()
+
     def read(self, name: str) -> bytes:
         """A file's bytes.
 

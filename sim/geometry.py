@@ -1,7 +1,8 @@
-"""Overlap of vehicle outlines: rectangles about their centres, turned by their headings.
+"""Lines of points, (P, 2) m, and the outlines of vehicles, in numpy.
 
-Two rectangles are apart if the projections onto one of their four axes are (the separating axis
-theorem), so four gaps per pair decide.
+The compiled counterparts for loops are in `sim.road.lane_coordinates`. Outlines are rectangles
+about the vehicles' centres, turned by their headings: two are apart if the projections onto one of
+their four axes are (the separating axis theorem), so four gaps per pair decide.
 
 References:
     Gottschalk, Lin, Manocha (1996), OBBTree: a hierarchical structure for rapid interference
@@ -21,6 +22,109 @@ GRAZE_M: Final = 0.15
 """Outlines may overlap by this much without a contact (a corner rounded with a radius of 0.4 m, as
 cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are no more
 accurate)."""
+
+
+LEAST_PIECE_M: Final = 1e-9
+"""Shorter pieces of a line have no direction, m."""
+
+
+class Pieces(NamedTuple):
+    """The straight pieces of a line; points that coincide make none.
+
+    Attributes:
+        start: (G, 2) where each begins, m.
+        direction: (G, 2) unit vectors.
+        length: (G,) m.
+        at: (G,) distance along the line at which each begins, m.
+    """
+
+    start: FloatArray
+    direction: FloatArray
+    length: FloatArray
+    at: FloatArray
+
+
+def pieces_of(line: FloatArray) -> Pieces:
+    """The straight pieces of a line (P, 2), m.
+
+    Examples:
+        >>> pieces_of(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 4.0]])).length.tolist()
+        [4.0]
+    """
+    step = np.diff(line, axis=0)
+    size = np.hypot(step[:, 0], step[:, 1])
+    kept = size > LEAST_PIECE_M
+    step, size = step[kept], size[kept]
+    return Pieces(line[:-1][kept], step / size[:, None], size, np.cumsum(size) - size)
+
+
+def distances_along(line: FloatArray) -> FloatArray:
+    """(P,) distance along a line (P, 2) at which each of its points lies, m."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+
+
+def points_at(line: FloatArray, along_m: FloatArray) -> FloatArray:
+    """(n, 2) points at distances (n,) along a line, m; its ends for distances beyond them.
+
+    Examples:
+        >>> points_at(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([1.0, 9.0])).tolist()
+        [[1.0, 0.0], [4.0, 0.0]]
+    """
+    at = distances_along(line)
+    return np.stack([np.interp(along_m, at, line[:, axis]) for axis in (0, 1)], axis=1)
+
+
+def offset_line(line: FloatArray, left_m: float) -> FloatArray:
+    """A line moved to its left by a distance, m, at each point along the mean of both normals."""
+    step = np.diff(line, axis=0)
+    direction = step / np.maximum(np.hypot(step[:, 0], step[:, 1]), LEAST_PIECE_M)[:, None]
+    mean = np.concatenate([direction[:1], direction[:-1] + direction[1:], direction[-1:]])
+    mean = mean / np.maximum(np.hypot(mean[:, 0], mean[:, 1]), LEAST_PIECE_M)[:, None]
+    return line + np.stack([-mean[:, 1], mean[:, 0]], axis=1) * left_m
+
+
+class Meeting(NamedTuple):
+    """Where two lines meet: the distances along both, m, and the sine of the angle between them."""
+
+    along: float
+    along_other: float
+    sine: float
+
+
+def meeting(line: FloatArray, other: FloatArray) -> Meeting | None:
+    """Where a line meets another one; None where it does not, or they are parallel.
+
+    Args:
+        line: (P, 2) m.
+        other: (Q, 2) m.
+
+    Returns:
+        The first place along the other line; of several on one piece of it the first along the
+        line.
+
+    Examples:
+        >>> meeting(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.0, -2.0], [1.0, 2.0]]))
+        Meeting(along=1.0, along_other=2.0, sine=1.0)
+    """
+    step, step_other = np.diff(line, axis=0), np.diff(other, axis=0)
+    size, size_other = np.hypot(*step.T), np.hypot(*step_other.T)
+    det = step[:, 0] * step_other[:, 1, None] - step[:, 1] * step_other[:, 0, None]
+    both = size * size_other[:, None]
+    gap = other[:-1, None] - line[None, :-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (gap[..., 0] * step_other[:, 1, None] - gap[..., 1] * step_other[:, 0, None]) / det
+        u = (gap[..., 0] * step[:, 1] - gap[..., 1] * step[:, 0]) / det
+    hit = (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
+    hit &= np.abs(det) >= 1e-9 * np.maximum(both, 1e-9)
+    if not hit.any():
+        return None
+    j, i = np.unravel_index(int(np.argmax(hit)), hit.shape)
+    begin, begin_other = np.cumsum(size)[i] - size[i], np.cumsum(size_other)[j] - size_other[j]
+    return Meeting(
+        float(begin + t[j, i] * size[i]),
+        float(begin_other + u[j, i] * size_other[j]),
+        float(abs(det[j, i]) / both[j, i]),
+    )
 
 
 class Outlines(NamedTuple):

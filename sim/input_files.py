@@ -16,6 +16,13 @@ from behaviors.errors import InputError
 P = ParamSpec("P")
 T = TypeVar("T")
 
+POINTERS: Final = {
+    b"version https://git-lfs.github.com/spec": "a pointer of Git LFS (git lfs pull fetches it)",
+    b"/annex/objects/": "a pointer of git-annex (git annex get fetches it)",
+    b"../.git/annex/objects/": "a pointer of git-annex (git annex get fetches it)",
+}
+"""Beginnings of small files that stand for large ones."""
+
 PACKED: Final = ".gz"
 """How the names of packed files end."""
 
@@ -41,9 +48,12 @@ def broken_as_one_line(path: Path, expected: str) -> Iterator[None]:
             raise
         raise InputError(f"{path}: {error}") from error
     except Exception as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        reason = f"no {said}" if isinstance(error, KeyError) and " " not in said else said
-        raise InputError(f"{path}: found a broken file ({reason:.200}), expected {expected}") from (
+        said = " ".join(str(error).split())
+        if isinstance(error, KeyError):
+            said = f"no {said}" if " " not in said else said
+        elif isinstance(error, TypeError | AttributeError | IndexError) or not said:
+            said = "a value of another kind than its field has"
+        raise InputError(f"{path}: found a broken file ({said:.200}), expected {expected}") from (
             error
         )
 
@@ -52,10 +62,15 @@ def opened(path: Path) -> IO[bytes]:
     """A file to read, unpacked where its name ends in ``.gz``.
 
     Raises:
-        InputError: if it is no file.
+        InputError: if it is no file, or the pointer to one that was not fetched.
     """
     if not path.is_file():
         raise InputError(f"{path}: found no file, expected one")
+    with path.open("rb") as file:
+        head = file.read(64)
+    pointer = next((text for begin, text in POINTERS.items() if head.startswith(begin)), None)
+    if pointer:
+        raise InputError(f"{path}: found {pointer}, expected the file itself")
     if path.suffix.lower() == PACKED:
         return cast("IO[bytes]", gzip.open(path))
     return path.open("rb")

@@ -175,14 +175,14 @@ def quick(folder: Path) -> Named:
     from sim.scenario import sample_agents
 
     for name in ("straight_road", "four_way_intersection"):
-        scenario = MAKERS[name](duration_s=20.0, flow="dense", pedestrians_per_h=600.0)
+        scenario = MAKERS[name](duration_s=12.0, flow="dense", pedestrians_per_h=600.0)
         for engine in ("sumo", "highway"):
             seen = hashlib.sha256()
             for frame in get_engine(engine)(scenario, sample_agents(scenario, seed=5), 5):
                 for array in (frame.ids, frame.xy, frame.heading, frame.speed):
                     seen.update(np.ascontiguousarray(array).tobytes())
             yield f"frames/{engine}/{name}", seen.hexdigest()[:16]
-    data = make_dataset(folder / "data", "sumo", "four_way_intersection", seconds=20)
+    data = make_dataset(folder / "data", "sumo", "four_way_intersection", seconds=12)
     yield "dataset", of_folder(data)
     command("export", data, "--format", "sumo-fcd", "--out", folder / "fcd")
     command("import", folder / "fcd", "--format", "sumo-fcd", "--out", folder / "imported")

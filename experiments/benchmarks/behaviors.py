@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from behaviors.detector_inputs import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes
@@ -38,29 +39,25 @@ CLEARING_S: Final = 300.0
 
 RESAMPLES: Final = 1000
 
-METRICS: Final[tuple[tuple[str, str, str], ...]] = (
-    ("red_run_share", "red_runs", "red_faced"),
-    ("yield_share", "yields", "crossing_encounters"),
-    ("headway_median_s", "headway", ""),
-    ("lane_changes_per_km", "lane_changes", "km"),
-    ("cut_ins_per_km", "cut_ins", "km"),
-    ("over_limit_share", "over_limit_s", "free_s"),
-    ("unprovoked_stops_per_km", "unprovoked_stops", "km"),
-    ("wait_per_encounter_s", "wait_s", "waits"),
-    ("wrong_way_m", "wrong_way_m", "drivers"),
-    ("collisions_caused", "collisions", ""),
-    ("pedestrians_hit", "pedestrians_hit", ""),
-    ("label_agreement", "agrees", "drivers"),
-)
-"""Metric, the count above, the count below: "" for a median (``headway``) or a sum."""
+METRICS: Final[dict[str, tuple[str, str]]] = {
+    "red_run_share": ("red_runs", "red_faced"),
+    "yield_share": ("yields", "crossing_encounters"),
+    "headway_median_s": ("headway", ""),
+    "lane_changes_per_km": ("lane_changes", "km"),
+    "cut_ins_per_km": ("cut_ins", "km"),
+    "over_limit_share": ("over_limit_s", "free_s"),
+    "unprovoked_stops_per_km": ("unprovoked_stops", "km"),
+    "wait_per_encounter_s": ("wait_s", "waits"),
+    "wrong_way_m": ("wrong_way_m", "drivers"),
+    "collisions_caused": ("collisions", ""),
+    "pedestrians_hit": ("pedestrians_hit", ""),
+    "label_agreement": ("agrees", "drivers"),
+}
+"""The count above and the count below of each metric: "" for a median (of ``headway``, each
+driver's own median, NaN without any) or a sum."""
 
-COUNTS: Final[tuple[str, ...]] = (
-    "drivers", "km", "red_faced", "red_runs", "crossing_encounters", "yields", "headway",
-    "lane_changes", "cut_ins", "free_s", "over_limit_s", "unprovoked_stops", "waits", "wait_s",
-    "wrong_way_m", "collisions", "pedestrians_hit", "agrees",
-)  # fmt: skip
-"""What is counted for every driver; ``headway`` is the driver's median, NaN without any."""
-
+COUNTS: Final = tuple(dict.fromkeys(name for pair in METRICS.values() for name in pair if name))
+"""What is counted for every driver."""
 
 ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
 """Encounters of a driver with a pedestrian that wants to cross."""
@@ -74,44 +71,29 @@ class DriverCounts:
     """What the drivers of one or more episodes did.
 
     Attributes:
-        behavior: (n,) codes into ``BEHAVIORS``.
-        counts: (n, len(COUNTS)) in the order of ``COUNTS``.
+        drivers: a line for each, with its ``behavior`` and the columns ``COUNTS``.
         jaywalks: how often pedestrians jaywalked.
         walkers: how many pedestrians there were.
     """
 
-    behavior: NDArray[np.int8]
-    counts: NDArray[np.float64]
+    drivers: pd.DataFrame
     jaywalks: int
     walkers: int
 
     @classmethod
     def joined(cls, parts: Sequence[DriverCounts]) -> DriverCounts:
         """The drivers of several episodes together."""
-        return cls(
-            behavior=np.concatenate([p.behavior for p in parts]),
-            counts=np.concatenate([p.counts for p in parts]),
-            jaywalks=sum(p.jaywalks for p in parts),
-            walkers=sum(p.walkers for p in parts),
-        )
+        drivers = pd.concat([p.drivers for p in parts], ignore_index=True)
+        return cls(drivers, sum(p.jaywalks for p in parts), sum(p.walkers for p in parts))
 
 
 def count_scenario(
     scenario: Scenario, seed: int, engine: str = "sumo", clearing_s: float = CLEARING_S
 ) -> DriverCounts:
-    """Drive one episode and count what its drivers did.
+    """Drive one episode and count what its drivers did, and for ``clearing_s`` more what they do.
 
     Encounters with pedestrians are found in the tracks. An engine whose frames report them counts
     itself: in highway-env, pedestrians step out only in front of drivers that wait.
-
-    Args:
-        scenario: agents set out for its whole duration.
-        seed: of the population and the engine.
-        engine: a key of ``ENGINES``.
-        clearing_s: the episode lasts this much longer, s.
-
-    Returns:
-        The counts, one row per driver.
     """
     agents = sample_agents(scenario, seed)
     longer = dataclasses.replace(scenario, duration_s=scenario.duration_s + clearing_s)
@@ -127,10 +109,10 @@ def count_scenario(
     events = list(found.events)
     if reported:
         events = [event for event in events if event.kind not in ENCOUNTERS] + reported
-    return count(tracks, found.inputs, events, found.shown_traits)
+    return _counted(tracks, found.inputs, events, found.shown_traits)
 
 
-def count(
+def _counted(
     tracks: Tracks,
     seen: DetectorInputs,
     events: Sequence[Event],
@@ -188,10 +170,9 @@ def count(
     for i, mine in shown.items():
         label = label_from_traits(mine)
         table["agrees"][i] = label is not None and label.code == labels[i]
-    keep = np.flatnonzero((labels >= 0) & seen.drives)
+    drivers = pd.DataFrame({"behavior": labels, **table})
     return DriverCounts(
-        behavior=labels[keep].astype(np.int8),
-        counts=np.stack([table[name] for name in COUNTS], axis=1)[keep],
+        drivers[(labels >= 0) & seen.drives],
         jaywalks=sum(e.trait is Trait.JAYWALKING for e in traits_shown),
         walkers=int((~seen.drives).sum()),
     )
@@ -221,44 +202,34 @@ def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> 
         drivers with something to count.
     """
     rng = np.random.default_rng(seed)
+    place: dict[str, Cell] = {"engine": engine, "scenario": scenario}
     found: list[Row] = []
     for behavior in BEHAVIORS:
-        keys = _keys(engine, scenario, behavior.value)
-        mine = counts.counts[counts.behavior == behavior.code]
-        weights = (
-            rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), RESAMPLES)
-            if (len(mine))
-            else np.zeros((RESAMPLES, 0))
-        )
-        for metric, above, below in METRICS:
-            top = mine[:, COUNTS.index(above)]
-            low = high = value = None
+        mine = counts.drivers[counts.drivers["behavior"] == behavior.code]
+        weights = np.zeros((RESAMPLES, 0))
+        if len(mine):
+            share = np.full(len(mine), 1 / len(mine))
+            weights = rng.multinomial(len(mine), share, RESAMPLES).astype(np.float64)
+        for metric, (above, below) in METRICS.items():
+            top = mine[above].to_numpy()
+            n, value, drawn = len(mine), float(top.sum()), None
             if metric == "headway_median_s":
                 top = top[np.isfinite(top)]
                 n = top.size
-                if n:
-                    value = float(np.median(top))
-                    drawn = np.median(top[rng.integers(n, size=(RESAMPLES, n))], axis=1)
-                    low, high = (float(q) for q in np.percentile(drawn, [2.5, 97.5]))
+                value = float(np.median(top)) if n else np.nan
+                drawn = np.median(top[rng.integers(n, size=(RESAMPLES, n))], axis=1) if n else None
             elif below:
-                bottom = mine[:, COUNTS.index(below)]
+                bottom = mine[below].to_numpy()
                 n = int((bottom > 0).sum())
-                if n:
+                with np.errstate(invalid="ignore", divide="ignore"):
                     value = float(top.sum() / bottom.sum())
-                    with np.errstate(invalid="ignore", divide="ignore"):
-                        ratio = (weights @ top) / (weights @ bottom)
-                    low, high = (float(q) for q in np.nanpercentile(ratio, [2.5, 97.5]))
-            else:
-                n = len(mine)
-                value = float(top.sum())
+                    drawn = (weights @ top) / (weights @ bottom) if n else None
+            low, high = (None, None) if drawn is None else np.nanpercentile(drawn, [2.5, 97.5])
+            keys = {**place, "behavior": behavior.value}
             found.append(tidy_row(keys, metric, value, low, high, n))
-    keys = _keys(engine, scenario, "pedestrian")
-    found.append(tidy_row(keys, "jaywalks", counts.jaywalks, None, None, counts.walkers))
+    walkers = {**place, "behavior": "pedestrian"}
+    found.append(tidy_row(walkers, "jaywalks", counts.jaywalks, n=counts.walkers))
     return found
-
-
-def _keys(engine: str, scenario: str, behavior: str) -> dict[str, Cell]:
-    return {"engine": engine, "scenario": scenario, "behavior": behavior}
 
 
 def measure(

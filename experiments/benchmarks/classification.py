@@ -31,18 +31,24 @@ import numpy as np
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.benchmarks.classified import AGES_S, Recordings, drivers
-from experiments.benchmarks.scores import difference_rows, keys_of, majority_of, score_rows
+from experiments.benchmarks.classified import (
+    AGES_S,
+    Disturbance,
+    Recordings,
+    drivers,
+    keys_of,
+    majority_of,
+)
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.rival import PlainRival
-from experiments.score.rows import Row
+from experiments.rival import PlainRival, whole_track_samples
+from experiments.score.answers import Answers, score_answers, score_difference, scores_table
+from experiments.score.rows import Cell, Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.classify import Classifier, make_classifier
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
 from graphrqi.samples import Samples
-from sim.frames import FloatArray
 from sim.store.dataset import open_dataset
 from sim.store.schema import Split
 
@@ -138,21 +144,26 @@ class Data:
         }
 
 
-def _answers(model: Model | Classifier | PlainRival, samples: Samples) -> FloatArray:
-    """(n, 6) the answers to samples."""
-    return model.posterior(samples.features.astype(np.float64))
+def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> Answers:
+    """The answers to samples, with the truth."""
+    probability = model.posterior(samples.features.astype(np.float64))
+    return Answers.known(probability, samples.codes, samples.episode)
+
+
+def _scored(answers: Answers, majority: int, keys: Mapping[str, Cell]) -> list[Row]:
+    """The rows of answers; none where nobody was asked about."""
+    return score_answers(answers, keys, majority, breakdown=False) if answers.truth.size else []
 
 
 def _rival_beside(
     rival: PlainRival, data: Recordings, asked: Samples, keys: tuple[str, str, str], majority: int
-) -> tuple[list[Row], Samples, FloatArray]:
-    """The rival's rows on the drivers whose whole tracks are scored, and its answers."""
-    tracks = data.all_tracks
-    same = tracks.where(np.isin(drivers(tracks), drivers(asked)))
+) -> tuple[list[Row], Samples, Answers]:
+    """The rival's rows on the drivers whose whole tracks are scored, these, and its answers."""
+    same = data.all_tracks.where(np.isin(drivers(data.all_tracks), drivers(asked)))
     protocol, scenario, variation = keys
-    probability = _answers(rival, same)
+    answers = _answered(rival, same)
     named = keys_of(protocol, scenario, RIVAL, float("inf"), variation)
-    return score_rows(same, probability, majority, named), same, probability
+    return _scored(answers, majority, named), same, answers
 
 
 def _model_rows(
@@ -167,7 +178,7 @@ def _model_rows(
         for window_s in MAIN_S:
             part = here.where(here.window_s == window_s)
             keys = keys_of(protocol, scenario, model.method.name, window_s, variation)
-            rows += score_rows(part, _answers(model, part), majority, keys)
+            rows += _scored(_answered(model, part), majority, keys)
         whole = here.where(np.isinf(here.window_s))
         rows += _rival_beside(rival, data, whole, (protocol, scenario, variation), majority)[0]
     return rows
@@ -184,19 +195,19 @@ def shipped(data: Data) -> Iterator[list[Row]]:
 
 def _streamed_rows(
     data: Recordings, model: Model, rival: PlainRival | None, protocol: str, variation: str,
-    disturbance: tuple[str, float] | None = None,
+    disturbance: Disturbance = None,
 ) -> list[Row]:  # fmt: skip
     """Rows of a stream's answers at each age, in each scenario."""
     samples, probability = data.streamed(model, disturbance)
+    answers = Answers.known(probability, samples.codes, samples.episode)
     rows: list[Row] = []
     for scenario in data.dataset.scenarios:
         chosen = data.scenario[samples.episode] == scenario
         for age_s in AGES_S:
             here = chosen & (samples.window_s == age_s)
             if here.any():
-                part = samples.where(here)
                 keys = keys_of(protocol, scenario, model.method.name, age_s, variation)
-                rows += score_rows(part, probability[here], majority_of(part), keys)
+                rows += _scored(answers.where(here), majority_of(samples.where(here)), keys)
         whole = data.of(scenario, samples.where(np.isinf(samples.window_s)))
         if rival is not None and len(whole):
             keyed = (protocol, scenario, variation)
@@ -208,7 +219,7 @@ def inductive(data: Data) -> Iterator[list[Row]]:
     """Every method at every length of observation; ours minus each other; rival and ceiling."""
     base = data.base
     rival = PlainRival(base.training_tracks)
-    ours: dict[tuple[str, float], FloatArray] = {}
+    ours: dict[tuple[str, float], Answers] = {}
     for method in data.methods:
         model, majority = base.fitted(method)
         samples = base.scored(method, WINDOWS_S)
@@ -219,23 +230,22 @@ def inductive(data: Data) -> Iterator[list[Row]]:
                 part = here.where(here.window_s == window_s)
                 if not len(part):
                     continue
-                probability = _answers(model, part)
+                answers = _answered(model, part)
                 keys = keys_of("inductive", scenario, method, window_s)
-                rows += score_rows(part, probability, majority, keys)
+                rows += _scored(answers, majority, keys)
                 if method == OURS:
-                    ours[scenario, window_s] = probability
+                    ours[scenario, window_s] = answers
                 elif window_s in MAIN_S and (scenario, window_s) in ours:
                     keys = keys_of("inductive", scenario, OURS, window_s, f"minus {method}")
-                    rows += difference_rows(part, ours[scenario, window_s], probability, keys)
+                    rows += score_difference(ours[scenario, window_s], answers, keys)
             whole = here.where(np.isinf(here.window_s))
             if method == OURS and len(whole):
-                beside, same, theirs = _rival_beside(
-                    rival, base, whole, ("inductive", scenario, ""), majority
-                )
+                place = ("inductive", scenario, "")
+                beside, same, theirs = _rival_beside(rival, base, whole, place, majority)
                 both = np.isin(drivers(whole), drivers(same))  # both are in order of driver
-                own = ours[scenario, float("inf")][both]
+                own = ours[scenario, float("inf")].where(both)
                 keys = keys_of("inductive", scenario, OURS, float("inf"), f"minus {RIVAL}")
-                rows += [*beside, *difference_rows(whole.where(both), own, theirs, keys)]
+                rows += [*beside, *score_difference(own, theirs, keys)]
         yield rows
     yield ceiling(base)
 
@@ -253,27 +263,23 @@ def ceiling(data: Recordings) -> list[Row]:
     forest.fit(known.features.astype(np.float64), known.codes, None, 0)
     rows: list[Row] = []
     for scenario in data.dataset.scenarios:
-        here = data.of(scenario, asked)
+        answers = _answered(forest, data.of(scenario, asked))
         keys = keys_of("inductive", scenario, "ceiling", float("inf"))
-        rows += score_rows(here, _answers(forest, here), majority_of(known), keys)
+        rows += _scored(answers, majority_of(known), keys)
     return rows
 
 
 def _profiles(data: Recordings, split: Split) -> Samples:
     """Realised profile numbers of every driver of a split."""
-    index = {e.id: i for i, e in enumerate(data.dataset.manifest.episodes)}
     found = [
-        ([getattr(a.profile, name) for name in PROFILE_FIELDS[:5]], a.behavior.code, index[e.id])
-        for e in data.dataset.episodes(split)
+        ([getattr(a.profile, name) for name in PROFILE_FIELDS[:5]], a.behavior.code, number)
+        for number, e in enumerate(data.dataset.manifest.episodes)
+        if e.split == split
         for a in data.dataset.read(e).agents
         if a.behavior is not None and a.profile is not None
     ]
     numbers, codes, episode = (np.array(column) for column in zip(*found, strict=True))
-    n, whole = len(found), np.full(len(found), np.inf)
-    return Samples(
-        numbers.astype(np.float32), codes.astype(np.int8), episode, np.arange(n), np.zeros(n),
-        whole, whole, np.ones(n, dtype=bool),
-    )  # fmt: skip
+    return whole_track_samples(numbers, codes, episode, np.arange(len(found)))
 
 
 def across_scenarios(data: Data) -> Iterator[list[Row]]:
@@ -346,7 +352,7 @@ def leak_probe(data: Data) -> Iterator[list[Row]]:
         first[np.unique(drivers(here), return_index=True)[1]] = True  # they are in order of time
         for variation, part in (("", here), ("first window", here.where(first))):
             keys = keys_of("leak-probe", scenario, "leak-probe", MAIN_S[0], variation)
-            yield score_rows(part, _answers(forest, part), majority_of(known), keys)
+            yield _scored(_answered(forest, part), majority_of(known), keys)
 
 
 PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
@@ -396,3 +402,8 @@ def measure(
         data = Data(out or Path(scratch), names, episodes, duration_s, jobs, given)
         for protocol in wanted:
             yield from protocol(data)
+
+
+def table(rows: Sequence[Row]) -> list[Row]:
+    """The scores for people: a line for each method, scenario, length of observation, variation."""
+    return scores_table(rows, ("protocol", "scenario", "method", "window_s", "variation"))

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks.scores import majority_of
 from experiments.data.disturbances import DISTURBANCES
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import gather, measured
 from experiments.rival import whole_tracks
+from experiments.score.rows import Cell
 from experiments.training.classifier import TRAINING_EVERY_S, TRAINING_PER_MOMENT
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.samples import WINDOWS_S, Samples
@@ -35,6 +35,28 @@ ASKED_EVERY_S: Final = 1.0
 
 Disturbance = tuple[str, float] | None
 """A key of ``DISTURBANCES`` and a level; None leaves recordings as they are."""
+
+
+def keys_of(
+    protocol: str, scenario: str, method: str, window_s: float | None, variation: str = ""
+) -> dict[str, Cell]:
+    """What a row says was measured; an infinite window is a driver's whole track.
+
+    Examples:
+        >>> keys_of("inductive", "city", "svm", float("inf"))["variation"]
+        'whole track'
+    """
+    if window_s is not None and not np.isfinite(window_s):
+        window_s, variation = None, ", ".join(filter(None, ("whole track", variation)))
+    return {
+        "protocol": protocol, "scenario": scenario, "method": method, "window_s": window_s,
+        "variation": variation,
+    }  # fmt: skip
+
+
+def majority_of(samples: Samples) -> int:
+    """The most frequent class among samples (of the training episodes, to be a fair rival)."""
+    return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
 
 
 class Recordings:
@@ -122,7 +144,7 @@ class Recordings:
         return self._fitted[method, scenario]
 
     def streamed(self, model: Model, disturbance: Disturbance = None) -> tuple[Samples, FloatArray]:
-        """A stream's answers about the drivers of all episodes; see `look`."""
+        """A stream's answers about the drivers of all episodes."""
         entries = self.dataset.manifest.episodes
         calls = [(self.dataset.path, e, i, model, disturbance) for i, e in enumerate(entries)]
         parts = list(in_parallel(_streamed, calls, self._jobs))
@@ -143,22 +165,15 @@ def _streamed(
     tracks = measured(open_dataset(folder).read(entry))
     if disturbance is not None:
         name, level = disturbance
-        tracks = DISTURBANCES[name][0](tracks, level, np.random.default_rng(number))
-    return look(tracks, BehaviorStream(model), number)
+        tracks = DISTURBANCES[name](tracks, level, np.random.default_rng(number))
+    return _looked(tracks, BehaviorStream(model), number)
 
 
-def look(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
-    """A stream's answers on one episode.
+def _looked(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
+    """Samples without features for each labelled driver and age that it reaches, and the answers.
 
-    Args:
-        tracks: of the episode.
-        stream: that has seen nothing.
-        number: of the episode, to put on the answers.
-
-    Returns:
-        Samples without features, one for each labelled driver and age of ``AGES_S`` that it
-        reaches, and (n, 6) the answers. A whole track is scored if it lasts ``AGES_S[0]``, so that
-        all ages are scored on the same drivers or fewer.
+    A whole track is scored if it lasts ``AGES_S[0]``, so that all ages are scored on the same
+    drivers or fewer.
     """
     n = tracks.ids.size
     codes = np.full(n, -1, dtype=np.int8) if tracks.behavior is None else tracks.behavior

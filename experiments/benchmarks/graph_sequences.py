@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
 from scenarios.city import city_agents, city_scenario
-from scenarios.networks.grid import grid_net
+from scenarios.networks.build import grid_net
 from sim.engines import get_engine
 
 Floats: TypeAlias = NDArray[np.float64]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
@@ -19,7 +19,7 @@ from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario
 from scenarios.city import city_agents, city_scenario
-from scenarios.networks.grid import grid_net
+from scenarios.networks.build import grid_net
 from sim.engines import get_engine
 from sim.frames import FloatArray
 from sim.road.net import read_road
@@ -48,31 +48,31 @@ STOCK_STEP_S: Final = 1.0 / 15.0
 """highway-env's default step, s."""
 
 
-def timed(work: Callable[[], T]) -> tuple[T, float]:
+def _timed(work: Callable[[], T]) -> tuple[T, float]:
     """What a piece of work gives, and how many ms of the processor it took."""
     begin = time.process_time()
     result = work()
     return result, 1e3 * (time.process_time() - begin)
 
 
-def go_through(
+def _go_through(
     scenario: Scenario, agents: Sequence[AgentSpec], engine: str, from_s: float
 ) -> tuple[float, FloatArray]:
-    """Go through a scenario once."""
+    """Mean number of agents, and (F, 4) ms of each of `STAGES` in every frame after ``from_s``."""
     stream = load_stream(DEFAULT_MODEL)
     frames = get_engine(engine)(scenario, agents, 0)
     count: list[int] = []
     spent: list[tuple[float, ...]] = []
     while True:
-        frame, simulate_ms = timed(lambda: next(frames, None))
+        frame, simulate_ms = _timed(lambda: next(frames, None))
         if frame is None:
             return float(np.mean(count)), np.array(spent)
         if frame.time_s <= from_s - WARM_FRAMES * scenario.step_s:
             stream.push(frame)
             continue
-        posterior, classify_ms = timed(lambda f=frame: stream.update(f))  # type: ignore[misc]
-        history, remember_ms = timed(lambda: stream.history)
-        _, predict_ms = timed(
+        posterior, classify_ms = _timed(lambda f=frame: stream.update(f))  # type: ignore[misc]
+        history, remember_ms = _timed(lambda: stream.history)
+        _, predict_ms = _timed(
             lambda h=history, p=posterior: predict(h, p, scenario.road, predictor=PREDICTOR)  # type: ignore[misc]
         )
         if frame.time_s > from_s:
@@ -80,8 +80,10 @@ def go_through(
             spent.append((simulate_ms, classify_ms, remember_ms, predict_ms))
 
 
-def measure_road(engines: Sequence[str], duration_s: float, repeats: int) -> Iterator[list[Row]]:
-    """Measure the loop on a straight road.
+def measure_loop(
+    engines: Sequence[str], duration_s: float = 180.0, repeats: int = 3
+) -> Iterator[list[Row]]:
+    """Measure the loop on a straight road, and the engine's own speed.
 
     Args:
         engines: keys of ``ENGINES``.
@@ -91,22 +93,25 @@ def measure_road(engines: Sequence[str], duration_s: float, repeats: int) -> Ite
 
     Yields:
         Rows of each engine: ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of
-        all together.
+        all together. Last, ``agent_steps_per_cpu_s`` of the highway engine and of highway-env's own
+        road and drivers, and ``ratio_to_stock``.
     """
     scenario = get_scenario("straight_road")(flow=FLOW_PER_H, duration_s=duration_s)
     agents = sample_agents(scenario, 0)
     from_s = min(ROAD_FILLS_S, duration_s / 3)
     for engine in engines:
-        runs = [go_through(scenario, agents, engine, from_s) for _ in range(repeats)]
-        keys: dict[str, Cell] = {
-            "engine": engine, "agents": round(runs[0][0]), "lanes": len(scenario.road.lanes),
-            "vehicles": None,
-        }  # fmt: skip
+        runs = [_go_through(scenario, agents, engine, from_s) for _ in range(repeats)]
+        keys = {**_keys(engine), "agents": round(runs[0][0]), "lanes": len(scenario.road.lanes)}
         least = np.min([spent for _, spent in runs], axis=0)
         yield list(_stage_rows(keys, least, scenario.step_s))
+    yield _stock_rows(min(60.0, duration_s))
 
 
-def _stage_rows(keys: dict[str, Cell], spent_ms: FloatArray, step_s: float) -> Iterator[Row]:
+def _keys(engine: str) -> dict[str, Cell]:
+    return {"engine": engine, "agents": None, "lanes": None, "vehicles": None}
+
+
+def _stage_rows(keys: Mapping[str, Cell], spent_ms: FloatArray, step_s: float) -> Iterator[Row]:
     """The costs of each stage and of all together."""
     every = zip((*STAGES, "all"), [*spent_ms.T, spent_ms.sum(axis=1)], strict=True)
     for stage, spans in every:
@@ -115,8 +120,7 @@ def _stage_rows(keys: dict[str, Cell], spent_ms: FloatArray, step_s: float) -> I
             ("ms_p99", np.quantile(spans, 0.99)),
             ("real_time_factor", 1e3 * step_s / max(float(np.mean(spans)), 1e-9)),
         ):
-            row_keys = {**keys, "stage": stage}
-            yield tidy_row(row_keys, metric, float(value), None, None, len(spans))
+            yield tidy_row({**keys, "stage": stage}, metric, float(value), n=len(spans))
 
 
 class City(NamedTuple):
@@ -141,20 +145,17 @@ class City(NamedTuple):
     memory_mb: float
 
 
-def cities(blocks: Sequence[int], vehicles: Sequence[int]) -> list[tuple[int, int]]:
-    """The cities that are compared: one map with each crowd, and each map with the smallest crowd.
-
-    The largest map has the largest crowd, too.
+def _cities(blocks: Sequence[int], vehicles: Sequence[int]) -> list[tuple[int, int]]:
+    """One map with each crowd, each map with the smallest crowd, the largest map with the largest.
 
     Examples:
-        >>> cities((3, 8, 20), (300, 1000))
+        >>> _cities((3, 8, 20), (300, 1000))
         [(8, 300), (8, 1000), (3, 300), (20, 300), (20, 1000)]
     """
     middle = sorted(blocks)[(len(blocks) - 1) // 2]
     found = [(middle, n) for n in sorted(vehicles)]
     found += [(b, min(vehicles)) for b in sorted(blocks) if b != middle]
-    found.append((max(blocks), max(vehicles)))
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys([*found, (max(blocks), max(vehicles))]))
 
 
 def measure_cities(
@@ -168,7 +169,7 @@ def measure_cities(
         vehicles: sizes of the crowds.
 
     Yields:
-        Rows of each city: those of `measure_road`, ``us_per_agent``, ``open_s`` and ``memory_mb``;
+        Rows of each city: those of `measure_loop`, ``us_per_agent``, ``open_s`` and ``memory_mb``;
         then ``slope_agents`` and ``slope_lanes``: how the cost of a step grows with vehicles on one
         map, and with lanes at one crowd, both in logarithms (1 is linear).
     """
@@ -176,92 +177,80 @@ def measure_cities(
 
     for engine in engines:
         done: list[City] = []
-        for size in cities(blocks, vehicles):
+        for size in _cities(blocks, vehicles):
             with ProcessPoolExecutor(max_workers=1, env={"OMP_NUM_THREADS": "1"}) as pool:
-                done.append(pool.submit(measure_city, *size, engine).result())
-            yield city_rows(done[-1], engine)
-        yield slopes(done, engine)
+                done.append(pool.submit(_measured_city, *size, engine).result())
+            yield _city_rows(done[-1], engine)
+        yield _slopes(done, engine)
 
 
-def measure_city(blocks: int, vehicles: int, engine: str) -> City:
-    """Go through one city; see `measure_cities`."""
+def _measured_city(blocks: int, vehicles: int, engine: str) -> City:
+    """Go through one city."""
     warming = get_scenario("four_way_intersection")(duration_s=15.0)  # loads every kernel
-    go_through(warming, sample_agents(warming, 0), engine, 5.0)
-    _, open_ms = timed(lambda: read_road(grid_net(blocks), f"grid_{blocks}"))
+    _go_through(warming, sample_agents(warming, 0), engine, 5.0)
+    _, open_ms = _timed(lambda: read_road(grid_net(blocks), f"grid_{blocks}"))
     scenario = city_scenario(blocks, vehicles, 0, CITY_FILLS_S + CITY_MEASURED_S)
-    agents, spent = go_through(scenario, city_agents(scenario, vehicles, 0), engine, CITY_FILLS_S)
+    agents, spent = _go_through(scenario, city_agents(scenario, vehicles, 0), engine, CITY_FILLS_S)
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     memory_mb = most / (2**20 if sys.platform == "darwin" else 2**10)
     return City(blocks, vehicles, len(scenario.road.lanes), agents, spent, open_ms / 1e3, memory_mb)
 
 
-def city_rows(city: City, engine: str) -> list[Row]:
-    """The rows of one city; see `measure_cities`."""
+def _city_rows(city: City, engine: str) -> list[Row]:
+    """The rows of one city."""
     keys: dict[str, Cell] = {
         "engine": engine, "agents": round(city.agents), "lanes": city.lanes,
         "vehicles": city.vehicles,
     }  # fmt: skip
-    rows = list(_stage_rows(keys, city.spent_ms, 0.1))
     per_agent = 1e3 * float(np.median(city.spent_ms.sum(axis=1))) / city.agents
-    for stage, metric, value in (
-        ("all", "us_per_agent", per_agent),
-        ("open", "open_s", city.open_s),
-        ("open", "memory_mb", city.memory_mb),
-    ):
-        rows.append(tidy_row({**keys, "stage": stage}, metric, value, None, None, 1))
-    return rows
+    return [
+        *_stage_rows(keys, city.spent_ms, 0.1),
+        tidy_row({**keys, "stage": "all"}, "us_per_agent", per_agent, n=1),
+        tidy_row({**keys, "stage": "open"}, "open_s", city.open_s, n=1),
+        tidy_row({**keys, "stage": "open"}, "memory_mb", city.memory_mb, n=1),
+    ]
 
 
-def slopes(done: Sequence[City], engine: str) -> list[Row]:
-    """How the cost of a step grows; see `measure_cities`."""
+def _slopes(done: Sequence[City], engine: str) -> list[Row]:
+    """How the cost of a step grows with vehicles and with lanes."""
     rows: list[Row] = []
-    first = done[0]
     for metric, some, size in (
-        ("slope_agents", [c for c in done if c.blocks == first.blocks], "agents"),
-        ("slope_lanes", [c for c in done if c.vehicles == first.vehicles], "lanes"),
+        ("slope_agents", [c for c in done if c.blocks == done[0].blocks], "agents"),
+        ("slope_lanes", [c for c in done if c.vehicles == done[0].vehicles], "lanes"),
     ):
         if len(some) > 1:
             across = np.log([float(getattr(city, size)) for city in some])
             costs = np.log([np.median(city.spent_ms.sum(axis=1)) for city in some])
-            keys: dict[str, Cell] = {
-                "engine": engine, "agents": None, "lanes": None, "vehicles": None, "stage": "all",
-            }  # fmt: skip
             slope = float(np.polyfit(across, costs, 1)[0])
-            rows.append(tidy_row(keys, metric, slope, None, None, len(some)))
+            rows.append(tidy_row({**_keys(engine), "stage": "all"}, metric, slope, n=len(some)))
     return rows
 
 
-def stock_rows(duration_s: float = 60.0, frames: int = 60) -> list[Row]:
-    """Agent-steps per second of the highway engine beside highway-env's own road and drivers.
-
-    Args:
-        duration_s: of the episode on the dense straight road that the engine drives, s.
-        frames: of highway-env's own road that are timed, with as many cars.
-
-    Returns:
-        ``agent_steps_per_cpu_s`` of both, and ``ratio_to_stock``.
-    """
+def _stock_rows(duration_s: float) -> list[Row]:
+    """Agent-steps per second of the highway engine beside highway-env's own road and drivers."""
     from sim.highway.stock import stock_traffic
 
     scenario = get_scenario("straight_road")(duration_s=duration_s, flow="dense")
-    agents = sample_agents(scenario, 0)
+    agents, frames = sample_agents(scenario, 0), round(duration_s)
     for _ in range(2):  # the first one compiles
-        begin = time.process_time()
-        counts = [len(frame) for frame in get_engine("highway")(scenario, agents, 0)]
-        own = sum(counts) / max(time.process_time() - begin, 1e-9)
-    cars = max(counts)
+        counts, spent_ms = _timed(
+            lambda: [len(frame) for frame in get_engine("highway")(scenario, agents, 0)]
+        )
+    cars, own = max(counts), 1e3 * sum(counts) / max(spent_ms, 1e-6)
     road = stock_traffic(cars, seed=0)
     begin = time.process_time()
     for _ in range(frames):
         road.act()
         road.step(STOCK_STEP_S)
     stock = cars * frames / max(time.process_time() - begin, 1e-9)
-    keys: dict[str, Cell] = {"agents": cars, "lanes": None, "vehicles": cars, "stage": "simulate"}
     return [
-        tidy_row({"engine": engine, **keys}, metric, value, None, None, frames)
+        tidy_row(
+            {**_keys(engine), "agents": cars, "vehicles": cars, "stage": "simulate"},
+            metric, value, n=frames,
+        )
         for engine, metric, value in (
             ("highway", "agent_steps_per_cpu_s", own),
             ("highway-env's own", "agent_steps_per_cpu_s", stock),
             ("highway", "ratio_to_stock", own / stock),
         )
-    ]
+    ]  # fmt: skip

@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from experiments.benchmarks.statistics import auc, brier, prediction_keys
+from experiments.benchmarks.statistics import auc, prediction_keys
 from experiments.score.metrics import RESAMPLES
 from experiments.score.predictions import HISTORY_S, future
 from experiments.score.rows import Row, tidy_row
@@ -211,27 +211,25 @@ def encounter_chances(
 def score_chances(episodes: Sequence[EncounterChances], scenario: str, split: str) -> list[Row]:
     """AUC and Brier score of each predictor's chances, with intervals over encounters."""
     episodes = [e for e in episodes if e.waited.size]
-    if not episodes:
-        return []
     rows: list[Row] = []
     for question, answers in (
         ("yield", [e.yielded for e in episodes]),
         ("wait", [e.waited for e in episodes]),
     ):
-        happened = np.concatenate(answers)
+        happened = np.concatenate([np.empty(0), *answers])
         scored = ~np.isnan(happened)
-        happened = happened[scored]
-        if not happened.size or happened.min() == happened.max():
+        happened, n = happened[scored], int(scored.sum())
+        if len(np.unique(happened)) < 2:
             continue
-        shape = RESAMPLES // 4, happened.size
-        draws = np.random.default_rng(0).integers(0, happened.size, shape)
+        draws = np.random.default_rng(0).integers(0, n, (RESAMPLES // 4, n))
         for name in episodes[0].chance:
             chance = np.concatenate([e.chance[name] for e in episodes])[scored]
-            for metric, score in (("auc", auc), ("brier", brier)):
-                low, high = np.nanquantile(
-                    [score(chance[d], happened[d]) for d in draws], [0.025, 0.975]
-                )
-                keys = prediction_keys(scenario, name, DECIDED_S, split)
-                value, n = score(chance, happened), int(happened.size)
-                rows.append(tidy_row(keys, f"{question}_{metric}", value, low, high, n))
+            missed = (chance - happened) ** 2
+            keys = prediction_keys(scenario, name, DECIDED_S, split)
+            for metric, value, drawn in (
+                ("auc", auc(chance, happened > 0), auc(chance[draws], happened[draws] > 0)),
+                ("brier", missed.mean(), missed[draws].mean(axis=1)),
+            ):
+                low, high = np.nanquantile(drawn, [0.025, 0.975])
+                rows.append(tidy_row(keys, f"{question}_{metric}", float(value), low, high, n))
     return rows

@@ -8,31 +8,18 @@ there already it takes some seconds.
 
 from __future__ import annotations
 
-import logging
 from typing import Final
 
 from experiments.console.exit_codes import exit_on_user_error
-from experiments.console.progress import Progress
+from experiments.console.notices import show_notices
 
 ENGINES: Final = ("sumo", "highway")
 DURATION_S: Final = 20.0
 """How long either engine drives, s: until vehicles meet, which some kernels are needed for."""
 
 
-class _Advance(logging.Handler):
-    """Advances a progress display at every message, which is a kernel being compiled."""
-
-    def __init__(self, progress: Progress) -> None:
-        super().__init__()
-        self._progress = progress
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if record.levelno == logging.DEBUG:
-            self._progress.advance()
-
-
 def compile_kernels() -> None:
-    """Classify and predict the frames of both engines, and show how many kernels are compiled."""
+    """Classify and predict the frames of both engines."""
     from graphrqi.predict import predict
     from graphrqi.predict.recorded.predictor import predict_recorded
     from graphrqi.predict.scene.scene import make_scene
@@ -41,29 +28,19 @@ def compile_kernels() -> None:
     from sim.engines import get_engine
     from sim.scenario import sample_agents
 
-    logger = logging.getLogger("graphrqi")
-    before = logger.level
-    with Progress("compiling numerical kernels", 0) as progress:
-        handler = _Advance(progress)
-        logger.addHandler(handler)
-        logger.setLevel(logging.DEBUG)
-        try:
-            scenario = SCENARIOS["four_way_intersection"](duration_s=DURATION_S)
-            agents = sample_agents(scenario, seed=0)
-            for engine in ENGINES:
-                stream = load_stream("graphrqi-plus")
-                for frame in get_engine(engine)(scenario, agents, 0):
-                    posterior = stream.update(frame)
-                    predict(stream.history, posterior, scenario.road, horizon_s=5.0)
-                predict(stream.history, posterior, None, horizon_s=5.0)
-                predict_recorded(
-                    make_scene(stream.history, scenario.road).history, 50, None, scenario.road
-                )
-        finally:
-            logger.setLevel(before)
-            logger.removeHandler(handler)
+    scenario = SCENARIOS["four_way_intersection"](duration_s=DURATION_S)
+    agents = sample_agents(scenario, seed=0)
+    for engine in ENGINES:
+        stream = load_stream("graphrqi-plus")
+        for frame in get_engine(engine)(scenario, agents, 0):
+            posterior = stream.update(frame)
+            predict(stream.history, posterior, scenario.road, horizon_s=5.0)
+        predict(stream.history, posterior, None, horizon_s=5.0)
+        seen = make_scene(stream.history, scenario.road).history
+        predict_recorded(seen, 50, None, scenario.road)
 
 
 if __name__ == "__main__":
+    show_notices()
     with exit_on_user_error():
         compile_kernels()

@@ -5,53 +5,41 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Any
 
-import typer
-
-from experiments.cli.options import Jobs, Json, Quiet
+from experiments.cli.options import Flow, Jobs, Json, Quiet, option
 
 
 def drive(
     policy: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="planner, another of ours, or module:function of your own; repeat for several "
-            "(default: ours).",
-        ),
+        option("planner, another of ours, or module:function of your own; repeat for several "
+               "(default: ours).", metavar="NAME"),
     ] = None,
     scenario: Annotated[
-        list[str] | None, typer.Option(help="Where; repeat for several (default: everywhere).")
+        list[str] | None, option("Where; repeat for several (default: everywhere).")
     ] = None,
     crowd: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Among whom: a behaviour, mixed, recorded or homogeneous; repeat for several "
-            "(default: all).",
-        ),
+        option("Among whom: a behaviour, mixed, recorded or homogeneous; repeat for several "
+               "(default: all).", metavar="NAME"),
     ] = None,
     episodes: Annotated[
-        int | None,
-        typer.Option(help="Of each policy in each scenario and crowd (default: 20)."),
+        int | None, option("Of each policy in each scenario and crowd (default: 20).")
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the first episode.")] = None,
-    flow: Annotated[
-        str | None, typer.Option(metavar="FLOW", help="light, medium, dense or vehicles per hour.")
-    ] = None,
+    seed: Annotated[int | None, option("Of the first episode.", min=0)] = None,
+    flow: Flow = None,
     duration_s: Annotated[
-        float | None, typer.Option("--duration-s", help="Longest episode, s (default: 60).")
+        float | None, option("Longest episode, s (default: 60).", "--duration-s")
     ] = None,
     warmup_s: Annotated[
-        float | None,
-        typer.Option("--warmup-s", help="How long the traffic drives before, s (default: 20)."),
+        float | None, option("How long the traffic drives before, s (default: 20).", "--warmup-s")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Two scenarios, two crowds, two short episodes.")
+        bool, option("Two scenarios, two crowds, two short episodes.", "--quick")
     ] = False,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Test how driving policies do in every scenario among drivers of every kind."""
     from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
     from experiments.score.parts import show_parts

@@ -19,47 +19,31 @@ from experiments.cli.options import (
     Quiet,
     Seed,
     Source,
+    TableFile,
     TrafficKind,
-    names_of,
+    option,
     refuse_to_overwrite,
-    table_to_write,
 )
 
 if TYPE_CHECKING:
     from experiments.score.rows import Row
-
-TableFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        dir_okay=False,
-        callback=table_to_write,
-        metavar="FILE",
-        help="File for the answers themselves: .parquet or .csv.",
-    ),
-]
-EvaluatedModel = Annotated[str, typer.Argument(help="A model that ships, or a folder.")]
 
 
 def train(
     data: Annotated[
         list[Path], typer.Argument(help="Datasets; recordings for --from and --predictor.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the model.")],
-    method: Annotated[
-        str, typer.Option(help="See graphrqi list.", autocompletion=names_of("method"))
-    ] = "graphrqi-plus",
+    out: Annotated[Path, option("Folder of the model.")],
+    method: Annotated[str, option("See graphrqi list.", names="method")] = "graphrqi-plus",
     start: Annotated[
         str | None,
-        typer.Option(
-            "--from", metavar="MODEL", help="Adapt this model to the place of recordings instead."
-        ),
+        option("Adapt this model to the place of recordings instead.", "--from", metavar="MODEL"),
     ] = None,
     labels: GivenLabels = None,
     predictor: Annotated[
-        bool, typer.Option("--predictor", help="Train the predictor for recordings instead.")
+        bool, option("Train the predictor for recordings instead.", "--predictor")
     ] = False,
-    epochs: Annotated[int, typer.Option(min=1, help="Passes over the data (--predictor).")] = 4,
+    epochs: Annotated[int, option("Passes over the data (--predictor).", min=1)] = 4,
     format: FormatName = None,
     net: Net = None,
     seed: Seed = 0,
@@ -139,7 +123,7 @@ def classify(
 
 
 def evaluate(
-    model: EvaluatedModel,
+    model: Annotated[str, typer.Argument(help="A model that ships, or a folder.")],
     source: Source,
     format: FormatName = None,
     net: Net = None,
@@ -166,31 +150,26 @@ def predict(
     source: Source,
     predictors: Annotated[
         str,
-        typer.Option(
-            metavar="A,B",
-            help="Names (see graphrqi list) or module:function of your own, separated by commas.",
-        ),
+        option("Names (see graphrqi list) or module:function of your own, separated by commas.",
+               metavar="A,B"),
     ] = "constant-velocity,graphrqi-predict",
-    horizon_s: Annotated[float, typer.Option("--horizon-s", help="How far ahead, s.")] = 5.0,
+    horizon_s: Annotated[float, option("How far ahead, s.", "--horizon-s")] = 5.0,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     out: TableFile = None,
     weights: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER", help="From train --predictor (default: the weights that ship)."
-        ),
+        option("From train --predictor (default: the weights that ship).", metavar="FOLDER"),
     ] = None,
     traffic: TrafficKind = None,
     split: Annotated[
-        str | None,
-        typer.Option(help="test, validation, train or all [default: test; all of recordings]."),
+        str | None, option("test, validation, train or all [default: test; all of recordings].")
     ] = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Predict where everyone goes, and score it."""
     from experiments.console.tables import show_table
     from experiments.score.predict import default_split, errors_table, predict_dataset
@@ -200,26 +179,17 @@ def predict(
     names = [word.strip() for word in predictors.split(",") if word.strip()]
     with _named_dataset(source, format, net) as (dataset, known):
         found = predict_dataset(
-            dataset,
-            names,
-            horizon_s,
-            model,
-            out=out,
-            weights=weights,
-            traffic=traffic,
-            split=split or default_split(dataset),
-            jobs=jobs,
+            dataset, names, horizon_s, model, out=out, weights=weights, traffic=traffic,
+            split=split or default_split(dataset), jobs=jobs,
             quiet=quiet,
-        )
+        )  # fmt: skip
     rows = stamped(found, "predict", dataset=known)
     show_table(rows, json, "prediction", errors_table(rows))
 
 
 def calibrate(
     source: Source,
-    out: Annotated[
-        Path, typer.Option(file_okay=False, metavar="FOLDER", help="New folder for the results.")
-    ],
+    out: Annotated[Path, option("New folder for the results.", metavar="FOLDER", file_okay=False)],
     format: FormatName = None,
     net: Net = None,
     json: Json = None,

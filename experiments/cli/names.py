@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 from behaviors.errors import InputError, lookup
 from behaviors.populations import POPULATIONS, read_population
 from behaviors.registry import Registry, loaded
+from experiments.generate import RANDOM_WORLD
 from experiments.score.rows import Row
 
 REGISTRIES: Final[dict[str, str]] = {
@@ -53,22 +54,23 @@ def names_of(what: str) -> list[str]:
         >>> names_of("engine")
         ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
     """
-    return list(POPULATIONS if what == "population" else _registry(what))
+    if what == "population":
+        return list(POPULATIONS)
+    return [*_registry(what), *([RANDOM_WORLD] if what == "scenario" else [])]
 
 
 def registered_names() -> list[Row]:
     """Every registered name: what it names, where it comes from, and one line on what it is."""
-    found: list[Row] = [
-        {
-            "what": what,
-            "name": name,
-            "from": registry.origin(name),
-            "about": _about(registry, name, SUMMARIES[what]),
-        }
-        for what in REGISTRIES
-        for registry in (_registry(what),)
-        for name in registry
-    ]
+    found: list[Row] = []
+    for what, summary in SUMMARIES.items():
+        registry = _registry(what)
+        for name in registry:
+            about = _about(registry, name, summary)
+            found.append(
+                {"what": what, "name": name, "from": registry.origin(name), "about": about}
+            )
+    drawn = "A road, drivers and a sensor of each episode's own, drawn at random; for generate."
+    found.append({"what": "scenario", "name": RANDOM_WORLD, "from": "graphrqi", "about": drawn})
     for name in POPULATIONS:
         about = read_population(name).source
         found.append({"what": "population", "name": name, "from": "graphrqi", "about": about})

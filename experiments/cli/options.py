@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.models import OptionInfo
@@ -46,10 +46,6 @@ def table_to_write(path: Path | None) -> Path | None:
 def refuse_to_overwrite(read: Sequence[Path | None], written: Sequence[Path | None]) -> None:
     """Refuse files to write that are read, too, or that are named twice.
 
-    Args:
-        read: what a command reads.
-        written: what it writes.
-
     Raises:
         InputError: naming the file.
     """
@@ -64,23 +60,6 @@ def refuse_to_overwrite(read: Sequence[Path | None], written: Sequence[Path | No
         places.append(path.resolve())
 
 
-def metres_of(text: str | None) -> tuple[float, float] | None:
-    """Two lengths in metres from ``X,Y``; None stays.
-
-    Raises:
-        InputError: if it is anything else.
-    """
-    if text is None:
-        return None
-    try:
-        x, y = (float(word) for word in text.split(","))
-    except ValueError:
-        from behaviors.errors import InputError
-
-        raise InputError(f"--shift: found {text!r:.60}, expected X,Y in metres") from None
-    return x, y
-
-
 def names_of(what: str) -> Callable[[str], list[str]]:
     """What the shell offers when a registered name is being typed."""
 
@@ -92,56 +71,49 @@ def names_of(what: str) -> Callable[[str], list[str]]:
     return complete
 
 
+def option(help: str, *flags: str, metavar: str | None = None, **settings: Any) -> OptionInfo:
+    """An option; ``settings`` are those of typer, or ``names``: a registry that completes it."""
+    registry = settings.pop("names", None)
+    if registry is not None:
+        settings["autocompletion"] = names_of(registry)
+    made: OptionInfo = typer.Option(*flags, metavar=metavar, help=help, **settings)
+    return made
+
+
+def file_option(help: str, *flags: str, metavar: str = "FILE", **settings: Any) -> OptionInfo:
+    """An option that names a file."""
+    return option(help, *flags, metavar=metavar, dir_okay=False, **settings)
+
+
 def json_option(help: str) -> OptionInfo:
     """The option ``--json FILE``, with what it writes."""
-    option: OptionInfo = typer.Option(
-        "--json", dir_okay=False, callback=in_a_folder, allow_dash=True, metavar="FILE", help=help
-    )
-    return option
+    return file_option(help, "--json", callback=in_a_folder, allow_dash=True)
 
 
 Source = Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")]
 DatasetFolder = Annotated[Path, typer.Argument(help="Folder written by generate or import.")]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")]
+NewDataset = Annotated[Path, option("Folder of the dataset.", "--out")]
+Jobs = Annotated[int | None, option("Processes (default: one per core).", min=1)]
 Json = Annotated[Path | None, json_option("Write the figures as JSON rows; - for standard output.")]
-ModelName = Annotated[
-    str, typer.Option("--model", help="A model that ships, or a folder written by train.")
-]
+ModelName = Annotated[str, option("A model that ships, or a folder written by train.", "--model")]
 FormatName = Annotated[
     str | None,
-    typer.Option(
-        "--format",
-        metavar="KEY",
-        help="Format of the recordings (default: recognised by their content).",
-        autocompletion=names_of("format"),
-    ),
-]
-Net = Annotated[
-    Path | None,
-    typer.Option(
-        "--net", dir_okay=False, metavar="FILE", help="SUMO net or map of the recordings' place."
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Same seed, same result.")]
+    option("Format of the recordings (default: recognised by their content).", "--format",
+           metavar="KEY", names="format"),
+]  # fmt: skip
+Net = Annotated[Path | None, file_option("SUMO net or map of the recordings' place.", "--net")]
+Seed = Annotated[int, option("Same seed, same result.", min=0)]
 GivenLabels = Annotated[
     Path | None,
-    typer.Option(
-        "--labels",
-        dir_okay=False,
-        metavar="FILE.csv",
-        help="Known drivers: columns name and label (a behaviour or style), or also recording.",
-    ),
-]
+    file_option("Known drivers: columns name and label (a behaviour or style), or also recording.",
+                "--labels", metavar="FILE.csv"),
+]  # fmt: skip
 TrafficKind = Annotated[
     str | None,
-    typer.Option(
-        "--traffic",
-        metavar="KIND",
-        help="Where the positions come from: simulated (by run or generate), recorded or other "
-        "(default: what the data say).",
-    ),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
+    option("Where the positions come from: simulated (by run or generate), recorded or other "
+           "(default: what the data say).", "--traffic", metavar="KIND"),
+]  # fmt: skip
+Quiet = Annotated[bool, option("Show no progress.", "--quiet", "-q")]
 ScenarioName = Annotated[
     str | None,
     typer.Argument(
@@ -149,68 +121,60 @@ ScenarioName = Annotated[
         autocompletion=names_of("scenario"),
     ),
 ]
+TableFile = Annotated[
+    Path | None,
+    file_option("File for the answers themselves: .parquet or .csv.", "--out",
+                callback=table_to_write),
+]  # fmt: skip
 
-TRAFFIC_PANEL: Final = "Traffic"
+
+def _traffic(help: str, *flags: str, **settings: Any) -> OptionInfo:
+    return option(help, *flags, rich_help_panel="Traffic", **settings)
 
 
-def _traffic(*flags: str, **settings: Any) -> OptionInfo:
-    option: OptionInfo = typer.Option(*flags, rich_help_panel=TRAFFIC_PANEL, **settings)
-    return option
+Flow = Annotated[str | None, _traffic("light, medium, dense or vehicles per hour.", metavar="FLOW")]
 
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
     """The options that say which traffic drives; `with_traffic` gives them to a command."""
 
-    engine: Annotated[
-        str | None,
-        _traffic(help="Which simulator (default: sumo).", autocompletion=names_of("engine")),
-    ] = None
-    flow: Annotated[
-        str | None, _traffic(metavar="FLOW", help="light, medium, dense or vehicles per hour.")
-    ] = None
+    engine: Annotated[str | None, _traffic("Which simulator (default: sumo).", names="engine")] = (
+        None
+    )
+    flow: Flow = None
     mix: Annotated[
         str | None,
-        _traffic(metavar="MIX", help="Shares of behaviours or styles: aggressive=.2,timid=.8."),
+        _traffic("Shares of behaviours or styles: aggressive=.2,timid=.8.", metavar="MIX"),
     ] = None
     kinds: Annotated[
-        str | None, _traffic(metavar="KINDS", help="Shares of kinds of agents: car=.9,truck=.1.")
+        str | None, _traffic("Shares of kinds of agents: car=.9,truck=.1.", metavar="KINDS")
     ] = None
     spread: Annotated[
-        float | None, _traffic(help="How much drivers of one behaviour differ; 0 gives clones.")
+        float | None, _traffic("How much drivers of one behaviour differ; 0 gives clones.")
     ] = None
     population: Annotated[
         str | None,
-        _traffic(
-            metavar="NAME or FILE",
-            help="Population that drivers are drawn from: a name (see graphrqi list), or a TOML "
-            "file as calibrate writes it.",
-            autocompletion=names_of("population"),
-        ),
-    ] = None
-    duration_s: Annotated[
-        float | None, _traffic("--duration-s", help="Length, s; at most 86400.")
-    ] = None
+        _traffic("Population that drivers are drawn from: a name (see graphrqi list), or a TOML "
+                 "file as calibrate writes it.", metavar="NAME or FILE", names="population"),
+    ] = None  # fmt: skip
+    duration_s: Annotated[float | None, _traffic("Length, s; at most 86400.", "--duration-s")] = (
+        None
+    )
     net: Annotated[
         str | None,
-        _traffic(
-            metavar="FILE",
-            help="A map instead of a scenario: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, "
-            "CommonRoad or Argoverse 2.",
-        ),
-    ] = None
+        _traffic("A map instead of a scenario: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, "
+                 "CommonRoad or Argoverse 2.", metavar="FILE"),
+    ] = None  # fmt: skip
     routes: Annotated[
         str | None,
-        _traffic(metavar="FILE", help="SUMO routes for the map (default: made from the map)."),
+        _traffic("SUMO routes for the map (default: made from the map).", metavar="FILE"),
     ] = None
     option: Annotated[
         list[str] | None,
-        _traffic(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Another option of the scenario, such as lanes=2; repeat for several.",
-        ),
-    ] = None
+        _traffic("Another option of the scenario, such as lanes=2; repeat for several.", "--set",
+                 metavar="NAME=VALUE"),
+    ] = None  # fmt: skip
 
     def config(
         self, scenarios: Sequence[str] | None, file: Path | None = None, **more: Any
@@ -270,12 +234,6 @@ def with_traffic(command: Callable[..., None]) -> Callable[..., None]:
 
 def read_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
     """Options given as ``NAME=VALUE``: true, false, a number, or a word.
-
-    Args:
-        texts: as given on the command line, after ``--set``.
-
-    Returns:
-        The values by name.
 
     Raises:
         InputError: if one is written otherwise, or is an option of its own.

@@ -9,69 +9,53 @@ import typer
 
 from experiments.cli.options import (
     FormatName,
+    Jobs,
     ModelName,
     Net,
     Quiet,
     Source,
-    names_of,
+    file_option,
+    option,
     refuse_to_overwrite,
 )
 
 
 def replay(
     source: Source,
-    out: Annotated[
-        Path, typer.Option(dir_okay=False, metavar="FILE.html", help="The page.")
-    ] = Path("replay.html"),
+    out: Annotated[Path, file_option("The page.", metavar="FILE.html")] = Path("replay.html"),
     episode: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="A name as classify shows it, an id or its beginning, or a scenario (default: "
-            "the first).",
-        ),
+        option("A name as classify shows it, an id or its beginning, or a scenario (default: the "
+               "first).", metavar="NAME"),
     ] = None,
     labels: Annotated[
-        Path | None,
-        typer.Option(
-            dir_okay=False, metavar="FILE.parquet", help="From classify (default: made here)."
-        ),
+        Path | None, file_option("From classify (default: made here).", metavar="FILE.parquet")
     ] = None,
     predictions: Annotated[
-        Path | None,
-        typer.Option(
-            dir_okay=False, metavar="FILE.parquet", help="From predict (default: made here)."
-        ),
+        Path | None, file_option("From predict (default: made here).", metavar="FILE.parquet")
     ] = None,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     predictor: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="See graphrqi list; none for no predictions (default: graphrqi-predict).",
-            autocompletion=names_of("predictor"),
-        ),
+        option("See graphrqi list; none for no predictions (default: graphrqi-predict).",
+               metavar="NAME", names="predictor"),
     ] = None,
     color: Annotated[
         str | None,
-        typer.Option(metavar="MODE", help="At first: true, predicted, confidence, speed or w."),
+        option("At first: true, predicted, confidence, speed or w.", metavar="MODE"),
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="Draw one moment of it too (.png, .pdf or .svg), or a film (.mp4 or .gif).",
-        ),
+        file_option("Draw one moment of it too (.png, .pdf or .svg), or a film (.mp4 or .gif)."),
     ] = None,
     begin_s: Annotated[
-        float | None, typer.Option("--begin-s", help="When page, film or picture begin, s.")
+        float | None, option("When page, film or picture begin, s.", "--begin-s")
     ] = None,
-    end_s: Annotated[float | None, typer.Option("--end-s", help="When the film ends, s.")] = None,
+    end_s: Annotated[float | None, option("When the film ends, s.", "--end-s")] = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Make a page that plays an episode in a browser."""
     from experiments.console.notices import say
     from experiments.replay.write import ReplayOptions, write_replay
@@ -93,22 +77,16 @@ def report(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="The page (default: beside the rows or in the folder; comparison.html of "
-            "several).",
-        ),
+        file_option("The page (default: beside the rows or in the folder; comparison.html of "
+                    "several)."),
     ] = None,
     figures: Annotated[
         str | None,
-        typer.Option(
-            metavar="svg|pdf", help="Write the page's pictures beside it in this format, too."
-        ),
+        option("Write the page's pictures beside it in this format, too.", metavar="svg|pdf"),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes.")] = None,
+    jobs: Jobs = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Make a page of tables and pictures; of several runs, one that compares them."""
     from experiments.console.notices import say
     from experiments.report.page import write_report

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from experiments.cli.options import Json, Quiet, ScenarioName, Seed, Traffic, with_traffic
+from experiments.cli.options import (
+    Json,
+    Quiet,
+    ScenarioName,
+    Seed,
+    Traffic,
+    file_option,
+    option,
+    with_traffic,
+)
 
 if TYPE_CHECKING:
     from experiments.generate.configuration import GenerateConfig
@@ -16,52 +25,38 @@ if TYPE_CHECKING:
 @with_traffic
 def what_if(
     scenario: ScenarioName = None,
-    at_s: Annotated[
-        float | None, typer.Option("--at-s", help="From when on the driver differs, s.")
-    ] = None,
-    agent: Annotated[int | None, typer.Option(metavar="ID", help="The driver.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of the dataset.")] = None,
+    at_s: Annotated[float | None, option("From when on the driver differs, s.", "--at-s")] = None,
+    agent: Annotated[int | None, option("The driver.", metavar="ID")] = None,
+    out: Annotated[Path | None, option("Folder of the dataset.")] = None,
     behavior: Annotated[
-        list[str] | None,
-        typer.Option(metavar="B", help="A behaviour to go on with; repeat for several."),
+        list[str] | None, option("A behaviour to go on with; repeat for several.", metavar="B")
     ] = None,
     action: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="A",
-            help="brake, keep, accelerate, change-left or change-right at that instant; repeat "
-            "for several.",
-        ),
+        option("brake, keep, accelerate, change-left or change-right at that instant; repeat for "
+               "several.", metavar="A"),
     ] = None,
     episode: Annotated[
-        int,
-        typer.Option(min=0, metavar="N", help="Which of the scenario's episodes, as by generate."),
+        int, option("Which of the scenario's episodes, as by generate.", min=0, metavar="N")
     ] = 0,
     seed: Seed = 0,
     blame: Annotated[
         bool,
-        typer.Option(
-            "--blame",
-            help="Instead, say whose careful driving would have prevented each collision and "
-            "near miss.",
-        ),
+        option("Instead, say whose careful driving would have prevented each collision and near "
+               "miss.", "--blame"),
     ] = False,
     bystanders: Annotated[
-        int, typer.Option(min=0, help="With --blame: drivers beside the two parties to try.")
+        int, option("With --blame: drivers beside the two parties to try.", min=0)
     ] = 4,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            dir_okay=False,
-            metavar="FILE",
-            help="Draw the paths over the factual ones too: .png, .pdf or .svg.",
-        ),
+        file_option("Draw the paths over the factual ones too: .png, .pdf or .svg."),
     ] = None,
     json: Json = None,
     quiet: Quiet = False,
     *,
     traffic: Traffic,
-) -> None:
+) -> None:  # fmt: skip
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import InputError, lookup
     from behaviors.labels import Behavior

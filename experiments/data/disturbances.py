@@ -1,4 +1,4 @@
-"""Errors of sensors and trackers: noise, lost frames, mistaken identities, cut tracks.
+"""Errors of sensors and trackers: noise, other frame rates, lost frames and tracks.
 
 Each takes tracks, a level and a generator, and returns other tracks; labels stay with the ids.
 """
@@ -14,13 +14,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from behaviors.elementwise import exponential
-from behaviors.errors import InputError
 from sim.frames import Tracks
 
 Disturbance = Callable[[Tracks, float, np.random.Generator], Tracks]
-
-SWITCH_DISTANCE_M: Final = 10.0
-"""Agents nearer than this can be mistaken for one another (two car lengths)."""
 
 
 def position_noise(tracks: Tracks, deviation_m: float, rng: np.random.Generator) -> Tracks:
@@ -90,42 +86,6 @@ def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tr
     return dataclasses.replace(kept, events=tracks.events)
 
 
-def identity_switches(tracks: Tracks, per_minute: float, rng: np.random.Generator) -> Tracks:
-    """Neighbours' identities are exchanged, ``per_minute`` times for each agent on average.
-
-    An id then follows another agent from there on. Its label is that of the agent it follows
-    longest, so what remains wrong are windows around and after the exchange.
-    """
-    n, t = tracks.valid.shape
-    source = np.tile(np.arange(n)[:, None], (1, t))  # which agent each id follows, at each time
-    chance = per_minute / 60.0 * tracks.step_s / 2.0  # two agents take part in each exchange
-    for step in range(1, t):
-        here = np.flatnonzero(tracks.valid[source[:, step], step])
-        for one in here[rng.random(here.size) < chance]:
-            place = tracks.xy[source[here, step], step]
-            away = np.hypot(*(place - tracks.xy[source[one, step], step]).T)
-            away[here == one] = np.inf
-            if away.size and away.min() < SWITCH_DISTANCE_M:
-                other = here[int(away.argmin())]
-                source[[one, other], step:] = source[[other, one], step:]
-    column = np.arange(t)[None]
-    behavior = tracks.behavior
-    if behavior is not None:
-        longest = [
-            np.bincount(source[i, tracks.valid[source[i], np.arange(t)]], minlength=n).argmax()
-            for i in range(n)
-        ]
-        behavior = behavior[np.array(longest, dtype=np.int64)]
-    return dataclasses.replace(
-        tracks,
-        xy=tracks.xy[source, column],
-        heading=tracks.heading[source, column],
-        speed=tracks.speed[source, column],
-        valid=tracks.valid[source, column],
-        behavior=behavior,
-    )
-
-
 def lost_detections(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
     """A share of all detections is missing, each independently; tracks keep their ids."""
     return _hidden(tracks, tracks.valid & (rng.random(tracks.valid.shape) >= share))
@@ -179,23 +139,6 @@ def _hidden(tracks: Tracks, valid: NDArray[np.bool_]) -> Tracks:
     )
 
 
-def cut_tracks(tracks: Tracks, piece_s: float, rng: np.random.Generator) -> Tracks:
-    """Every track is lost after ``piece_s`` and found again under a new id."""
-    if piece_s <= 0:
-        raise InputError(f"piece_s: found {piece_s}, expected a time > 0")
-    rows, columns = [], []
-    for row in range(tracks.ids.size):
-        seen = np.flatnonzero(tracks.valid[row])
-        if not seen.size:
-            continue
-        # The first cut comes at random, so that not all tracks are cut at the same age.
-        age = tracks.time_s[seen] - tracks.time_s[seen[0]] + rng.uniform(0.0, piece_s)
-        for piece in np.unique(np.floor(age / piece_s)):
-            rows.append(row)
-            columns.append(seen[np.floor(age / piece_s) == piece])
-    return _pieces(tracks, rows, columns)
-
-
 def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.int64]]) -> Tracks:
     """Tracks of pieces: of the agent in each row, the times in each of the columns."""
     valid = np.zeros((len(rows), tracks.time_s.size), dtype=bool)
@@ -219,14 +162,13 @@ def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.in
     return _hidden(pieces, valid)
 
 
-DISTURBANCES: Final[dict[str, tuple[Disturbance, tuple[float, ...], str]]] = {
-    "position noise": (position_noise, (0.1, 0.3, 1.0), "m"),
-    "correlated noise": (correlated_noise, (0.1, 0.25, 0.5), "m"),
-    "dropped frames": (dropped_frames, (0.1, 0.3, 0.5), "of all"),
-    "frame rate": (frame_rate, (25.0, 5.0, 2.5), "Hz"),
-    "lost detections": (lost_detections, (0.1, 0.3), "of all"),
-    "lost tracks": (lost_tracks, (2.0,), "per agent and minute"),
-    "identity switches": (identity_switches, (0.5, 2.0), "per agent and minute"),
-    "cut tracks": (cut_tracks, (5.0, 15.0), "s"),
+DISTURBANCES: Final[dict[str, Disturbance]] = {
+    "position noise": position_noise,
+    "correlated noise": correlated_noise,
+    "dropped frames": dropped_frames,
+    "frame rate": frame_rate,
+    "lost detections": lost_detections,
+    "lost tracks": lost_tracks,
+    "renamed tracks": renamed_tracks,
 }
-"""Each disturbance with its levels and their unit."""
+"""Each disturbance by name; its level is a deviation in m, a share, Hz, or times per minute."""

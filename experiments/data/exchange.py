@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -32,6 +32,7 @@ from sim.formats import (
 from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.motion import doubt_of_times
 from sim.formats.common.windows import NoWindowError
+from sim.formats.own_table import check_columns
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeMeta, Manifest, Split, split_of
@@ -55,6 +56,9 @@ def import_recordings(
     labels: Path | None = None,
     rate_hz: float | None = None,
     shift_m: tuple[float, float] | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    scenario: str | None = None,
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
@@ -75,6 +79,9 @@ def import_recordings(
         rate_hz: frames per second that the recordings really have; None for what they say. A
             recording whose times contradict its motion is then left out, or refused if it is alone.
         shift_m: how far maps are moved onto the positions, m; None not to move them.
+        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        units: of these columns.
+        scenario: what the episodes' scenario is called; None for the format's name.
 
     Returns:
         The manifest.
@@ -87,8 +94,12 @@ def import_recordings(
     if is_remote(source):
         with fetched(source) as copy:
             return import_recordings(
-                copy, out, name, net, split, quiet, types, labels, rate_hz, shift_m
-            )
+                copy, out, name, net, split, quiet, types, labels, rate_hz, shift_m, columns,
+                units, scenario,
+            )  # fmt: skip
+    if columns is not None:
+        check_columns(columns, units or {})
+        name = "table"
     names = [name] if name else formats_in(source)
     for key in names:
         get_reader(key)
@@ -114,7 +125,9 @@ def import_recordings(
         new_dataset(out, configuration) as dataset,
         Progress("importing recordings", 0, quiet) as shown,
     ):
-        for key, recording in guarded(source, read_formats, source, names, types, rate_hz):
+        for key, recording in guarded(
+            source, read_formats, source, names, types, rate_hz, columns, units
+        ):
             LOGGER.debug("%s: read %s as %s", source, recording.name, key)
             wrong = None if rate_hz is not None else doubt_of_times(recording.tracks)
             if wrong is not None and FORMATS[key].clock:
@@ -128,19 +141,20 @@ def import_recordings(
                 recording = recording.labelled(found_labels)
             unit = FORMATS[key].unit
             recording, doubt = admitted(recording, unit)
-            if doubt:
-                LOGGER.warning("%s: %s", recording.name, doubt)
+            said = [*recording.doubts, *([doubt] if doubt else [])]
+            if said:
+                LOGGER.warning("%s: %s", recording.name, "; ".join(said))
             road, found = roads.of(recording)
             options: dict[str, JsonValue] = {
                 "recording": recording.name, "file": recording.file,
-                "notes": [*recording.notes, *found],
+                "notes": [*recording.notes, *recording.doubts, *found],
             }  # fmt: skip
             if unit != "m":
                 options[SCALED] = True
             if doubt:
                 options[DOUBTED] = doubt
             meta = EpisodeMeta(
-                scenario=key,
+                scenario=scenario or key,
                 engine=key,
                 index=count,
                 split=split or split_of(count),

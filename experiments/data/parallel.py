@@ -55,27 +55,42 @@ def checked_jobs(jobs: int | None) -> int:
 
 
 def in_parallel(
-    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
+    function: Callable[..., T],
+    arguments: Sequence[tuple[Any, ...]],
+    jobs: int | None,
+    what: str = "",
+    quiet: bool = True,
 ) -> Iterator[T]:
     """Call a function on each tuple of arguments.
 
     Args:
         function: importable by workers.
-        arguments: one tuple per call.
+        arguments: one tuple per call; there may be none.
         jobs: processes; None for one per core. One call or one job runs in this process.
+        what: the work and what is counted, for the progress that is shown.
+        quiet: whether to show no progress.
 
     Yields:
         The answers, in the order of the arguments.
     """
-    if jobs == 1 or len(arguments) == 1:
+    with Progress(what, len(arguments), quiet) as progress:
+        for answer in _answers(function, arguments, jobs):
+            yield answer
+            progress.advance()
+
+
+def _answers(
+    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
+) -> Iterator[T]:
+    """The answers, in this process or of workers that are used again."""
+    if jobs == 1 or len(arguments) < 2:
         for one in arguments:
             yield function(*one)
         return
     from loky import get_reusable_executor
 
-    workers = min(checked_jobs(jobs), len(arguments))
     executor = get_reusable_executor(
-        max_workers=workers, env={"OMP_NUM_THREADS": "1"},
+        max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},
         initializer=start_worker, initargs=(os.getpid(),),
     )  # fmt: skip
     here = os.getcwd()  # workers that are used again may have begun in another folder
@@ -88,30 +103,3 @@ def _called(folder: str, function: Callable[..., T], *arguments: Any) -> T:
     """What a function returns in a working folder."""
     os.chdir(folder)
     return function(*arguments)
-
-
-def all_in_parallel(
-    function: Callable[..., T],
-    arguments: Sequence[tuple[Any, ...]],
-    jobs: int | None,
-    what: str,
-    quiet: bool,
-) -> list[T]:
-    """Call a function on each tuple of arguments, and show how far that has come.
-
-    Args:
-        function: importable by workers.
-        arguments: one tuple per call; there may be none.
-        jobs: processes; None for one per core. One call or one job runs in this process.
-        what: the work and what is counted.
-        quiet: whether to show no progress.
-
-    Returns:
-        The answers, in the order of the arguments.
-    """
-    found: list[T] = []
-    with Progress(what, len(arguments), quiet) as progress:
-        for one in in_parallel(function, arguments, jobs) if arguments else ():
-            found.append(one)
-            progress.advance()
-    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 from behaviors.errors import InputError
@@ -12,6 +13,7 @@ from sim.formats.common.recording import Recording
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.road.map_fit import LEAST, map_fit, shifted
+from sim.road.net import net_offset
 
 
 class RecordedRoads:
@@ -33,6 +35,7 @@ class RecordedRoads:
         self._shift_m = shift_m
         self._fitted = 0
         self._refused: dict[str, str] = {}
+        self._said: set[str] = set()
         if net is not None:
             guarded_call(net, read_road_file, net)
 
@@ -60,12 +63,27 @@ class RecordedRoads:
         if self._shift_m is not None:
             road = shifted(road, self._shift_m)
             notes = ("the map is shifted by ({:g}, {:g}) m".format(*self._shift_m),)
+        for text in set(road.doubts) - self._said:
+            LOGGER.warning("%s: %s", road.source, text)
+        self._said |= set(road.doubts)
+        notes += road.doubts
         fit = map_fit(road, recording.tracks)
+        if not fit.fits and self._shift_m is None and isinstance(given, Path):
+            offset = net_offset(given)
+            moved = shifted(road, (-offset[0], -offset[1]))
+            there = map_fit(moved, recording.tracks)
+            if any(offset) and there.fits and not math.isnan(there.share):
+                road, fit = moved, there
+                by = f"({-offset[0]:g}, {-offset[1]:g})"
+                notes = (f"the map is shifted by {by} m, as its own offset says",)
+                LOGGER.warning("%s: %s", road.source, notes[0])
+        if recording.own_road and self._net is None:
+            fit = dataclasses.replace(fit, vehicles=0)  # it belongs to it by its id
         if not fit.fits:
             return None, self._not_fitting(recording, road, fit.share, fit.sure)
         self._fitted += 1
         keeps = isinstance(given, Path) and given.name.endswith((".json", ".net.xml"))
-        if fit.limits_rule and keeps and self._shift_m is None:
+        if fit.limits_rule and keeps and not notes:
             return given, fit.notes()
         rules = fit.limits_rule and road.knows.limits_rule
         knows = dataclasses.replace(road.knows, limits_rule=rules)

@@ -9,7 +9,7 @@ from typing import Final, Literal
 from experiments.data.data_card import DATA_CARD
 from sim.files import place_of
 from sim.store.catalogue import EPISODES
-from sim.store.dataset import Dataset, open_dataset
+from sim.store.dataset import open_dataset
 
 State = Literal["missing", "altered", "foreign"]
 
@@ -30,11 +30,11 @@ class Flaw:
     state: State
 
 
-def find_flaws(dataset: Dataset) -> list[Flaw]:
+def verify_dataset(path: Path) -> list[Flaw]:
     """Compare every file of a dataset with the size and the checksum in its catalogue.
 
     Args:
-        dataset: which.
+        path: folder or URL of the dataset.
 
     Returns:
         What is wrong, in order of path; empty if nothing is.
@@ -42,6 +42,7 @@ def find_flaws(dataset: Dataset) -> list[Flaw]:
     Raises:
         InputError: if the catalogue's rows are broken.
     """
+    dataset = open_dataset(path)
     place, header = place_of(dataset.path), dataset.header
     there = place.files()
     expected = {path: (file.size, file.sha256) for path, file in header.files.items()}
@@ -53,12 +54,3 @@ def find_flaws(dataset: Dataset) -> list[Flaw]:
         elif there[name] != size or place.checksum(name) != sha256:
             flaws.append(Flaw(Path(name), "altered"))
     return sorted(flaws, key=lambda flaw: flaw.path)
-
-
-def verify_dataset(path: Path) -> list[Flaw]:
-    """What ``graphrqi verify`` does; see `find_flaws`.
-
-    Args:
-        path: folder or URL of a dataset.
-    """
-    return find_flaws(open_dataset(path))

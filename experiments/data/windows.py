@@ -8,7 +8,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
-from experiments.data.parallel import all_in_parallel
+from experiments.data.parallel import in_parallel
 from graphrqi.methods import make_observer
 from graphrqi.other_traffic import Traffic, check_traffic
 from graphrqi.samples import NoSamplesError, Samples, collect
@@ -133,7 +133,7 @@ def gather(
             "generate more episodes"
         )
     what = f"{method}: observing {split} episodes"
-    found = all_in_parallel(episode_samples, arguments, jobs, what, quiet)
+    found = list(in_parallel(episode_samples, arguments, jobs, what, quiet))
     parts = [part for part in found if not isinstance(part, str)]
     left_out = [reason for reason in found if isinstance(reason, str)]
     if not parts:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from behaviors.errors import InputError, lookup
-from experiments.data.parallel import all_in_parallel
+from experiments.data.parallel import in_parallel
 from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED
 from experiments.drive.episode import METRICS, ROADS, drive
 from experiments.drive.figures import figure_rows
@@ -80,7 +80,7 @@ def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[
             for crowd in test.crowds
             for policy in test.policies
         ]
-        found = all_in_parallel(drive, arguments, jobs, f"driving in {scenario}: episodes", quiet)
+        found = list(in_parallel(drive, arguments, jobs, f"driving in {scenario}: episodes", quiet))
         tables.append(np.array([[one[m] for m in METRICS] for one in found]).reshape(shape))
         yield figure_rows(scenario, test.crowds, test.policies, tables[-1])
     if len(tables) > 1:

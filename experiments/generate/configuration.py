@@ -10,15 +10,13 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from behaviors.errors import InputError
 from behaviors.populations import read_population
+from experiments.generate import RANDOM_WORLD
 from experiments.guard import guarded_call, is_guarding
 from scenarios import get_scenario
-from scenarios.own.file import is_path
+from scenarios.own.scenario_file import is_path
 from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
-
-RANDOM_WORLD: Final = "random_world"
-"""The scenario whose episodes have a road, drivers and a sensor each, drawn at random."""
 
 NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "duration_s"})
 """What may be chosen of random worlds, too."""
@@ -151,28 +149,6 @@ def _from_folder(name: str, value: object, folder: Path) -> object:
     return str(folder / value) if named or name in ("net", "routes") else value
 
 
-def read_cluster(path: Path | None, given: str | None = None) -> str | None:
-    """The address of the cluster to generate on.
-
-    Args:
-        path: TOML file whose section ``[cluster]`` may have an ``address``; None for none.
-        given: address given on the command line; it wins.
-
-    Returns:
-        The address; None to generate on this machine.
-
-    Raises:
-        InputError: if the section has anything else in it.
-    """
-    section = _read_toml(path).get("cluster", {})
-    if not isinstance(section, dict) or set(section) - {"address"}:
-        raise InputError(f"{path}: cluster: found {section!r:.60}, expected an address and no more")
-    address = section.get("address") if given is None else given
-    if address is not None and not isinstance(address, str):
-        raise InputError(f"{path}: cluster.address: found {address!r:.60}, expected text")
-    return address
-
-
 def read_config(path: Path | None, **given: object) -> GenerateConfig:
     """A configuration from a TOML file, from options, or both; options win.
 
@@ -189,7 +165,6 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
         InputError: if the file is broken, a field unknown or a value wrong.
     """
     fields = _read_toml(path)
-    fields.pop("cluster", None)
     if path is not None:
         fields = {name: _from_folder(name, value, path.parent) for name, value in fields.items()}
     fields.update({name: value for name, value in given.items() if value is not None})
@@ -209,7 +184,7 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
         if first["type"] == "missing":
             option = {"scenarios": "--scenario"}.get(where, f"--{where}")
             raise InputError(f"{option}: found none, expected one (or {where} in a file)") from None
-        wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "cluster", "net"])
+        wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "net"])
         raise InputError(f"{path or 'options'}: {wrong}") from None
     for name in config.scenarios:
         if is_guarding() and is_path(name):

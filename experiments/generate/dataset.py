@@ -23,11 +23,12 @@ from experiments.console.exit_codes import Interrupted
 from experiments.console.progress import Progress
 from experiments.data.data_card import CARD_HEAD, DATA_CARD, write_data_card
 from experiments.data.parallel import checked_jobs
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig, scenario_name
+from experiments.generate import RANDOM_WORLD
+from experiments.generate.configuration import GenerateConfig, scenario_name
 from experiments.generate.episode import Task
 from experiments.generate.lock import sole_writer
 from experiments.generate.workers import in_workers
-from scenarios.own.file import is_path
+from scenarios.own.scenario_file import is_path
 from sim.files import PARTIAL_PREFIX, Place, place_of
 from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
 from sim.store.dataset import open_dataset

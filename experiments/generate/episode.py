@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig, scenario_name
+from experiments.generate import RANDOM_WORLD
+from experiments.generate.configuration import GenerateConfig, scenario_name
 from experiments.generate.worlds.episode import write_world
 from scenarios import get_scenario
 from sim.engines import get_engine
@@ -68,39 +67,19 @@ class Task:
         )
 
     def write(self, out: EpisodeWriter) -> EpisodeEntry:
-        """Make the episode.
-
-        Args:
-            out: what takes it.
-
-        Returns:
-            Its entry in the catalogue.
+        """Make the episode, and return its entry in the catalogue.
 
         Raises:
             InputError: if the engine cannot run it.
             OSError: if it cannot be written.
         """
-        return WRITERS.get(self.scenario, _write_scenario)(self, out)
+        if self.scenario == RANDOM_WORLD:
+            return write_world(out, self.seed, self.index, self.config.duration_s)
+        scenario = self.config.scenario(self.scenario, self.index)
+        agents = sample_agents(scenario, self.seed)
+        frames = get_engine(self.config.engine)(scenario, agents, self.seed)
+        return out.write_episode(self.meta(scenario), frames, agents, scenario.road.source)
 
     def __str__(self) -> str:
         """Which episode it is, for messages."""
         return f"{self.name} episode {self.index} (seed {self.seed})"
-
-
-def _write_scenario(task: Task, out: EpisodeWriter) -> EpisodeEntry:
-    """Make an episode of a scenario."""
-    scenario = task.config.scenario(task.scenario, task.index)
-    agents = sample_agents(scenario, task.seed)
-    frames = get_engine(task.config.engine)(scenario, agents, task.seed)
-    return out.write_episode(task.meta(scenario), frames, agents, scenario.road.source)
-
-
-def _write_world(task: Task, out: EpisodeWriter) -> EpisodeEntry:
-    """Make an episode of a random world."""
-    return write_world(out, task.seed, task.index, task.config.duration_s)
-
-
-WRITERS: Final[dict[str, Callable[[Task, EpisodeWriter], EpisodeEntry]]] = {
-    RANDOM_WORLD: _write_world
-}
-"""What makes the episodes of scenarios that are not registered."""

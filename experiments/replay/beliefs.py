@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.guard import guarded_call
 from graphrqi.methods import Model
 from graphrqi.other_traffic import Traffic
 from graphrqi.posterior import Posterior
@@ -159,19 +160,23 @@ def episode_table(path: Path, columns: list[str], episode: str, what: str) -> pd
     Raises:
         InputError: if the file is broken, lacks a column, or has no row of the episode.
     """
-    try:
-        table = pd.read_parquet(path, columns=columns, filters=[("episode", "==", episode)])
-    except (ValueError, OSError, KeyError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        said = " ".join(str(error).split())
-        raise InputError(f"{path}: {said:.120}, expected a file of {what}") from None
+    path.stat()  # which says in the system's words that there is no such file
+    table = guarded_call(path, _read_table, path, columns, episode, what)
     if table.empty:
         raise InputError(f"{path}: found no row of episode {episode}, expected its {what}")
     empty = [name for name in columns if table[name].isna().any()]
     if empty:
         raise InputError(f"{path}: found an empty {empty[0]}, expected one in every row")
     return table
+
+
+def _read_table(path: Path, columns: list[str], episode: str, what: str) -> pd.DataFrame:
+    """The rows of an episode, read in the guarded child."""
+    try:
+        return pd.read_parquet(path, columns=columns, filters=[("episode", "==", episode)])
+    except (ValueError, OSError, KeyError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: {said:.120}, expected a file of {what}") from None
 
 
 def agent_rows(path: Path, agent: IntArray, episode: str, tracks: Tracks) -> IntArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -56,12 +56,29 @@ def read_source(path: Path) -> Source:
     if not path.is_dir():
         raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
     if (path / "model.json").is_file():
-        card = load_model(path).card
-        rows = checked_rows(card.get("scores", []), f"{path / 'model.json'}: card.scores")
+        rows = checked_rows(_card_rows(path), f"{path / 'model.json'}: card.scores")
     else:
         files = [file for file in sorted(path.glob("*.json")) if file.name not in NOT_ROWS]
         rows = [row for file in files for row in read_rows(file)]
     return Source(path, path.resolve().name, table_of(rows, path))
+
+
+def _card_rows(path: Path) -> Any:
+    """The scores in a model's card; cards of version 0.5 have them by place and metric."""
+    model = load_model(path)
+    scores = model.card.get("scores", [])
+    if not isinstance(scores, dict):
+        return scores
+    made = {"command": "train", "method": model.method.name}
+    try:
+        return [
+            {**made, "scenario": place, "split": found["split"], "metric": metric,
+             **{key: found[key] for key in ("value", "low", "high", "n")}}
+            for place, metrics in scores.items()
+            for metric, found in metrics.items()
+        ]  # fmt: skip
+    except (AttributeError, KeyError, TypeError):
+        return scores
 
 
 def table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:

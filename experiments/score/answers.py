@@ -1,14 +1,14 @@
 """One function scores answers about drivers, whoever answered and wherever they were kept.
 
 Scores are of the likeliest behaviour of every driver, whether it was answered with or not; the
-share of drivers with an answer is a figure of its own. The majority class is the most frequent one
-among the drivers that are scored, so it is the best that a constant answer could do there.
+share of drivers with an answer is a figure of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
 from experiments.score.metrics import (
-    METRICS,
     FloatArray,
     IntArray,
     Statistic,
@@ -27,7 +26,7 @@ from experiments.score.metrics import (
     bootstrap,
     calibration_error,
     confusion,
-    likeliest,
+    macro_f1,
     ratio,
     recall_of,
     reliability,
@@ -38,6 +37,9 @@ from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.posterior import aggressive_share
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
+
+STYLE_OF: Final = np.array([STYLES.index(b.style) for b in BEHAVIORS])
+"""(6,) code of each behaviour's style."""
 
 ALL: Final = "all"
 """The scenario or split of rows over several of them."""
@@ -53,8 +55,7 @@ class Answers:
         truth: (n,) codes into ``BEHAVIORS``, -1 where not known.
         style: (n,) codes into ``STYLES``, -1 where not known.
         answered: (n,) whether a behaviour is likely enough to be an answer.
-        style_answered: (n,) the same of a style.
-        domain: (n,) how foreign the traffic is to the model, 0 to 1.
+        domain: (n,) 0 in simulated traffic, 1 in other traffic.
     """
 
     episode: IntArray
@@ -62,7 +63,6 @@ class Answers:
     truth: NDArray[np.int64]
     style: NDArray[np.int64]
     answered: NDArray[np.bool_]
-    style_answered: NDArray[np.bool_]
     domain: FloatArray
 
     @classmethod
@@ -81,8 +81,7 @@ class Answers:
         """
         n, codes = len(probability), truth.astype(np.int64)
         style = np.where(codes >= 0, STYLE_OF[codes], -1)
-        always = np.ones(n, dtype=bool)
-        return cls(episode, probability, codes, style, always, always, np.zeros(n))
+        return cls(episode, probability, codes, style, np.ones(n, dtype=bool), np.zeros(n))
 
     @classmethod
     def of_tables(cls, tables: Sequence[pa.Table]) -> Answers:
@@ -102,7 +101,6 @@ class Answers:
             truth=_codes(table["truth"], BEHAVIORS),
             style=_codes(table["true_style"], STYLES),
             answered=pc.is_valid(table["behavior"]).to_numpy(),
-            style_answered=pc.is_valid(table["style"]).to_numpy(),
             domain=table["domain"].to_numpy().astype(np.float64),
         )
 
@@ -110,9 +108,21 @@ class Answers:
         """The answers for which ``chosen`` (n,) holds."""
         return Answers(*(getattr(self, name)[chosen] for name in self.__slots__))
 
+    @property
+    def likeliest(self) -> IntArray:
+        """(n,) codes of the most likely behaviours."""
+        return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
-STYLE_OF: Final = np.array([STYLES.index(b.style) for b in BEHAVIORS])
-"""(6,) code of each behaviour's style."""
+    @property
+    def counts(self) -> FloatArray:
+        """(E, 6, 6) confusion matrices of behaviours."""
+        return confusion(self.truth, self.likeliest, self.episode)
+
+    @property
+    def style_counts(self) -> FloatArray:
+        """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
+        answer = (aggressive_share(self.probability) < 0.5).astype(np.int64)
+        return confusion(self.style, answer, self.episode, len(STYLES))
 
 
 def _codes(words: pa.ChunkedArray, known: Sequence[str]) -> NDArray[np.int64]:
@@ -120,23 +130,31 @@ def _codes(words: pa.ChunkedArray, known: Sequence[str]) -> NDArray[np.int64]:
     return np.asarray(codes.to_numpy(), dtype=np.int64)
 
 
-def score_answers(answers: Answers, keys: Mapping[str, Cell]) -> list[Row]:
+def score_answers(
+    answers: Answers,
+    keys: Mapping[str, Cell],
+    majority: int | None = None,
+    breakdown: bool = True,
+) -> list[Row]:
     """Everything that answers say about whoever gave them.
 
     Args:
         answers: one of every driver (or of every window of observation).
         keys: what was measured, for the rows.
+        majority: code of the behaviour that a constant answer names; None for the most frequent one
+            among the drivers that are scored, which is the best that a constant answer could do.
+        breakdown: whether rows by answer and by confidence are wanted.
 
     Returns:
-        Rows. Of all drivers: ``drivers``, ``episodes``, ``answered_share``,
-        ``style_answered_share``, ``domain`` and ``confidence``, and by ``behavior`` the
-        ``named_share``. Of those whose behaviour is known: ``weighted_accuracy`` (the paper's,
-        which is plain accuracy) beside ``majority_weighted_accuracy``, ``answered_accuracy`` (of
-        those with an answer), ``balanced_accuracy``, ``macro_f1``, ``ece``; by ``behavior`` the
-        ``recall``; by ``behavior`` and ``answer`` the ``confusion``, a count; by ``confidence`` the
-        ``reliability``, the share of right answers. Of those whose style is known:
-        ``style_accuracy`` beside ``majority_style_accuracy``, ``style_balanced_accuracy``,
-        ``style_auc`` and ``style_ece``. Intervals are by bootstrap over episodes.
+        Rows. All drivers: ``drivers``, ``episodes``, ``answered_share``, ``domain`` and
+        ``confidence``. Known behaviours: ``weighted_accuracy`` (the paper's, which is plain
+        accuracy) beside ``majority_weighted_accuracy``, ``answered_accuracy``,
+        ``balanced_accuracy``, ``macro_f1``, ``ece``, and by ``behavior`` the ``recall``. Known
+        styles: ``style_accuracy`` beside ``majority_style_accuracy``,
+        ``style_balanced_accuracy``, ``style_ece`` and ``style_auc``. The breakdown: by ``behavior``
+        the ``named_share``; by ``behavior`` and ``answer`` the ``confusion``, a count; by
+        ``confidence`` the ``reliability``, a share of right answers. Intervals are by bootstrap
+        over episodes.
     """
     n, episode = answers.episode.size, answers.episode
     rows = [tidy_row(keys, "drivers", n, n=n)]
@@ -149,73 +167,99 @@ def score_answers(answers: Answers, keys: Mapping[str, Cell]) -> list[Row]:
         return tidy_row({**keys, **extra}, name, *found, n)
 
     rows.append(share("answered_share", answers.answered))
-    rows.append(share("style_answered_share", answers.style_answered))
     rows.append(share("domain", answers.domain))
     rows.append(share("confidence", answers.probability.max(axis=1)))
-    answer = np.where(answers.answered, likeliest(answers.probability), -1)
-    rows += [share("named_share", answer == b.code, behavior=b.value) for b in BEHAVIORS]
+    if breakdown:
+        answer = np.where(answers.answered, answers.likeliest, -1)
+        rows += [share("named_share", answer == b.code, behavior=b.value) for b in BEHAVIORS]
     known = answers.where(answers.truth >= 0)
     if known.truth.size:
-        rows += _behavior_rows(known, keys)
+        rows += _behavior_rows(known, keys, majority, breakdown)
     known = answers.where(answers.style >= 0)
     if known.style.size:
-        rows += _style_rows(known, keys)
+        rows += _style_rows(known, keys, majority)
     return rows
 
 
-def _behavior_rows(answers: Answers, keys: Mapping[str, Cell]) -> Iterator[Row]:
+def _behavior_rows(
+    answers: Answers, keys: Mapping[str, Cell], majority: int | None, breakdown: bool
+) -> Iterator[Row]:
     """Rows about drivers whose behaviour is known."""
-    truth, episode, n = answers.truth, answers.episode, int(answers.truth.size)
-    answer = likeliest(answers.probability)
-    counts = confusion(truth, answer, episode)
-    constant = confusion(truth, np.full(n, np.bincount(truth).argmax()), episode)
+    truth, episode, n, counts = answers.truth, answers.episode, answers.truth.size, answers.counts
+    constant = np.full(n, np.bincount(truth).argmax() if majority is None else majority)
     bins = reliability(truth, answers.probability, episode)
-    right = summed(episode, answers.answered & (answer == truth), answers.answered)
-    measured: dict[str, tuple[Statistic, FloatArray, int]] = {
-        "majority_weighted_accuracy": (weighted_accuracy, constant, n),
-        "ece": (calibration_error, bins, n),
-        "answered_accuracy": (ratio, right, int(answers.answered.sum())),
-    }
-    for name in ("weighted_accuracy", "balanced_accuracy", "macro_f1"):
-        measured[name] = METRICS[name][1], counts, n
-    for name, (statistic, per_episode, count) in measured.items():
+    right = summed(episode, answers.answered & (answers.likeliest == truth), answers.answered)
+    measured: list[tuple[str, Statistic, FloatArray, int]] = [
+        ("weighted_accuracy", weighted_accuracy, counts, n),
+        ("majority_weighted_accuracy", weighted_accuracy, confusion(truth, constant, episode), n),
+        ("answered_accuracy", ratio, right, int(answers.answered.sum())),
+        ("balanced_accuracy", balanced_accuracy, counts, n),
+        ("macro_f1", macro_f1, counts, n),
+        ("ece", calibration_error, bins, n),
+    ]
+    for name, statistic, per_episode, count in measured:
         if count:
             yield tidy_row(keys, name, *bootstrap(statistic, per_episode), count)
     total = counts.sum(axis=0)
     for behavior in BEHAVIORS:
-        own = int(total[behavior.code].sum())
-        row = {**keys, "behavior": behavior.value}
+        own, row = int(total[behavior.code].sum()), {**keys, "behavior": behavior.value}
         if own:
-            found = bootstrap(recall_of(behavior.code), counts)
-            yield tidy_row(row, "recall", *found, own)
-        for other in BEHAVIORS:
+            yield tidy_row(row, "recall", *bootstrap(recall_of(behavior.code), counts), own)
+        for other in BEHAVIORS if breakdown else ():
             taken = float(total[behavior.code, other.code])
             yield tidy_row({**row, "answer": other.value}, "confusion", taken, n=own)
-    for number, (count, sure, _) in enumerate(bins.sum(axis=0)):
+    for number, (count, sure, _) in enumerate(bins.sum(axis=0) if breakdown else ()):
         if count:
             row = {**keys, "confidence": round(float(sure / count), 4)}
             found = bootstrap(ratio, bins[:, number, [2, 0]])
             yield tidy_row(row, "reliability", *found, int(count))
 
 
-def _style_rows(answers: Answers, keys: Mapping[str, Cell]) -> Iterator[Row]:
+def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None) -> Iterator[Row]:
     """Rows about drivers whose style is known, with or without their behaviour."""
-    truth, episode, n = answers.style, answers.episode, int(answers.style.size)
+    truth, episode, n = answers.style, answers.episode, answers.style.size
+    counts = answers.style_counts
     aggressive = aggressive_share(answers.probability)
-    probability = np.stack([aggressive, 1.0 - aggressive], axis=1)
-    counts = confusion(truth, likeliest(probability), episode, len(STYLES))
-    constant = np.full(n, np.bincount(truth).argmax())
-    measured: dict[str, tuple[Statistic, FloatArray]] = {
-        "style_accuracy": (weighted_accuracy, counts),
-        "majority_style_accuracy": (
-            weighted_accuracy, confusion(truth, constant, episode, len(STYLES))
-        ),
-        "style_balanced_accuracy": (balanced_accuracy, counts),
-        "style_ece": (calibration_error, reliability(truth, probability, episode)),
-    }  # fmt: skip
-    for name, (statistic, per_episode) in measured.items():
+    constant = np.full(n, np.bincount(truth).argmax() if majority is None else STYLE_OF[majority])
+    bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
+    measured: list[tuple[str, Statistic, FloatArray]] = [
+        ("style_accuracy", weighted_accuracy, counts),
+        ("majority_style_accuracy", weighted_accuracy,
+         confusion(truth, constant, episode, len(STYLES))),
+        ("style_balanced_accuracy", balanced_accuracy, counts),
+        ("style_ece", calibration_error, bins),
+    ]  # fmt: skip
+    for name, statistic, per_episode in measured:
         yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     yield tidy_row(keys, "style_auc", *auc_over_episodes(aggressive, truth == 0, episode), n)
+
+
+def score_difference(ours: Answers, theirs: Answers, keys: Mapping[str, Cell]) -> list[Row]:
+    """How much better some answers are than others about the same drivers.
+
+    Args:
+        ours: about drivers whose behaviour is known.
+        theirs: about the same drivers in the same order.
+        keys: what was measured, for the rows.
+
+    Returns:
+        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, with intervals by a
+        paired bootstrap over episodes.
+    """
+    rows = []
+    for name, statistic, pair in (
+        ("macro_f1", macro_f1, (ours.counts, theirs.counts)),
+        ("style_balanced_accuracy", balanced_accuracy, (ours.style_counts, theirs.style_counts)),
+    ):
+        found = bootstrap(partial(_difference, statistic), np.stack(pair, axis=1))
+        rows.append(tidy_row(keys, f"{name}_difference", *found, ours.truth.size))
+    return rows
+
+
+def _difference(statistic: Statistic, counts: FloatArray) -> FloatArray:
+    """A statistic of the first of two matrices (..., 2, k, k) less that of the second."""
+    both = statistic(counts)
+    return np.asarray(both[..., 0] - both[..., 1])
 
 
 def score_places(parts: Iterable[tuple[str, str, pa.Table]], keys: Mapping[str, Cell]) -> list[Row]:

@@ -58,7 +58,7 @@ def predictions_table(
     rows = n * modes * times
     agent = np.repeat(np.searchsorted(history.ids, prediction.ids), modes * times)
     columns = [
-        *joined_columns(entry, rows),
+        *joined_columns(entry, rows).values(),
         pa.array([predictor]).take(pa.array(np.zeros(rows, int))),
         pa.array(history.ids[agent]),
         pa.array(history.names, pa.string()).take(pa.array(agent)),

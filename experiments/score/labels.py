@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
@@ -20,15 +18,15 @@ from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
-from experiments.score.answers import Answers, is_scored, score_answers, score_places
-from experiments.score.metrics import of_likelier_style
+from experiments.score.answers import STYLES, Answers, is_scored, score_answers, score_places
 from experiments.score.rows import Row
 from experiments.score.tables import JOINED, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
-from graphrqi.posterior import Posterior
+from graphrqi.posterior import aggressive_share
 from graphrqi.stream import MIN_SECONDS, BehaviorStream
 from sim.formats.common.label_file import DriverLabels, read_driver_labels
+from sim.frames import BoolArray, IntArray
 from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -74,56 +72,56 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
         model, traffic=traffic_of(episode.entry, traffic), is_scene=is_scene(episode.entry)
     )
     tracks = measured(episode)
-    agents, times, answers = [], [], list[Posterior]()
-    for frame in tracks.frames():
-        posterior = stream.update(frame)
-        agents.append(np.searchsorted(tracks.ids, posterior.ids))
-        times.append(np.full(posterior.ids.size, frame.time_s))
-        answers.append(posterior)
-    if not agents:
+    answers = [(frame.time_s, stream.update(frame)) for frame in tracks.frames()]
+    if not answers:
         return LABELS.empty_table()
-    row, probability = np.concatenate(agents), np.concatenate([a.probability for a in answers])
-    told = np.concatenate([a.told for a in answers])
+    row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for _, a in answers])
+    each = [a.ids.size for _, a in answers]
+    probability = np.concatenate([a.probability for _, a in answers])
+    told = np.concatenate([a.told for _, a in answers])
+    aggressive = aggressive_share(probability) >= 0.5
     known = {agent.id: agent for agent in episode.agents}
-    truth = pa.array([known[i].behavior for i in tracks.ids.tolist()], pa.string())
-    true_style = pa.array([known[i].style for i in tracks.ids.tolist()], pa.string())
-    joined = joined_columns(episode.entry, row.size)
+    drivers = [known[i] for i in tracks.ids.tolist()]
+
+    def of_agents(words: Sequence[str | None]) -> pa.Array:
+        return pa.array(words, pa.string()).take(pa.array(row))
+
     columns = {
-        **dict(zip((field.name for field in JOINED), joined, strict=True)),
+        **joined_columns(episode.entry, row.size),
         "agent": pa.array(tracks.ids[row]),
-        "name": pa.array(tracks.names, pa.string()).take(pa.array(row)),
-        "time_s": pa.array(np.concatenate(times)),
-        "behavior": _words(BEHAVIORS, np.where(told, probability.argmax(axis=1), -1)),
-        "style": _words(
-            [b.style for b in BEHAVIORS], np.where(told, of_likelier_style(probability), -1)
-        ),
-        "domain": pa.array(np.repeat([a.domain for a in answers], [a.ids.size for a in answers])),
-        "unknown": pa.array(np.concatenate([a.unknown for a in answers])),
-        "truth": truth.take(pa.array(row)),
-        "true_style": true_style.take(pa.array(row)),
+        "name": of_agents(tracks.names),
+        "time_s": pa.array(np.repeat([time_s for time_s, _ in answers], each)),
+        "behavior": _words(BEHAVIORS, probability.argmax(axis=1), told),
+        "style": _words(STYLES, np.where(aggressive, 0, 1), told),
+        "domain": pa.array(np.repeat([a.domain for _, a in answers], each)),
+        "unknown": pa.array(np.concatenate([a.unknown for _, a in answers])),
+        "truth": of_agents([agent.behavior for agent in drivers]),
+        "true_style": of_agents([agent.style for agent in drivers]),
     }
     for behavior, share in zip(BEHAVIORS, probability.T.astype(np.float32), strict=True):
         columns[f"p_{behavior.value}"] = pa.array(share)
     return pa.table(columns).select(LABELS.names).cast(LABELS)
 
 
+def _words(names: Sequence[str], codes: IntArray, told: BoolArray) -> pa.Array:
+    """The word of each code; null where nothing is told."""
+    return pa.array(names, pa.string()).take(pa.array(codes, pa.int64(), mask=~told))
+
+
 def _with_truth(
     table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels | None
 ) -> pa.Table:
     """Answers about one episode with labels that are given now instead of what was known."""
-    if labels is None:
-        return table
-    found = labels.of(names, entry.name, entry.file, entry.id)
-    given = {name: one for name, one in zip(names, found, strict=True) if one is not None}
+    found = () if labels is None else labels.of(names, entry.name, entry.file, entry.id)
+    given = {name: one for name, one in zip(names, found, strict=False) if one is not None}
     if not given:
         return table
-    new: dict[str, list[str | None]] = {"truth": [], "true_style": []}
-    before = (table[column].to_pylist() for column in ("name", *new))
-    for name, truth, style in zip(*before, strict=True):
-        label = given.get(name)
-        new["truth"].append(truth if label is None else label.behavior)
-        new["true_style"].append(style if label is None else label.style)
-    for column, words in new.items():
+    agents = table["name"].to_pylist()
+    for column, attribute in (("truth", "behavior"), ("true_style", "style")):
+        words = [
+            getattr(given[name], attribute) if name in given else word
+            for name, word in zip(agents, table[column].to_pylist(), strict=True)
+        ]
         at = table.column_names.index(column)
         table = table.set_column(at, column, pa.array(words, pa.string()))
     return table
@@ -134,13 +132,6 @@ def _last_answers(table: pa.Table) -> pa.Table:
     agent = table["agent"].to_numpy()
     _, last = np.unique(agent[::-1], return_index=True)
     return table.take(pa.array(agent.size - 1 - last))
-
-
-def _words(names: Sequence[StrEnum], codes: NDArray[np.integer[Any]]) -> pa.Array:
-    """The word of each code; null for -1."""
-    return pa.array([name.value for name in names], pa.string()).take(
-        pa.array(codes, pa.int64(), mask=codes < 0)
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,52 +214,33 @@ def _answers(
 
 
 def scored_answers(answered: Sequence[Answered], model: str) -> list[Row]:
-    """Score the last answers about drivers, by scenario and split.
-
-    Args:
-        answered: by episode.
-        model: its name, for the rows.
-
-    Returns:
-        Rows as from `experiments.score.answers.score_places`.
-    """
+    """Rows as from `experiments.score.answers.score_places`, of the last answers of a model."""
     parts = [(one.place, one.entry.split, one.table) for one in answered]
     return score_places(parts, {"model": model})
 
 
 def classify_dataset(
-    source: Path,
-    model: str | Path,
-    out: Path | None = None,
-    labels: Path | None = None,
-    *,
-    traffic: str | None = None,
-    jobs: int | None = None,
-    quiet: bool = False,
-) -> list[Row]:
+    source: Path, model: str | Path, out: Path | None = None, labels: Path | None = None,
+    *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
+) -> list[Row]:  # fmt: skip
     """What ``graphrqi classify`` does: answer for every driver, and write a labels file.
 
     Args:
         source: folder of a dataset.
         model: a shipped model's name or a folder.
-        out: the file to write, .parquet or .csv; it appears complete or not at all. None for none.
-        labels: as `answer_episodes` takes them.
-        traffic: as `label_episode` takes it.
-        jobs: processes; None for one per core.
+        out: as `answer_episodes` takes it, like all others.
+        labels: labels of some drivers.
+        traffic: where the positions come from.
+        jobs: processes.
         quiet: whether to show no progress.
 
     Returns:
         Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
     """
     answered = answer_episodes(
-        load_model(model),
-        [open_dataset(source)],
-        labels=labels,
-        out=out,
-        traffic=traffic,
-        jobs=jobs,
-        quiet=quiet,
-    )
+        load_model(model), [open_dataset(source)], labels=labels, out=out, traffic=traffic,
+        jobs=jobs, quiet=quiet,
+    )  # fmt: skip
     rows: list[Row] = []
     for one in answered:
         keys = {
@@ -280,23 +252,10 @@ def classify_dataset(
 
 
 def evaluate(
-    model: str | Path,
-    source: Path,
-    labels: Path | None = None,
-    *,
-    traffic: str | None = None,
-    jobs: int | None = None,
-    quiet: bool = False,
-) -> list[Row]:
-    """What ``graphrqi evaluate`` does.
-
-    Args:
-        model: a shipped model's name or a folder.
-        source: folder of a dataset.
-        labels: as `answer_episodes` takes them.
-        traffic: as `label_episode` takes it.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
+    model: str | Path, source: Path, labels: Path | None = None,
+    *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
+) -> list[Row]:  # fmt: skip
+    """What ``graphrqi evaluate`` does; arguments are those of `classify_dataset`.
 
     Returns:
         Rows by scenario and split, see `scored_answers`.
@@ -305,13 +264,9 @@ def evaluate(
         InputError: if nothing is known of any driver that an answer was given about.
     """
     answered = answer_episodes(
-        load_model(model),
-        [open_dataset(source)],
-        labels=labels,
-        traffic=traffic,
-        jobs=jobs,
+        load_model(model), [open_dataset(source)], labels=labels, traffic=traffic, jobs=jobs,
         quiet=quiet,
-    )
+    )  # fmt: skip
     if not any(one.table.num_rows for one in answered):
         raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")
     rows = scored_answers(answered, str(model))
@@ -324,14 +279,7 @@ def evaluate(
 
 
 def named_table(rows: Sequence[Row]) -> list[Row]:
-    """How the drivers of each episode were answered, for people.
-
-    Args:
-        rows: from `classify_dataset`.
-
-    Returns:
-        A line for each episode.
-    """
+    """How the drivers of each episode were answered, a line each, from `classify_dataset`."""
     lines: dict[str, dict[str, Any]] = {}
     for row in rows:
         if row.get("name") is None:
@@ -352,7 +300,7 @@ def named_table(rows: Sequence[Row]) -> list[Row]:
 
 
 def domain_notice(rows: Sequence[Row]) -> str | None:
-    """One line for the user if nobody was answered, or most of the traffic is not like training.
+    """One line if nobody was answered, or most of the traffic is other than the training's.
 
     Args:
         rows: from `classify_dataset`.
@@ -367,8 +315,7 @@ def domain_notice(rows: Sequence[Row]) -> str | None:
         return None
     return (
         "this traffic is not like the model's training traffic: "
-        f"{_per_cent(total['style_answered_share'])} of the drivers get a style, "
-        f"{_per_cent(1.0 - total['answered_share'])} no behaviour; "
+        f"{_per_cent(1.0 - total['answered_share'])} of the drivers stay unknown; "
         "graphrqi train --from MODEL --labels FILE adapts the model"
     )
 

@@ -13,11 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Answer = Callable[[FloatArray], IntArray]
 Statistic = Callable[[FloatArray], FloatArray]
 
 RESAMPLES: Final = 2000
@@ -28,8 +27,6 @@ RESAMPLING_SEED: Final = 0
 
 CONFIDENCE_BINS: Final = 15
 """Bins of equal width for calibration (Guo et al., ICML 2017)."""
-
-_STYLE: Final = np.array([0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS])
 
 
 def bootstrap(statistic: Statistic, per_episode: FloatArray) -> tuple[float, float, float]:
@@ -136,41 +133,6 @@ def macro_f1(matrix: FloatArray) -> FloatArray:
     whole = matrix.sum(axis=-1) + matrix.sum(axis=-2)
     f1 = 2.0 * hit / np.where(whole > 0, whole, 1.0)
     return np.asarray(np.where(occurs, f1, 0.0).sum(axis=-1) / occurs.sum(axis=-1))
-
-
-def style_balanced_accuracy(matrix: FloatArray) -> FloatArray:
-    """Mean recall of aggressive and conservative, of answers as from `of_likelier_style`."""
-    to_style = np.eye(2)[_STYLE]
-    return balanced_accuracy(np.asarray(to_style.T @ matrix @ to_style))
-
-
-def likeliest(probability: FloatArray) -> IntArray:
-    """(n,) the most likely class, from posteriors (n, k)."""
-    return np.asarray(probability.argmax(axis=1), dtype=np.int64)
-
-
-def of_likelier_style(probability: FloatArray) -> IntArray:
-    """(n,) the most likely class of the more likely style, from posteriors (n, 6).
-
-    Three conservative classes may be likely together, none of them alone.
-
-    Examples:
-        >>> p = np.array([[0.4, 0.0, 0.0, 0.35, 0.25, 0.0]])
-        >>> likeliest(p).tolist(), of_likelier_style(p).tolist()
-        ([0], [3])
-    """
-    style = (probability @ np.eye(2)[_STYLE]).argmax(axis=1)
-    return likeliest(np.where(style[:, None] == _STYLE, probability, -1.0))
-
-
-METRICS: Final[dict[str, tuple[Answer, Statistic]]] = {
-    "weighted_accuracy": (likeliest, weighted_accuracy),
-    "balanced_accuracy": (likeliest, balanced_accuracy),
-    "macro_f1": (likeliest, macro_f1),
-    "style_balanced_accuracy": (of_likelier_style, style_balanced_accuracy),
-}
-"""What is answered, from posteriors (n, 6), and the score of the answers' confusion matrix (or a
-stack of them); larger is better."""
 
 
 def reliability(

@@ -28,7 +28,7 @@ from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.stream import BehaviorStream
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
-from sim.road.lane_graph import LaneGraph, project
+from sim.road.lane_graph import LaneGraph
 
 HORIZONS_S: Final = (1.0, 3.0, 5.0)
 """Horizons reported, s."""
@@ -272,7 +272,7 @@ def off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int)
         return np.full(rows.size, np.nan)
     best = prediction.best[rows]
     moved = best[:, at] - best[:, max(at - 5, 0)]
-    place = project(road, best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
+    place = LaneGraph.of(road).project(best[:, at], np.arctan2(moved[:, 1], moved[:, 0]))
     width = LaneGraph.of(road).width[place.lane]
     return np.asarray(np.abs(place.offset) > width / 2 + LANE_MARGIN_M, dtype=np.float64)
 

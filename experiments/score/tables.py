@@ -30,10 +30,14 @@ JOINED: Final = (
 the file that it was read from (null for simulated ones), its scenario and its split."""
 
 
-def joined_columns(entry: EpisodeEntry, rows: int) -> list[pa.Array]:
-    """The columns `JOINED` of rows that all speak of one episode."""
+def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
+    """The columns `JOINED`, by name, of rows that are all of one episode."""
     words = (entry.id, entry.recording, entry.file, entry.scenario, entry.split)
-    return [pa.array([word], pa.string()).take(pa.array(np.zeros(rows, int))) for word in words]
+    at = pa.array(np.zeros(rows, int))
+    return {
+        field.name: pa.array([word], pa.string()).take(at)
+        for field, word in zip(JOINED, words, strict=True)
+    }
 
 
 class TakesTables(Protocol):

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.data.parallel import all_in_parallel
+from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from experiments.generate.worlds.sensor import seen_badly
 from experiments.score.answers import Answers, score_answers
@@ -109,7 +109,7 @@ def _gathered(
         for entry in dataset.episodes(split)
     ]
     what = f"{PARTS[part]}: observing {split} episodes"
-    found = all_in_parallel(_observed, arguments, jobs, what, quiet)
+    found = list(in_parallel(_observed, arguments, jobs, what, quiet))
     return Samples.join([samples for samples in found if samples is not None])
 
 

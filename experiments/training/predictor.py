@@ -13,7 +13,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
-from experiments.data.parallel import all_in_parallel
+from experiments.data.parallel import in_parallel
 from experiments.score.predictions import (
     HISTORY_S,
     HORIZONS_S,
@@ -257,7 +257,7 @@ def train_predictors(
             raise InputError(f"{source}: found no {split} episode, expected at least 1")
         arguments = [(source, entry, model, EXAMPLES_EVERY_S) for entry in entries]
         what = f"predictors: observing {split} episodes"
-        found = all_in_parallel(examples_of, arguments, None, what, quiet)
+        found = list(in_parallel(examples_of, arguments, None, what, quiet))
         informed, label_free = (list(same) for same in zip(*found, strict=True))
         parts[split] = BeliefExamples.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {

@@ -1,8 +1,7 @@
 """The baselines: majority, logistic regression, lasso and support vectors, fitted by scikit-learn.
 
-What is learned is kept as arrays, so that a saved model needs no scikit-learn. All but the majority
-standardise the features, compute scores from them, and turn these into probabilities by a
-multinomial logistic regression, which is fitted on validation data if they show every class.
+All but the majority standardise the features and compute linear scores of these, or of their
+Gaussian kernel with the support vectors; the scores' softmax are the probabilities.
 
 References:
     Tibshirani (1996), J. R. Statist. Soc. B 58, 267: the lasso. Cheung, Bera, Kubin, Gray, Manocha
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from graphrqi.classify.checks import of_trained_classes, saved
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.softmax import SoftmaxRegression
+from graphrqi.classify.softmax import multinomial, softmax
 from graphrqi.classify.standardisation import Standardisation
 
 CHUNK: Final = 4096
@@ -38,8 +37,7 @@ class Majority:
 
     def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Count the classes."""
-        count = np.bincount(codes, minlength=self._share.size).astype(np.float64)
-        self._share = count / count.sum()
+        self._share = np.bincount(codes, minlength=self._share.size) / codes.size
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) the same row for every sample."""
@@ -51,11 +49,11 @@ class Majority:
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
-        self._share = np.asarray(saved(arrays, "share", self._share.shape), dtype=np.float64)
+        self._share = saved(arrays, "share", self._share.shape)
 
 
 class Logistic:
-    """Multinomial logistic regression; its scores are the standardised features themselves.
+    """Multinomial logistic regression.
 
     Args:
         num_classes: C.
@@ -66,49 +64,45 @@ class Logistic:
         self._num_classes = num_classes
         self._inverse_penalty = inverse_penalty
         self._inputs = Standardisation(np.zeros(0), np.ones(0))
-        self._learned: dict[str, FloatArray] = {}
-        self._link = SoftmaxRegression(np.zeros((0, num_classes)), np.zeros(num_classes))
+        self._weights, self._bias = np.zeros((0, num_classes)), np.zeros(num_classes)
 
     def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
         self._inputs = Standardisation.of(features)
         held = of_trained_classes(validation, codes)
         x = self._inputs.apply(features)
-        x_held = None if held is None else (self._inputs.apply(held[0]), held[1])
-        shown, truth = self._learn(x, codes, x_held, seed)
-        self._link = SoftmaxRegression.fitted(
-            self._scores(shown), truth, self._num_classes, self._inverse_penalty
+        self._learn(
+            x, codes, None if held is None else (self._inputs.apply(held[0]), held[1]), seed
         )
 
-    def _learn(
-        self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int
-    ) -> tuple[FloatArray, CodeArray]:
-        """Learn the scores; return the rows and classes that probabilities are fitted on."""
-        return x, codes
+    def _learn(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+        """Learn weights and biases from standardised features."""
+        self._weights, self._bias = multinomial(x, codes, self._num_classes, self._inverse_penalty)
+
+    def _link(self, held: HeldOut, x: FloatArray, codes: CodeArray) -> None:
+        """Turn scores into those of probabilities, by held-out rows if these show every class."""
+        if held is not None and np.isin(codes, held[1]).all():
+            x, codes = held
+        weights, bias = multinomial(self._scores(x), codes, self._num_classes)
+        self._weights, self._bias = self._weights @ weights, self._bias @ weights + bias
 
     def _scores(self, x: FloatArray) -> FloatArray:
-        """(n, S) scores of standardised features."""
-        return x
+        """(n, C) scores of standardised features."""
+        return x @ self._weights + self._bias
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities."""
-        return self._link.posterior(self._scores(self._inputs.apply(features)))
+        return softmax(self._scores(self._inputs.apply(features)))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Standardisation, what the scores need, and the regression to probabilities."""
-        return {**self._inputs.arrays(), **self._learned, **self._link.arrays()}
-
-    def _shapes(self, num_features: int) -> dict[str, tuple[int | None, ...]]:
-        """The arrays that the scores need, and their shapes."""
-        return {}
+        """Standardisation, weights and biases."""
+        return {**self._inputs.arrays(), "weights": self._weights, "bias": self._bias}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
         self._inputs = Standardisation.restored(arrays, num_features)
-        shapes = self._shapes(num_features)
-        self._learned = {name: saved(arrays, name, shape) for name, shape in shapes.items()}
-        inputs = self._num_classes if shapes else num_features
-        self._link = SoftmaxRegression.restored(arrays, inputs, self._num_classes)
+        self._weights = saved(arrays, "weights", (num_features, self._num_classes))
+        self._bias = saved(arrays, "bias", (self._num_classes,))
 
 
 class Lasso(Logistic):
@@ -126,37 +120,31 @@ class Lasso(Logistic):
         super().__init__(num_classes)
         self._penalties = penalties
 
-    def _learn(
-        self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int
-    ) -> tuple[FloatArray, CodeArray]:
+    def _learn(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         from sklearn.linear_model import Lasso as Regression
 
         onto = np.eye(self._num_classes)
         mean = onto[codes].mean(axis=0)
-        wanted = self._penalties
+        tried = self._penalties
         if held is None:
-            held, wanted = (x, codes), (wanted[len(wanted) // 2],)
+            tried = (tried[len(tried) // 2],)
+        judged, true = (x, codes) if held is None else held
         least = np.inf
-        for penalty in wanted:
+        for penalty in tried:
             fitted = Regression(alpha=penalty, max_iter=5000).fit(x, onto[codes] - mean)
             weights = np.asarray(fitted.coef_, dtype=np.float64).T
-            error = float(((onto[held[1]] - mean - held[0] @ weights) ** 2).mean())
+            error = float(((onto[true] - mean - judged @ weights) ** 2).mean())
             if error < least:
-                least, self._learned = error, {"coefficients": weights}
-        return _showing_every_class(held, (x, codes))
-
-    def _scores(self, x: FloatArray) -> FloatArray:
-        return x @ self._learned["coefficients"]
-
-    def _shapes(self, num_features: int) -> dict[str, tuple[int | None, ...]]:
-        return {"coefficients": (num_features, self._num_classes)}
+                least, self._weights = error, weights
+        self._bias = np.zeros(self._num_classes)
+        self._link(held, x, codes)
 
 
 class SupportVectors(Logistic):
     """Support vector machines with a Gaussian kernel, one class against the rest.
 
-    The score of a class is the sum over support vectors of a_i exp(-|x - x_i|^2 / F), plus b:
-    standardised vectors of F features lie about sqrt(2 F) apart.
+    The kernel is exp(-|x - x_i|^2 / F): standardised vectors of F features lie about sqrt(2 F)
+    apart.
 
     Args:
         num_classes: C.
@@ -168,45 +156,41 @@ class SupportVectors(Logistic):
         super().__init__(num_classes)
         self._penalty = penalty
         self._max_rows = max_rows
+        self._vectors = np.zeros((0, 0))
 
-    def _learn(
-        self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int
-    ) -> tuple[FloatArray, CodeArray]:
+    def _learn(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         from sklearn.svm import SVC
 
         rows = np.sort(np.random.default_rng(seed).permutation(codes.size)[: self._max_rows])
         x, codes = x[rows], codes[rows]
         duals = np.zeros((rows.size, self._num_classes))
-        offset = np.full(self._num_classes, -1.0)  # a class without rows is never answered
+        self._bias = np.full(self._num_classes, -1.0)  # a class without rows is never answered
         for code in range(self._num_classes):
             if 0 < np.count_nonzero(codes == code) < codes.size:
                 machine = SVC(C=self._penalty, gamma=1.0 / x.shape[1]).fit(x, codes == code)
                 duals[machine.support_, code] = machine.dual_coef_[0]
-                offset[code] = machine.intercept_[0]
+                self._bias[code] = machine.intercept_[0]
         used = duals.any(axis=1)
-        self._learned = {"vectors": x[used], "duals": duals[used], "offset": offset}
-        return _showing_every_class(of_trained_classes(held, codes), (x, codes))
+        self._vectors, self._weights = x[used], duals[used]
+        self._link(of_trained_classes(held, codes), x, codes)
 
     def _scores(self, x: FloatArray) -> FloatArray:
-        vectors, duals = self._learned["vectors"], self._learned["duals"]
         out = np.empty((len(x), self._num_classes))
-        own = (vectors**2).sum(axis=1)
+        own = (self._vectors**2).sum(axis=1)
         for first in range(0, len(x), CHUNK):
             part = x[first : first + CHUNK]
-            square = (part**2).sum(axis=1)[:, None] + own - 2.0 * part @ vectors.T
+            square = (part**2).sum(axis=1)[:, None] + own - 2.0 * part @ self._vectors.T
             kernel = np.exp(np.minimum(-square, 0.0) / max(x.shape[1], 1))
-            out[first : first + CHUNK] = kernel @ duals + self._learned["offset"]
+            out[first : first + CHUNK] = kernel @ self._weights + self._bias
         return out
 
-    def _shapes(self, num_features: int) -> dict[str, tuple[int | None, ...]]:
-        classes = self._num_classes
-        return {
-            "vectors": (None, num_features), "duals": (None, classes), "offset": (classes,),
-        }  # fmt: skip
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Support vectors beside the others'."""
+        return {**super().arrays(), "vectors": self._vectors}
 
-
-def _showing_every_class(
-    held: HeldOut, training: tuple[FloatArray, CodeArray]
-) -> tuple[FloatArray, CodeArray]:
-    """The held-out rows if they show every trained class, else those of the training."""
-    return held if held is not None and np.isin(training[1], held[1]).all() else training
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
+        """See `graphrqi.classify.contract.Classifier.restore`."""
+        self._vectors = saved(arrays, "vectors", (None, num_features))
+        self._inputs = Standardisation.restored(arrays, num_features)
+        self._weights = saved(arrays, "weights", (len(self._vectors), self._num_classes))
+        self._bias = saved(arrays, "bias", (self._num_classes,))

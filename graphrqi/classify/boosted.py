@@ -50,16 +50,12 @@ class Boosted:
     ) -> None:
         self._num_classes = num_classes
         self._options = {
-            "max_iter": rounds,
-            "learning_rate": learning_rate,
-            "max_leaf_nodes": max_leaves,
-            "max_depth": max_depth,
-            "min_samples_leaf": min_leaf,
-            "l2_regularization": ridge,
+            "max_iter": rounds, "learning_rate": learning_rate, "max_leaf_nodes": max_leaves,
+            "max_depth": max_depth, "min_samples_leaf": min_leaf, "l2_regularization": ridge,
             "max_features": feature_share,
-        }
-        none = np.zeros(1)
-        self._trees = Trees.single(none - 1, none, none, none, none)
+        }  # fmt: skip
+        leaf, zero = np.full(1, -1), np.zeros(1)
+        self._trees = Trees.single(leaf, zero, zero, zero, zero)
         self._baseline = np.zeros(num_classes)
         self._temperature = 1.0
 
@@ -85,9 +81,9 @@ class Boosted:
         self._temperature = 1.0
         self._trees = Trees.join(
             [
-                _converted(grower.nodes, code)
+                _converted(one.nodes, c)
                 for each in rounds
-                for grower, code in zip(each, shown, strict=True)
+                for one, c in zip(each, shown, strict=True)
             ]
         )
         if validation is not None:
@@ -108,11 +104,8 @@ class Boosted:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Nodes, baseline and temperature."""
-        return {
-            **self._trees.arrays(),
-            "baseline": self._baseline,
-            "temperature": np.array([self._temperature]),
-        }
+        numbers = {"baseline": self._baseline, "temperature": np.array([self._temperature])}
+        return {**self._trees.arrays(), **numbers}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
@@ -124,11 +117,7 @@ class Boosted:
 def _converted(nodes: NDArray[Any], code: int) -> Trees:
     """One of scikit-learn's trees, whose leaves add to the score of a class."""
     leaf = nodes["is_leaf"].astype(bool)
+    feature = np.where(leaf, -1, nodes["feature_idx"])
     return Trees.single(
-        np.where(leaf, -1, nodes["feature_idx"]),
-        np.where(leaf, 0.0, nodes["num_threshold"]),
-        nodes["left"].astype(np.int64),
-        nodes["right"].astype(np.int64),
-        np.where(leaf, nodes["value"], 0.0),
-        int(code),
+        feature, nodes["num_threshold"], nodes["left"], nodes["right"], nodes["value"], int(code)
     )

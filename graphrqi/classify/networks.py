@@ -24,7 +24,7 @@ from graphrqi.classify.checks import of_trained_classes, saved, saved_temperatur
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import best_temperature, tempered
 from graphrqi.classify.standardisation import Standardisation
-from graphrqi.portable_torch import adamw, one_thread
+from graphrqi.portable_torch import Descent, one_thread
 
 Loss = Literal["squared-error", "cross-entropy"]
 
@@ -100,21 +100,15 @@ class Mlp:
         """A network after all epochs, with the weights of the best one."""
         x, y = self._tensor(features), torch.from_numpy(codes.astype(np.int64))
         network = self._made(x.shape[1])
-        optimizer = adamw(network.parameters(), self._learning_rate, self._weight_decay)
-        steps = max(1, -(-len(x) // self._batch))
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, self._learning_rate, total_steps=self._epochs * steps
-        )
+        steps = self._epochs * max(1, -(-len(x) // self._batch))
+        descent = Descent(network, steps, self._learning_rate, self._weight_decay)
         best, best_loss = None, float("inf")
         for _ in range(self._epochs):
             network.train()
             order = torch.randperm(len(x))
             for first in range(0, len(x), self._batch):
                 rows = order[first : first + self._batch]
-                optimizer.zero_grad()
-                self._objective(network(x[rows]), y[rows]).backward()  # type: ignore[no-untyped-call]
-                optimizer.step()
-                schedule.step()
+                descent.step(self._objective(network(x[rows]), y[rows]))
             if held is not None:
                 network.eval()
                 with torch.inference_mode():

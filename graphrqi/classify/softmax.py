@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.checks import saved
 from graphrqi.classify.contract import CodeArray, FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -74,72 +72,31 @@ def _log(probability: FloatArray, trained: BoolArray) -> FloatArray:
     return np.where(trained, np.log(np.maximum(probability, FLOOR)), -np.inf)
 
 
-@dataclass(frozen=True, slots=True)
-class SoftmaxRegression:
-    """Multinomial logistic regression.
+def multinomial(
+    inputs: FloatArray, codes: CodeArray, num_classes: int, inverse_penalty: float = 1.0
+) -> tuple[FloatArray, FloatArray]:
+    """Multinomial logistic regression with an L2 penalty, by scikit-learn.
 
-    Attributes:
-        weights: (F, C).
-        bias: (C,).
+    Args:
+        inputs: (n, F) of about unit size.
+        codes: (n,) classes.
+        num_classes: C; classes that do not occur get probability zero.
+        inverse_penalty: larger fits closer.
+
+    Returns:
+        (F, C) weights and (C,) biases of the scores whose `softmax` are the probabilities.
+
+    Raises:
+        InputError: if all samples are of one class.
     """
+    from sklearn.linear_model import LogisticRegression
 
-    weights: FloatArray
-    bias: FloatArray
-
-    @classmethod
-    def fitted(
-        cls, inputs: FloatArray, codes: CodeArray, num_classes: int, inverse_penalty: float = 1.0
-    ) -> SoftmaxRegression:
-        """Fit to inputs (n, F) with an L2 penalty.
-
-        Args:
-            inputs: of about unit size.
-            codes: (n,) classes.
-            num_classes: C; classes that do not occur get probability zero.
-            inverse_penalty: larger fits closer.
-
-        Returns:
-            The regression.
-
-        Raises:
-            InputError: if all samples are of one class.
-        """
-        from sklearn.linear_model import LogisticRegression
-
-        present = np.unique(codes)
-        if present.size < 2:
-            raise InputError(f"codes: found class {present.tolist()} only, expected at least two")
-        learned = LogisticRegression(C=inverse_penalty, max_iter=MAX_ITERATIONS)
-        learned.fit(inputs, codes)
-        weights = np.zeros((inputs.shape[1], num_classes))
-        bias = np.full(num_classes, NEVER)
-        bias[present] = 0.0
-        shown = present[1:] if present.size == 2 else present  # two classes share one column
-        weights[:, shown] = learned.coef_.T
-        bias[shown] = learned.intercept_
-        return cls(weights, bias)
-
-    def posterior(self, inputs: FloatArray) -> FloatArray:
-        """(n, C) probabilities."""
-        return softmax(inputs @ self.weights + self.bias)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """What to save."""
-        return {"weights": self.weights, "bias": self.bias}
-
-    @classmethod
-    def restored(
-        cls, arrays: dict[str, NDArray[Any]], num_inputs: int, num_classes: int
-    ) -> SoftmaxRegression:
-        """From what was saved.
-
-        Args:
-            arrays: as from `arrays`.
-            num_inputs: F.
-            num_classes: C.
-
-        Raises:
-            InputError: if the arrays are of other shapes.
-        """
-        weights = saved(arrays, "weights", (num_inputs, num_classes))
-        return cls(weights, saved(arrays, "bias", (num_classes,)))
+    present = np.unique(codes)
+    if present.size < 2:
+        raise InputError(f"codes: found class {present.tolist()} only, expected at least two")
+    learned = LogisticRegression(C=inverse_penalty, max_iter=MAX_ITERATIONS).fit(inputs, codes)
+    weights, bias = np.zeros((inputs.shape[1], num_classes)), np.full(num_classes, NEVER)
+    bias[present] = 0.0
+    shown = present[1:] if present.size == 2 else present  # two classes share one column
+    weights[:, shown], bias[shown] = learned.coef_.T, learned.intercept_
+    return weights, bias

@@ -60,15 +60,7 @@ class Standardisation:
 
     @classmethod
     def restored(cls, arrays: dict[str, NDArray[Any]], num_features: int) -> Standardisation:
-        """From what was saved.
-
-        Args:
-            arrays: as from `arrays`.
-            num_features: F.
-
-        Raises:
-            InputError: if a feature has no mean or no positive deviation.
-        """
+        """From what `arrays` gave; InputError if a feature has no mean or positive deviation."""
         mean, scale = (saved(arrays, name, (num_features,)) for name in ("mean", "scale"))
         if not (scale > 0.0).all():
             raise InputError(f"scale: found {scale.min():g}, expected positive numbers")

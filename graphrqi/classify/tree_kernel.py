@@ -26,18 +26,10 @@ def sum_of_leaves(
     reachable: NDArray[np.uint32],
     out: NDArray[np.float64],
 ) -> None:
-    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees`.
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.Trees`.
 
-    Args:
-        features: (K * F, 64) of K batches of 64 samples, feature by feature.
-        first: (B + 1,) first inner node of each tree, and the number of inner nodes.
-        feature: (I,) feature compared at an inner node.
-        threshold: (I,) the comparison is true for a larger feature.
-        keep: (I,) mask of the leaves that then remain reachable.
-        leaf: (B, 32) values of the leaves, by the hash of their bit (a de Bruijn sequence).
-        column: (B,) index of the sum that the tree adds to.
-        reachable: (64,) overwritten.
-        out: (K, C, 64) receives the sums; must be zero before.
+    ``features`` is (K * F, 64) of K batches of 64 samples, feature by feature; ``leaf`` is by the
+    hash of a leaf's bit; ``reachable`` (64,) is overwritten; ``out`` (K, C, 64) must be zero.
     """
     width = len(features) // max(len(out), 1)
     for k in range(len(out)):

@@ -29,7 +29,7 @@ from graphrqi.places.network import (
     Member,
     PlaceNetwork,
 )
-from graphrqi.portable_torch import adamw, one_thread, root
+from graphrqi.portable_torch import Descent, one_thread, root
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
 
@@ -203,17 +203,11 @@ def train_place_network(
 def _trained(examples: Examples, rng: np.random.Generator, options: NetworkOptions) -> _Network:
     """One network."""
     network = _Network(examples.x.shape[1], options)
-    optimizer = adamw(network.parameters(), options.learning_rate, options.weight_decay)
     steps = options.passes * -(-len(examples.places) // options.places_a_step)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, options.learning_rate, total_steps=steps
-    )
+    descent = Descent(network, steps, options.learning_rate, options.weight_decay)
     for _ in range(options.passes):
         for rows, place in examples.drawn(rng, options.places_a_step):
-            optimizer.zero_grad()
-            _loss(network, examples, rows, place).backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            schedule.step()
+            descent.step(_loss(network, examples, rows, place))
     return network.eval()
 
 

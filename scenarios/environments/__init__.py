@@ -9,7 +9,8 @@ road and take highway-env's actions; the other drivers have the six behaviours' 
 unusable values are refused by name. The keys ``net``, ``routes`` and ``scenario`` set any of them
 on another road.
 `scenarios.environments.parallel` makes an environment for several agents of any of them
-(PettingZoo, extra ``multi``).
+(PettingZoo, extra ``multi``); ``gymnasium.make_vec(id, num_envs=16)`` makes many worlds that one
+call steps (`scenarios.environments.vector`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any, Final
 import gymnasium
 
 ENTRY_POINT: Final = "scenarios.environments.environment:TrafficEnv"
+VECTOR_ENTRY_POINT: Final = "scenarios.environments.vector:TrafficVectorEnv"
 
 _GRID: Final = Path(__file__).parents[1] / "networks" / "grid_3" / "road.net.xml"
 
@@ -78,4 +80,6 @@ def register_environments() -> None:
     """Register every environment that is not registered yet."""
     for name, row in ENVIRONMENTS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(id=name, entry_point=ENTRY_POINT, kwargs=row)
+            gymnasium.register(
+                id=name, entry_point=ENTRY_POINT, vector_entry_point=VECTOR_ENTRY_POINT, kwargs=row
+            )

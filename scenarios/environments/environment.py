@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
@@ -27,8 +28,8 @@ from scenarios.environments.observation import (
     observe_ego,
     observe_graph,
 )
+from sim.episode.buffer import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
-from sim.geometry import separation
 from sim.highway.demand import Demand
 from sim.highway.ego import (
     EgoEnv,
@@ -40,20 +41,22 @@ from sim.highway.ego import (
 )
 from sim.highway.engine import network_of, read_frame
 from sim.highway.lanes import LaneIndex
-from sim.highway.traffic import TrafficRoad, agent_of, outlines_of
+from sim.highway.traffic import TrafficRoad, agent_of
 from sim.highway.vehicle import ProfileVehicle
+from sim.safety import conflicts
 from sim.scenario import AgentSpec, Scenario, sample_agents
 
-NEAR_MISS_S: Final = 1.0
-"""Time to collision below which a near miss is counted, s (Hayward 1972: 1 to 1.5 s)."""
+SEEN_S: Final = 2.0
+"""Conflicts are looked for in the last seconds (more than what makes a near miss)."""
 
-NEAR_MISS_M: Final = 0.4
-"""Passing this near, at more than walking pace, is a near miss too, m (an arm's length)."""
+LOOK_EVERY_S: Final = 0.5
+"""Time between two searches for conflicts, s: a near miss is reported that late at most."""
 
-NEARBY_M: Final = 12.0
-"""Only others whose centre is this near are checked for passing too near, m."""
+AGAIN_S: Final = 5.0
+"""Near misses of a pair with less time between them are one, s (as encounters are)."""
 
-WALKING_PACE_MPS: Final = 2.0
+NEARBY_M: Final = 40.0
+"""Only others whose centre is this near are looked at, m (2 s at 20 m/s)."""
 
 REWARDS: Final[dict[str, float]] = {
     "progress": 1.0,
@@ -97,8 +100,8 @@ class Ego:
         vehicle: highway-env's vehicle, once it is on the road.
         entered_s: when it entered, s.
         distance_left_m: along the lanes to the end of its route, m.
-        near: ids of those that are too near now.
-        near_misses: how often others came too near in this step.
+        near: when others last were in a near miss with it, s, by their ids.
+        near_misses: near misses that began in this step.
         rewards: the parts of the last step's reward, as in `REWARDS`.
     """
 
@@ -107,7 +110,7 @@ class Ego:
     vehicle: Any = None
     entered_s: float = 0.0
     distance_left_m: float = 0.0
-    near: set[int] = field(default_factory=set)
+    near: dict[int, float] = field(default_factory=dict)
     near_misses: int = 0
     rewards: dict[str, float] = field(default_factory=lambda: dict.fromkeys(REWARDS, 0.0))
 
@@ -153,9 +156,8 @@ class TrafficEnv(EgoEnv):
     the ego vehicle at signals, crossings or behind others; the others react to it as to anybody.
 
     Reward per step: progress along the route as a share of what the limit allows, in [0, 1]; -10
-    for a collision; -1 for each near miss (time to collision to the leader below 1 s, or passing
-    within 0.4 m); -3 for running a red light; -5 for leaving the road. ``info["rewards"]`` has the
-    parts.
+    for a collision; -1 for each near miss (`sim.safety.is_near_miss`), within half a second; -3 for
+    running a red light; -5 for leaving the road. ``info["rewards"]`` has the parts.
 
     Episode: begins when there is room for the ego vehicle (5 m by 2 m) at the beginning of its
     route, at 0.7 of the limit, on the lane with most room. Terminated by a collision, by leaving
@@ -265,10 +267,25 @@ class TrafficEnv(EgoEnv):
         self._classify = self._classifier()
         self.dt = 1.0 / self.config["simulation_frequency"]
         self.egos, self.coming, self.events = [], [], []
+        self._seen, self._looked_s = FrameBuffer(round(SEEN_S / self.dt) + 1), -np.inf
         self.controlled_vehicles = []
         self.define_spaces()
         ego = Ego(max(self.agents, default=-1) + 1, self._own_route())
-        self._enter(ego, *self.warm_up(drawn, seed, self._entry_lanes(ego)))
+        self.road = TrafficRoad(network_of(self.scenario.road))
+        self.demand = Demand(self.road, drawn, seed)
+        for _ in range(round(self.config["warmup_s"] / self.dt)):
+            self.advance()
+        for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
+            lane, room, speed = self._roomiest(ego)
+            if room > ENTRY_ROOM_M:
+                break
+            self.advance()
+        else:
+            for vehicle in list(self.road.vehicles):
+                s, _ = self.road.network_info.lanes[lane].local_coordinates(vehicle.position)
+                if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+                    self.road.remove(vehicle)
+        self._enter(ego, lane, room, speed)
         self.events = []
 
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
@@ -290,44 +307,12 @@ class TrafficEnv(EgoEnv):
             )
         return classify
 
-    def warm_up(
-        self, agents: tuple[AgentSpec, ...], seed: int, lanes: list[LaneIndex]
-    ) -> tuple[LaneIndex, float, float]:
-        """Let the traffic drive, then until one of some lanes has room for an ego vehicle.
-
-        Args:
-            agents: everybody else.
-            seed: of the traffic.
-            lanes: those on which the ego vehicle may begin.
-
-        Returns:
-            The lane with most room, its room, m, and the speed of the next vehicle on it, m/s.
-        """
-        self.road = TrafficRoad(network_of(self.scenario.road))
-        self.demand = Demand(self.road, agents, seed)
-        for _ in range(round(self.config["warmup_s"] / self.dt)):
-            self.advance()
-        for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
-            self.road.locate()
-            lane, room, speed = self._roomiest(lanes)
-            if room > ENTRY_ROOM_M:
-                return lane, room, speed
-            self.advance()
-        for vehicle in list(self.road.vehicles):
-            s = self.road.distance_along(vehicle, lane)
-            if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
-                self.road.vehicles.remove(vehicle)
-        return lane, room, speed
-
-    def _entry_lanes(self, ego: Ego) -> list[LaneIndex]:
-        """The lanes on which an ego vehicle may begin."""
-        network = network_of(self.scenario.road)
-        return network.lanes_towards(ego.route[0], ego.route[1] if len(ego.route) > 1 else None)
-
-    def _roomiest(self, lanes: list[LaneIndex]) -> tuple[LaneIndex, float, float]:
-        """The lane with most room at its beginning, that room, m, and the next vehicle's speed."""
+    def _roomiest(self, ego: Ego) -> tuple[LaneIndex, float, float]:
+        """Of the lanes to begin on that with most room, its room, m, and the next one's speed."""
+        self.road.locate()
         found: list[tuple[LaneIndex, float, float]] = []
-        for lane in lanes:
+        then = ego.route[1] if len(ego.route) > 1 else None
+        for lane in self.road.network_info.lanes_towards(ego.route[0], then):
             room, speed = math.inf, math.inf
             distances, rows, _ = self.road.on_lane(lane)
             for s, row in zip(distances, rows, strict=True):
@@ -342,8 +327,8 @@ class TrafficEnv(EgoEnv):
         begin = 0.7 * float(self.road.network_info.lanes[lane].speed_limit)
         begin = min(begin, speed) if room < 40.0 else begin
         self.add_ego_vehicle(lane, BEGIN_M, begin, ego.route, ego.id)
-        ego.vehicle, ego.entered_s = self.vehicle, self.time
-        self._came_s = self.time
+        ego.vehicle = self.vehicle
+        ego.entered_s = self._came_s = self.time
         self.road.locate()
         ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
         self.egos.append(ego)
@@ -356,16 +341,11 @@ class TrafficEnv(EgoEnv):
             self.coming.append(Ego(self.egos[0].id + 1 + number, route))
 
     def let_in(self, every_s: float) -> None:
-        """Let the next ego vehicles in that have room.
-
-        Args:
-            every_s: least time since the last one came, s.
-        """
+        """Let the next ego vehicles in that have room, this long after the last one, s."""
         for ego in list(self.coming):
             if self.time - self._came_s < every_s - 1e-9:
                 return
-            self.road.locate()
-            lane, room, speed = self._roomiest(self._entry_lanes(ego))
+            lane, room, speed = self._roomiest(ego)
             if room > ENTRY_ROOM_M:
                 self.coming.remove(ego)
                 self._enter(ego, lane, room, speed)
@@ -373,7 +353,7 @@ class TrafficEnv(EgoEnv):
     def remove(self, ego: Ego) -> None:
         """Take an ego vehicle off the road."""
         self.egos.remove(ego)
-        self.road.vehicles.remove(ego.vehicle)
+        self.road.remove(ego.vehicle)
 
     # Steps -----------------------------------------------------------------------------------
 
@@ -419,6 +399,7 @@ class TrafficEnv(EgoEnv):
                 self._automatic_rendering()
         self.enable_auto_render = False
         self.time += frames * self.dt
+        self._count_near_misses()
         for ego, before in zip(self.egos, before_m, strict=True):
             self._judge(ego, before, frames)
 
@@ -463,15 +444,29 @@ class TrafficEnv(EgoEnv):
         return numbers.reshape(space.shape)
 
     def watch(self) -> None:
-        """Look at the step that has just been simulated: who has come too near?"""
+        """Remember the step that has just been simulated."""
         self.road.locate()
-        for ego in self.egos:
-            near = self._near_ids(ego.vehicle)
-            ego.near_misses += len(near - ego.near)  # once each time somebody comes near
-            ego.near = near
+        self._seen.push(read_frame(self.road))
+
+    def _count_near_misses(self) -> None:
+        """Count the near misses of the ego vehicles that the last steps show."""
+        if len(self._seen) < 2 or self._seen.last.time_s - self._looked_s < LOOK_EVERY_S - 1e-6:
+            return
+        tracks, time_s = self._seen.tracks(), self._seen.last.time_s
+        self._looked_s = time_s
+        of_egos = np.isin(tracks.ids, [ego.id for ego in self.egos])
+        now = tracks.xy[:, -1]
+        near, _ = cKDTree(now[of_egos]).query(now, distance_upper_bound=NEARBY_M)
+        met = conflicts(tracks.part(np.flatnonzero(near <= NEARBY_M), slice(None)), None, SEEN_S)
+        for first, second in zip(met.first[met.near_miss], met.second[met.near_miss], strict=True):
+            for ego in self.egos:
+                if ego.id in (first, second):
+                    other = int(second if ego.id == first else first)
+                    ego.near_misses += time_s - ego.near.get(other, -np.inf) > AGAIN_S
+                    ego.near[other] = time_s
 
     def _judge(self, ego: Ego, before_m: float, frames: int) -> None:
-        """The parts of the reward for a policy step that began with so much of the way left."""
+        """Set the parts of the reward for a policy step that began this far from the goal, m."""
         if is_on_route(self.road, ego.vehicle):
             ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
         mine = [e for e in self.events if ego.id in (e.agent, e.other)]
@@ -488,13 +483,14 @@ class TrafficEnv(EgoEnv):
 
     def outcome(self, ego: Ego) -> Outcome:
         """What became of an ego vehicle in the last step, as `step` returns it."""
+        return (self.observe(ego), *self.judged(ego))
+
+    def judged(self, ego: Ego) -> tuple[float, bool, bool, dict[str, Any]]:
+        """The same without the observation."""
         reward = sum(REWARDS[name] * value for name, value in ego.rewards.items())
         ended = ego.vehicle.crashed or ego.rewards["off_road"] > 0 or ego.has_arrived
         cut = self.time - ego.entered_s >= self.config["duration_s"] - 1e-9
-        return self.observe(ego), float(reward), bool(ended), bool(cut), self.info(ego)
-
-    def _info(self) -> dict[str, Any]:
-        return self.info(self.egos[0])
+        return float(reward), bool(ended), bool(cut), self.info(ego)
 
     def info(self, ego: Ego) -> dict[str, Any]:
         """The figures of an ego vehicle's last step."""
@@ -513,24 +509,6 @@ class TrafficEnv(EgoEnv):
             ),
         }
 
-    def _near_ids(self, ego: Any) -> set[int]:
-        """Ids of those that an ego vehicle is about to hit or passes too near."""
-        road, near = self.road, set[int]()
-        lead = road.neighbours(ego, ego.lane_index)
-        closing = ego.speed - lead.front_speed
-        if lead.front is not None and closing > 0.0 and lead.front_gap < NEAR_MISS_S * closing:
-            near.add(agent_of(lead.front))
-        if ego.speed <= WALKING_PACE_MPS:
-            return near
-        others = [
-            one for one in (*road.vehicles, *road.walkers)
-            if one is not ego and float(np.hypot(*(one.position - ego.position))) < NEARBY_M
-        ]  # fmt: skip
-        if others:
-            gaps = separation(outlines_of([ego] * len(others)), outlines_of(others))
-            near |= {agent_of(others[i]) for i in np.flatnonzero(gaps < NEAR_MISS_M)}
-        return near
-
     # Observation -----------------------------------------------------------------------------
 
     def _make_observation_space(self) -> spaces.Dict:
@@ -538,6 +516,9 @@ class TrafficEnv(EgoEnv):
 
     def _observe(self) -> Observation:
         return self.observe(self.egos[0])
+
+    def _info(self) -> dict[str, Any]:
+        return self.info(self.egos[0])
 
     def observe(self, ego: Ego) -> Observation:
         """What an ego vehicle observes now."""

@@ -124,14 +124,7 @@ def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray
     for strip, near in strips:
         if 0.0 <= near < crossing:
             crossing = near
-            used = float(
-                any(
-                    w.crossover is not None
-                    and w.crossover.crossing == strip.crossing
-                    and w.to_walk() < 1.0
-                    for w in road.walkers
-                )
-            )
+            used = float(strip.crossing in road.crossings_in_use())
     return line, lit, crossing, used
 
 

@@ -20,7 +20,7 @@ from pettingzoo import ParallelEnv
 
 from behaviors.errors import InputError, lookup
 from scenarios.environments import ENVIRONMENTS
-from scenarios.environments.environment import Ego, Outcome, TrafficEnv
+from scenarios.environments.environment import TrafficEnv
 from sim.highway.ego import as_mapping
 
 MOST_EGOS: Final = 1000
@@ -144,7 +144,8 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
             traffic.let_in(self._every_s)
         for ego in traffic.egos:
             if self._names[ego.id] not in outcomes:
-                outcomes[self._names[ego.id]] = self._arrival(ego)
+                arrival = traffic.observe(ego), 0.0, False, False, traffic.info(ego)
+                outcomes[self._names[ego.id]] = arrival
         self.agents = [self._names[ego.id] for ego in traffic.egos]
         return (
             {name: outcome[0] for name, outcome in outcomes.items()},
@@ -153,10 +154,6 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
             {name: outcome[3] for name, outcome in outcomes.items()},
             {name: outcome[4] for name, outcome in outcomes.items()},
         )
-
-    def _arrival(self, ego: Ego) -> Outcome:
-        """The outcome of a step for an agent that has just come."""
-        return self.traffic.observe(ego), 0.0, False, False, self.traffic.info(ego)
 
     def render(self) -> Any:
         """An image of the scene round the first agent."""

@@ -1,4 +1,4 @@
-"""Builds SUMO nets from geometries with netconvert (``pip install graphrqi[networks]``).
+"""Builds SUMO nets with netconvert and netgenerate (``pip install graphrqi[networks]``).
 
 Run ``python -m scenarios.networks.build`` to rebuild every shipped net from its sources.
 """
@@ -14,21 +14,35 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from scenarios.networks.geometry import (
+from scenarios.networks.geometries import (
     CONTROLS,
     TWO_WAY_LENGTH_M,
     FourWayGeometry,
     Geometry,
+    MotorwayGeometry,
+    RoundaboutGeometry,
     StraightGeometry,
 )
-from scenarios.networks.motorway_and_roundabout import MotorwayGeometry, RoundaboutGeometry
 from sim.files import temporary_folder, user_cache, write_whole
 
 FOLDER: Final = Path(__file__).resolve().parent
 """Where the shipped nets lie: ``<name>/road.net.xml`` beside its sources."""
 
 NET: Final = "road.net.xml"
-SETTINGS: Final = "road.netccfg"
+
+SHIPPED_BLOCKS: Final = 3
+"""The grid that ships: 3 x 3 junctions, 276 lanes."""
+
+MOST_BLOCKS: Final = 100
+"""Largest grid: some 280,000 lanes (netgenerate takes ten seconds for it)."""
+
+GRID_OPTIONS: Final = (
+    "--grid.length", "150", "--grid.attach-length", "150", "--default.lanenumber", "2",
+    "--default-junction-type", "traffic_light", "--tls.default-type", "static",
+    "--no-turnarounds", "true", "--offset.disable-normalization", "true",
+)  # fmt: skip
+"""Blocks of 150 m, two lanes in each direction, roads that lead out on every side, and fixed-time
+signals (common sizes of blocks in towns)."""
 
 LIMITS_MPS: Final = (8.33, 11.11, 16.67, 19.44)
 """Other speed limits whose nets are shipped for the two main roads: 30, 40, 60 and 70 km/h."""
@@ -87,6 +101,20 @@ def find_program(name: str) -> str:
     return found
 
 
+def has_program(name: str) -> bool:
+    """Whether a program is there."""
+    try:
+        find_program(name)
+    except InputError:
+        return False
+    return True
+
+
+def cache_folder() -> Path:
+    """The folder of nets that were built on the fly, in the user's cache."""
+    return user_cache() / "networks"
+
+
 def net_of(geometry: Geometry) -> Path:
     """The net of a geometry: a shipped one, or one built now and kept for the next time.
 
@@ -105,30 +133,11 @@ def net_of(geometry: Geometry) -> Path:
             return FOLDER / name / NET
     text = "".join(geometry.sources().values())
     folder = cache_folder() / hashlib.sha256(text.encode()).hexdigest()[:16]
-    if not (folder / NET).is_file():
-        find_program("netconvert")
-        write_sources(geometry, folder)
-        build(folder)
-    return folder / NET
+    return folder / NET if (folder / NET).is_file() else build(geometry, folder)
 
 
-def cache_folder() -> Path:
-    """Where nets built on the fly are kept: in the user's cache folder."""
-    return user_cache() / "networks"
-
-
-def write_sources(geometry: Geometry, folder: Path) -> None:
-    """Write the plain XML of a geometry into a folder, made if absent."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, text in geometry.sources().items():
-        (folder / name).write_text(text, encoding="utf-8")
-
-
-def build(folder: Path) -> Path:
-    """Turn the sources in a folder into ``road.net.xml`` beside them.
-
-    Args:
-        folder: holds what `write_sources` writes.
+def build(geometry: Geometry, folder: Path) -> Path:
+    """Write the sources of a geometry into a folder, made if absent, and the net beside them.
 
     Returns:
         The net's path. The file appears whole or not at all.
@@ -136,10 +145,37 @@ def build(folder: Path) -> Path:
     Raises:
         InputError: if netconvert is missing or refuses the sources.
     """
-    program = find_program("netconvert")
-    net = folder / NET
-    run_program([program, "--configuration-file", SETTINGS], folder, net)
+    program, net = find_program("netconvert"), folder / NET
+    folder.mkdir(parents=True, exist_ok=True)
+    sources = geometry.sources()
+    for name, text in sources.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    settings = next(name for name in sources if name.endswith(".netccfg"))
+    run_program([program, "--configuration-file", settings], folder, net)
     return net
+
+
+def grid_net(blocks: int) -> Path:
+    """The net of a grid of city blocks with signals at every junction, shipped or built now.
+
+    Args:
+        blocks: junctions along each side.
+
+    Raises:
+        InputError: if the number is out of range, or netgenerate is needed and missing.
+
+    Examples:
+        >>> grid_net(3).parent.name
+        'grid_3'
+    """
+    if not 2 <= blocks <= MOST_BLOCKS:
+        raise InputError(f"blocks: found {blocks}, expected 2 to {MOST_BLOCKS}")
+    folder = (FOLDER if blocks == SHIPPED_BLOCKS else cache_folder()) / f"grid_{blocks}"
+    if not (folder / NET).is_file():
+        command = [find_program("netgenerate"), "--grid", "--grid.number", str(blocks)]
+        folder.mkdir(parents=True, exist_ok=True)
+        run_program([*command, *GRID_OPTIONS], folder, folder / NET)
+    return folder / NET
 
 
 def run_program(
@@ -203,8 +239,7 @@ def main() -> int:
     """Rebuild every shipped net; 2 if that cannot be done."""
     try:
         for name, geometry in SHIPPED.items():
-            write_sources(geometry, FOLDER / name)
-            build(FOLDER / name)
+            build(geometry, FOLDER / name)
             sys.stdout.write(f"built {name}\n")
     except InputError as error:
         sys.stderr.write(f"scenarios.networks.build: error: {error}\n")

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
-from scenarios.networks.geometry import LIMIT_MPS, connections, document
+from scenarios.networks.geometries import LIMIT_MPS, connection_rows, document
 from sim.road import Lane, Road
 
 _Link = tuple[str, int, str, int, bool]
@@ -66,7 +66,7 @@ def plain_files(road: Road) -> dict[str, str]:
             edges.setdefault(lane.edge, []).append(lane)
     if not edges:
         raise InputError(f"road {road.name!r:.60}: found no lane for cars, expected at least one")
-    for edge, lanes in _kept_apart(edges).items():
+    for edge, lanes in _kept_apart(edges, -1.0 if road.left_hand else 1.0).items():
         edges[edge] = sorted(lanes, key=lambda lane: lane.index)
     place = {lane.id: (lane.edge, i) for lanes in edges.values() for i, lane in enumerate(lanes)}
     links = [
@@ -93,12 +93,12 @@ def plain_files(road: Road) -> dict[str, str]:
     return {
         "map.nod.xml": document("nodes", rows),
         "map.edg.xml": document("edges", edge_rows),
-        "map.con.xml": connections(ways),
+        "map.con.xml": document("connections", connection_rows(ways)),
     }
 
 
-def _kept_apart(edges: dict[str, list[Lane]]) -> dict[str, list[Lane]]:
-    """The lanes of each edge; those too near to an oncoming lane are moved to their right.
+def _kept_apart(edges: dict[str, list[Lane]], side: float) -> dict[str, list[Lane]]:
+    """The lanes of each edge; those too near to an oncoming lane are moved to the kerb.
 
     Maps draw narrow streets so, and drivers there would stand face to face for ever.
     """
@@ -117,7 +117,7 @@ def _kept_apart(edges: dict[str, list[Lane]]) -> dict[str, list[Lane]]:
             beside = beside[beside[:, 2:] @ along[k] < OPPOSED]
             if len(beside):
                 across = np.abs((beside[:, :2] - line[k]) @ left[k]).min()
-                line[k] -= max(least_m - across, 0.0) / 2 * left[k]
+                line[k] -= side * max(least_m - across, 0.0) / 2 * left[k]
         lines[lane.id] = line
     return {
         edge: [dataclasses.replace(lane, centerline=lines[lane.id]) for lane in lanes]

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import breadth_first_order
 
 from behaviors.errors import InputError
-from scenarios.networks.convert import KINDS, drivable_net, kind_of, name_of, warnings_of
-from scenarios.own.demand import EdgeGraph, capacity_per_h, routes_of
+from scenarios.networks.convert import KINDS, drivable_net, name_of, source_of, warnings_of
+from scenarios.own.flows import EdgeGraph, capacity_per_h, routes_of
 from sim.road import MapKnowledge, Road
 from sim.road.files import read_road_file
 from sim.road.net import read_road
 
-WHITE_M: Final = 10.0
-"""White round a picture, m."""
-
-PICTURE_COLORS: Final[dict[str, str]] = {
-    "lane": "#5b6470", "path": "#a9b1bb", "walk": "#d9d4c7", "crossing": "#e8c468",
-    "source": "#2f7d4f", "sink": "#2c5f9e",
-}  # fmt: skip
-"""What each colour of a picture stands for."""
+SOURCE, SINK = "#2f7d4f", "#2c5f9e"
+"""The colours of the edges at which vehicles enter and leave, in a picture."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +53,7 @@ class Survey:
         limits = [lane.speed_limit_mps for lane in cars]
         found: dict[str, str | int | float] = {
             "map": KINDS[self.kind],
+            "traffic": "on the left" if road.left_hand else "on the right",
             "edges for cars": len(graph.lanes),
             "lanes for cars": len(cars),
             "length of these lanes, km": round(sum(one.length_m for one in cars) / 1000, 3),
@@ -84,75 +78,50 @@ class Survey:
 
     def picture(self) -> str:
         """The road as an SVG: lanes, crossings, entries green, exits blue."""
-        sources, sinks = set(self.graph.sources), set(self.graph.sinks)
-        x0, y0, x1, y1 = self.road.bounds
-        wide, high = x1 - x0 + 2 * WHITE_M, y1 - y0 + 2 * WHITE_M
-        lines = []
-        for lane in sorted(self.road.lanes, key=lambda one: not one.internal):
-            what = "walk" if lane.walking else "path" if lane.internal else "lane"
-            if not lane.walking and lane.edge in sources | sinks:
-                what = "source" if lane.edge in sources else "sink"
-            lines.append(_line(lane.centerline, 0.85 * lane.width_m, PICTURE_COLORS[what]))
-        lines += [
-            _line(c.centerline, c.width_m, PICTURE_COLORS["crossing"]) for c in self.road.crossings
-        ]
-        return "\n".join(
-            [
-                f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{x0 - WHITE_M:.1f} '
-                f'{-y1 - WHITE_M:.1f} {wide:.1f} {high:.1f}" width="1000" '
-                f'height="{max(1000 * high / wide, 80):.0f}" style="background: white">',
-                f"<title>{html.escape(self.name)}</title>",
-                *lines,
-                "</svg>\n",
-            ]
-        )
+        colors = dict.fromkeys(self.graph.sinks, SINK) | dict.fromkeys(self.graph.sources, SOURCE)
+        return self.road.svg(colors)
 
 
-def _line(points: np.ndarray, width_m: float, color: str) -> str:
-    at = " ".join(f"{x:.2f},{-y:.2f}" for x, y in points)
-    return f'<polyline fill="none" stroke="{color}" stroke-width="{width_m:.2f}" points="{at}"/>'
-
-
-def survey(path: Path) -> Survey:
+def survey(path: Path, left_hand: bool | None = None) -> Survey:
     """Look at a map.
 
     Args:
         path: a SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.
+        left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
 
     Raises:
         InputError: if it is no map, or no road can be made of it; one line says why.
     """
-    kind, net = kind_of(path), drivable_net(path)
+    kind, source = source_of(path, left_hand)
+    net, doubts = drivable_net(path, left_hand), tuple[str, ...]()
     road = read_road(net, name_of(path))
     if kind in ("sumo", "openstreetmap", "opendrive"):
-        knows = MapKnowledge(signals=bool(road.signal_groups))
+        knows = MapKnowledge(not source.unlimited, bool(road.signal_groups))
     else:
-        knows = read_road_file(path).knows
-    warnings = (*warnings_of(path), *_unreachable(EdgeGraph(road)))
+        own = read_road_file(path)
+        knows, doubts = own.knows, own.doubts
+    warnings = (*doubts, *warnings_of(path, left_hand), *_unreachable(EdgeGraph(road)))
     return Survey(name_of(path), kind, net, road, knows, warnings)
 
 
 def _unreachable(graph: EdgeGraph) -> list[str]:
     """Edges that no way from an entry leads to, and edges from which no way leads out."""
-    backward: dict[str, list[str]] = {edge: [] for edge in graph.lanes}
-    for edge, onward in graph.onward.items():
-        for then in onward:
-            backward[then].append(edge)
+    number = {edge: i for i, edge in enumerate(graph.lanes)}
+    pairs = [(number[one], number[then]) for one, ways in graph.onward.items() for then in ways]
+    begin, end = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    size = (len(number), len(number))
+    onward = coo_array((np.ones(begin.size), (begin, end)), shape=size).tocsr()
     found = []
-    for begin, ways, text in (
-        (graph.entries, graph.onward, "found no way to it from any entry"),
-        (graph.exits, backward, "found no way from it out of the road"),
+    for fringe, ways, text in (
+        (graph.entries, onward, "found no way to it from any entry"),
+        (graph.exits, onward.T.tocsr(), "found no way from it out of the road"),
     ):
-        left = sorted(graph.lanes.keys() - _reached(begin, ways)) if begin else []
+        reached = {i for edge in fringe for i in _reached(ways, number[edge])}
+        left = sorted(edge for edge, i in number.items() if i not in reached) if fringe else []
         found += [f"edge {edge}: {text}" for edge in left]
     return found
 
 
-def _reached(begin: Collection[str], onward: Mapping[str, Sequence[str]]) -> set[str]:
-    """Everything that can be reached from some edges, these included."""
-    found, queue = set(begin), list(begin)
-    while queue:
-        new = set(onward[queue.pop()]) - found
-        found |= new
-        queue += new
-    return found
+def _reached(ways: csr_array, begin: int) -> list[int]:
+    """Everything that can be reached from an edge, itself included."""
+    return breadth_first_order(ways, begin, return_predecessors=False).tolist()

@@ -14,6 +14,7 @@ from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, FloatArray, IntArray
 from sim.road import Road
+from sim.safety import Conflicts, conflicts
 
 MIN_FRAMES: Final = 3
 """Fewest frames from which anything is told: the shortest motion with a change of speed."""
@@ -35,6 +36,7 @@ class Annotations:
         lane_s: (m,) distance along the lane, m; NaN where unknown.
         leader: (m,) row of the vehicle ahead; -1 where there is none.
         gap: (m,) bumper to bumper to it, m; +inf where there is none.
+        conflicts: the encounters of road users.
     """
 
     inputs: DetectorInputs
@@ -44,6 +46,7 @@ class Annotations:
     lane_s: FloatArray
     leader: IntArray
     gap: FloatArray
+    conflicts: Conflicts
 
 
 def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> Annotations:
@@ -56,11 +59,12 @@ def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> An
     """
     observed = observe(steps, road)
     inputs = detector_inputs(steps, road, observed)
-    events = incidents(steps, road, observed, inputs, recorded=recorded)
+    met = conflicts(steps.tracks, road)
+    events = incidents(steps, road, observed, inputs, met, recorded=recorded)
     seen = observed.lane, observed.s, observed.leader, observed.gap
     del observed  # a fifth of the memory, which the detectors need
     inputs = with_encounters(steps.ids, inputs, events)
-    return Annotations(inputs, events, shown_traits(steps.ids, inputs), *seen)
+    return Annotations(inputs, events, shown_traits(steps.ids, inputs), *seen, met)
 
 
 def annotate_recording(

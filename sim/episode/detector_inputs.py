@@ -13,8 +13,8 @@ from sim.episode.observables import Observables, observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, says_stop
 from sim.road import Road
-from sim.road.lane_graph import LaneGraph, project
-from sim.road.lane_search import along
+from sim.road.lane_coordinates import along
+from sim.road.lane_graph import LaneGraph
 
 RULES: Final = {
     EventKind.RED_RUN: False,
@@ -105,7 +105,7 @@ def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray
     if not rows.size:
         return off, on_red
     xy = steps.xy[rows]
-    place = project(road, xy, steps.heading[rows])
+    place = LaneGraph.of(road).project(xy, steps.heading[rows])
     width = np.array([lane.width_m for lane in road.lanes])
     internal = np.array([lane.internal for lane in road.lanes])
     on_road = (np.abs(place.offset) < width[place.lane] / 2) & ~internal[place.lane]

@@ -22,12 +22,14 @@ from sim.episode.rows import TrajectoryRows
 from sim.episode.yielding import ROLLING_MPS, crossings_passed
 from sim.frames import Event, EventKind, FloatArray, IntArray, Signal
 from sim.road import Road
-
-NEAR_MISS_TTC_S: Final = 1.5
-"""A time to collision below this is critical in towns (van der Horst and Hogema 1993)."""
-
-NEAR_MISS_MPS: Final = 3.0
-"""Near misses are counted above this speed (below it a driver stops within a metre)."""
+from sim.safety import (
+    CONFLICT_KINDS,
+    NEAR_MISS_PET_S,
+    NEAR_MISS_TTC_S,
+    ConflictKind,
+    Conflicts,
+    conflicts,
+)
 
 GRACE_S: Final = 0.3
 """Passing a light this soon after it turned red is no red run (one glance)."""
@@ -41,6 +43,7 @@ def incidents(
     road: Road,
     observed: Observables | None = None,
     inputs: DetectorInputs | None = None,
+    met: Conflicts | None = None,
     *,
     recorded: bool = False,
 ) -> tuple[Event, ...]:
@@ -51,6 +54,7 @@ def incidents(
         road: where it happened.
         observed: the observables of ``steps``, if the caller has them.
         inputs: what `sim.episode.detector_inputs.detector_inputs` gives, if the caller has it.
+        met: the conflicts of ``steps``, if the caller has them.
         recorded: whether sizes and positions were measured, not simulated: then two outlines that
             overlap are a measurement error, not a collision.
 
@@ -63,7 +67,7 @@ def incidents(
         *_lines_passed(steps, road, observed),
         *crossings_passed(steps, road, observed),
         *_wrong_way(steps, observed),
-        *_near_misses(steps, observed),
+        *near_misses(conflicts(steps.tracks, road) if met is None else met),
     ]
     collided = collisions(steps, () if recorded else contacts(steps))
     if collided:
@@ -132,13 +136,33 @@ def _wrong_way(steps: TrajectoryRows, observed: Observables) -> list[Event]:
     return found
 
 
-def _near_misses(steps: TrajectoryRows, observed: Observables) -> list[Event]:
-    close = observed.time_to_collision < NEAR_MISS_TTC_S
-    close &= (steps.speed > NEAR_MISS_MPS) & (observed.gap > 0)
+def near_misses(met: Conflicts) -> list[Event]:
+    """The near misses among conflicts, each at its least time to collision or encroachment.
+
+    ``agent`` is the one that had to let the other go first; where nobody knows, the one that came
+    later to the place that both drove over.
+
+    Args:
+        met: conflicts, as `sim.safety.conflicts` finds them.
+    """
     found = []
-    for run in steps.row_index.runs(close):
-        agent, time_s = steps.agent_and_time(run.start)
-        other, _ = steps.agent_and_time(int(observed.leader[run.start]))
-        least_s = float(observed.time_to_collision[run].min())
-        found.append(Event(EventKind.NEAR_MISS, time_s, agent, other, time_to_collision_s=least_s))
+    for row in np.flatnonzero(met.near_miss).tolist():
+        pair = int(met.first[row]), int(met.second[row])
+        before = int(met.priority[row]) if met.priority[row] >= 0 else int(met.passed_first[row])
+        agent, other = pair if before == pair[1] else pair[::-1]
+        ttc_s, pet_s = float(met.ttc_s[row]), float(met.pet_s[row])
+        kind = CONFLICT_KINDS[met.kind[row]]
+        soon = ttc_s < NEAR_MISS_TTC_S
+        short = pet_s < NEAR_MISS_PET_S and kind is not ConflictKind.FOLLOWING
+        found.append(
+            Event(
+                EventKind.NEAR_MISS,
+                float(met.ttc_time_s[row] if soon else met.pet_time_s[row]),
+                agent,
+                other,
+                kind.value,
+                time_to_collision_s=ttc_s if soon else None,
+                post_encroachment_s=pet_s if short else None,
+            )
+        )
     return found

@@ -22,8 +22,8 @@ import numpy as np
 
 from sim.episode.rows import BLOCK_ROWS, TrajectoryRows
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal
-from sim.road import LanePosition, Road, lane_search
-from sim.road.lane_graph import LaneGraph, project
+from sim.road import LanePosition, Road, lane_coordinates, lane_search
+from sim.road.lane_graph import LaneGraph
 
 MIN_SPEED_MPS: Final = 0.1
 """Below this a headway in seconds means nothing; it is infinite."""
@@ -148,7 +148,7 @@ def _perceive(
 ) -> tuple[LanePosition, lane_search.LaneView]:
     """The lane that each row is on, and what it sees on its way; arguments as of `_observe`."""
     xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
-    place = project(road, xy, heading)
+    place = LaneGraph.of(road).project(xy, heading)
     view = lane_search.perceive(
         xy, heading, length, driving, place.lane, place.s, place.offset, by_time, begins,
         LaneGraph.of(road),
@@ -173,7 +173,7 @@ def crossing_people(
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
     for c, crossing in enumerate(road.crossings):
-        u, across, total = lane_search.along(crossing.centerline, xy)
+        u, across, total = lane_coordinates.along(crossing.centerline, xy)
         beside = np.abs(across) <= crossing.width_m / 2 + CROSSING_MARGIN_M
         on = beside & (u > 0) & (u < total)
         near = beside & ~on & (u > -CROSSING_MARGIN_M) & (u < total + CROSSING_MARGIN_M)

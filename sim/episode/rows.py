@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -31,6 +32,7 @@ class TrajectoryRows:
     """The trajectories of N agents at T times: m rows, by agent, then by time.
 
     Attributes:
+        tracks: the same as dense arrays.
         row_index: the agent and the time of each row.
         ids: (N,) agent ids, ascending.
         kind: (N,) codes into ``KINDS``.
@@ -45,6 +47,7 @@ class TrajectoryRows:
         events: the source's own events, in time order.
     """
 
+    tracks: Tracks
     row_index: RowIndex
     ids: IntArray
     kind: CodeArray
@@ -74,6 +77,7 @@ class TrajectoryRows:
         """
         seen = tracks.as_rows()
         return cls(
+            tracks=tracks,
             row_index=seen.index,
             ids=tracks.ids,
             kind=tracks.kind,
@@ -99,34 +103,12 @@ class TrajectoryRows:
         if len(begins) == 1:
             yield self
             return
-        step = self.row_index.step
-        part_of = np.searchsorted(begins, step, side="right") - 1
-        order = np.argsort(part_of, kind="stable")  # the rows of a part stay in their order
-        borders = np.searchsorted(part_of[order], np.arange(len(begins) + 1))
-        ends = [*begins[1:], self.time_s.size]
-        for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        everyone = np.arange(self.ids.size)
+        for begin, end in pairwise([*begins, self.time_s.size]):
             if end - begin > 1:
-                yield self._part(order[borders[number] : borders[number + 1]], begin, end)
-
-    def _part(self, rows: IntArray, begin: int, end: int) -> TrajectoryRows:
-        """The rows of some consecutive times, and the agents that they are of."""
-        kept, agent = np.unique(self.row_index.agent[rows], return_inverse=True)
-        step = self.row_index.step[rows] - begin
-        time_s = self.time_s[begin:end]
-        return TrajectoryRows(
-            row_index=RowIndex.of_rows(agent.ravel(), step, kept.size, end - begin),
-            ids=self.ids[kept],
-            kind=self.kind[kept],
-            length=self.length[kept],
-            width=self.width[kept],
-            time_s=time_s,
-            step_s=float(np.median(np.diff(time_s))),
-            xy=self.xy[rows],
-            heading=self.heading[rows],
-            speed=self.speed[rows],
-            signals=self.signals[:, begin:end],
-            events=tuple(e for e in self.events if time_s[0] <= e.time_s <= time_s[-1]),
-        )
+                part = self.tracks.part(everyone, slice(begin, end))
+                seen = np.flatnonzero(np.diff(part.as_rows().index.first))
+                yield TrajectoryRows.of(part.part(seen, slice(None)))
 
     def agent_and_time(self, row: int) -> tuple[int, float]:
         """The agent's id and the time, s, of a row."""

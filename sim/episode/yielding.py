@@ -11,7 +11,7 @@ from sim.episode.observables import Observables
 from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, says_stop
 from sim.road import Crossing, Road
-from sim.road.lane_search import along
+from sim.road.lane_coordinates import along
 
 ROLLING_MPS: Final = 0.5
 """A vehicle below this speed has stopped (slower than anyone walks)."""

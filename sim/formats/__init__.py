@@ -7,20 +7,18 @@ a module of its own that is loaded on first use. A reader refuses a broken file 
 
 from __future__ import annotations
 
-import codecs
-import gzip
 import re
-import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol, cast
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, loaded
-from sim.input_files import broken_as_one_line, opened, plain_name
+from sim.input_files import broken_as_one_line, plain_name
 
 if TYPE_CHECKING:
     from sim.formats.common.recording import Recording
@@ -39,11 +37,10 @@ if TYPE_CHECKING:
     Reader = Callable[..., Iterator[Recording]]
     Writer = Callable[[Path, str, Tracks, Road | None], list[Path]]
 
-HEAD_BYTES: Final = 4096
-"""Bytes of a file by which its format is recognised."""
-
-LINE_CHARACTERS: Final = 120
+SHOWN: Final = 120
 """How much of the first line of an unknown file is shown."""
+
+NOTHING: Final = re.compile(rb"(?!)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +59,12 @@ class Format:
             read, whatever it looks like.
         beside: patterns of the names of files that only accompany its files.
         example: a small file of this format, which the contract tests read.
+        columns: columns that make a table one of this format, whatever its head.
+        one: whether a folder's files are copies of the same: the first name is read.
     """
 
     files: tuple[str, ...]
-    head: re.Pattern[bytes]
+    head: re.Pattern[bytes] = NOTHING
     reader: str | None = None
     writer: str | None = None
     index: str | None = None
@@ -74,21 +73,43 @@ class Format:
     own_names: bool = False
     beside: tuple[str, ...] = ()
     example: bytes = b""
+    columns: tuple[tuple[str, ...], ...] = ()
+    one: bool = False
 
     def recognises(self, path: Path) -> bool:
-        """Whether a file's beginning looks like this format."""
-        return self.head.search(_beginning(path).lower()) is not None
+        """Whether a file's columns or its beginning are those of this format."""
+        beginning = _beginning(path)
+        return self.head.search(beginning.head.lower()) is not None or any(
+            set(columns) <= set(beginning.columns) for columns in self.columns
+        )
 
 
-def _columns(*names: str) -> re.Pattern[bytes]:
-    """A first line that has all these columns."""
-    every = "".join(rf'(?=[^\n]*(?:^|[,"\s]){name}(?:[,"\s]|$))' for name in names)
-    return re.compile(b"^" + every.encode())
+@dataclass(frozen=True)
+class _Beginning:
+    """The beginning of a file, and the names of its columns if it is a table."""
+
+    head: bytes
+    columns: tuple[str, ...]
 
 
+def _beginning(path: Path) -> _Beginning:
+    """The beginning of a file, read once as long as the file stays as it is."""
+    stat = path.stat()
+    return _read_beginning(path, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=1024)
+def _read_beginning(path: Path, changed_ns: int, size: int) -> _Beginning:
+    """See `_beginning`."""
+    from sim.formats.common.tables import column_names, head_of
+
+    head = head_of(path)[:4096]
+    return _Beginning(head, column_names(path, head))
+
+
+LEVELX: Final = ("trackid", "xcenter", "ycenter", "heading")
 LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
-"""Tables that accompany the tracks of inD, rounD and highD."""
-
+"""Columns of inD and rounD, and the tables that accompany their tracks and highD's."""
 
 FORMATS: Final[Registry[Format]] = Registry(
     "format",
@@ -96,60 +117,58 @@ FORMATS: Final[Registry[Format]] = Registry(
     {
         "argoverse2": Format(
             ("scenario_*.parquet",),
-            re.compile(rb"^par1"),
-            "sim.formats.argoverse.forecasting2:read",
-            "sim.formats.argoverse.forecasting2:write",
+            reader="sim.formats.argoverse.forecasting2:read",
+            writer="sim.formats.argoverse.forecasting2:write",
             own_names=True,
-            beside=("log_map_archive_*.json",),
+            beside=("log_map_archive_*.json", "behavior_*.parquet"),
+            columns=(("track_id", "object_type", "timestep", "position_x"),),
         ),
         "argoverse2-log": Format(
-            ("annotations.feather",),
-            re.compile(rb"^(?:arrow1|fea1)"),
-            "sim.formats.argoverse.sensor_log:read",
+            ("annotations.feather", "annotations_with_ego.feather"),
+            reader="sim.formats.argoverse.sensor_log:read",
             clock=True,
             own_names=True,
             beside=("map/*.json", "log_map_archive_*.json"),
+            columns=(("timestamp_ns", "track_uuid", "category"),),
+            one=True,
         ),
         "argoverse1": Format(
-            ("*.csv",),
-            _columns("timestamp", "track_id", "object_type", "x", "y"),
-            "sim.formats.argoverse.forecasting1:read",
-            "sim.formats.argoverse.forecasting1:write",
+            ("*.csv", "*.parquet"),
+            reader="sim.formats.argoverse.forecasting1:read",
+            writer="sim.formats.argoverse.forecasting1:write",
+            columns=(("timestamp", "track_id", "object_type", "x", "y"),),
         ),
         "ngsim": Format(
-            ("*.csv", "*.txt"),
-            re.compile(
-                _columns("vehicle_id", "local_x", "local_y").pattern
-                + rb"|^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"
-            ),
+            ("*.csv", "*.txt", "*.parquet"),
+            re.compile(rb"^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"),
             "sim.formats.ngsim:read",
             clock=True,
+            columns=(("vehicle_id", "local_x", "local_y"),),
         ),
         "ind": Format(
             ("*_tracks.csv",),
-            _columns("trackid", "xcenter", "ycenter", "heading"),
-            "sim.formats.levelx:read_ind",
+            reader="sim.formats.levelx:read_ind",
             own_names=True,
             beside=LEVELX_BESIDE,
+            columns=(LEVELX,),
         ),
         "round": Format(
             ("*_tracks.csv",),
-            _columns("trackid", "xcenter", "ycenter", "heading"),
-            "sim.formats.levelx:read_ind",
+            reader="sim.formats.levelx:read_ind",
             own_names=True,
             beside=LEVELX_BESIDE,
+            columns=(LEVELX,),
         ),
         "highd": Format(
             ("*_tracks.csv",),
-            _columns("frame", "id", "width", "height", "xvelocity"),
-            "sim.formats.levelx:read_highd",
+            reader="sim.formats.levelx:read_highd",
             own_names=True,
             beside=LEVELX_BESIDE,
+            columns=(("frame", "id", "width", "height", "xvelocity"),),
         ),
         "interaction": Format(
-            ("vehicle_tracks_*.csv",),
-            _columns("track_id", "timestamp_ms", "agent_type"),
-            "sim.formats.interaction:read",
+            ("vehicle_tracks_*.csv", "*_train.csv", "*_val.csv", "*_obs.csv"),
+            reader="sim.formats.interaction:read",
             own_names=True,
             beside=(
                 "pedestrian_tracks_*.csv",
@@ -158,13 +177,15 @@ FORMATS: Final[Registry[Format]] = Registry(
                 "signal_phases_*.csv",
                 "log_map_archive_*.json",
             ),
+            columns=(("track_id", "timestamp_ms", "agent_type"),),
         ),
         "sumo-fcd": Format(
-            ("*.xml",),
+            ("*.xml", "*.csv", "*.parquet"),
             re.compile(rb"<fcd-export"),
             "sim.formats.sumo_fcd:read",
             "sim.formats.sumo_fcd:write",
             beside=("*.types.xml",),
+            columns=tuple(("timestep_time", f"{one}_id") for one in ("vehicle", "person")),
         ),
         "commonroad": Format(
             ("*.xml",), re.compile(rb"<commonroad\b"), "sim.formats.commonroad:read"
@@ -186,14 +207,14 @@ FORMATS: Final[Registry[Format]] = Registry(
         ),
         "argo": Format(
             ("*.csv",),
-            re.compile(rb'^"?frame"?,"?id"?,"?x"?,"?y"?\s*\n'),
+            re.compile(rb'^"?frame"?[,;\t]"?id"?[,;\t]"?x"?[,;\t]"?y"?\s*\n'),
             "sim.formats.argo:read",
             beside=("*_labels.csv",),
         ),
         "pairs": Format(
             ("*.csv",),
-            _columns("t", "x_follower", "v_follower", "x_leader", "v_leader"),
-            "sim.formats.pairs:read",
+            reader="sim.formats.pairs:read",
+            columns=(("t", "x_follower", "v_follower", "x_leader", "v_leader"),),
         ),
         "womd": Format(
             ("*.tfrecord*", "*.json"),
@@ -211,14 +232,32 @@ FORMATS: Final[Registry[Format]] = Registry(
             index="sim.formats.scenarionet.writer:Index",
             beside=("dataset_summary.pkl", "dataset_mapping.pkl"),
         ),
-        "openscenario": Format(
-            ("*.xosc",),
-            re.compile(rb"(?!)"),
-            writer="sim.formats.asam.openscenario:write",
+        "table": Format(
+            ("*.csv", "*.txt", "*.tsv", "*.parquet", "*.feather"),
+            reader="sim.formats.own_table:read",
+            example=b"id,t,x,y\n1,0.0,0.0,0.0\n1,0.1,1.0,0.0\n2,0.0,9.0,4.0\n2,0.1,9.0,4.0\n",
+            columns=(("id", "t", "x", "y"),),
         ),
+        "openscenario": Format(("*.xosc",), writer="sim.formats.asam.openscenario:write"),
     },
 )
 """Every format by name."""
+
+OTHERS: Final = (
+    (re.compile(rb"^par1|^arrow1|^fea1"), "a table of other columns"),
+    (re.compile(rb"^\s*<(?:!doctype )?html", re.DOTALL), "a web page, no download"),
+    (re.compile(rb"^pk\x03\x04"), "a ZIP archive, expected it unpacked"),
+    (re.compile(rb"^\x1f\x8b"), "a gzipped file, expected a name that ends in .gz"),
+    (re.compile(rb"^\x89hdf"), "an HDF5 file"),
+    (re.compile(rb"^sqlite format 3"), "an SQLite database"),
+    (re.compile(rb"^#rosbag|^\x89mcap"), "a ROS bag"),
+    (re.compile(rb"^\xff\xd8\xff|^\x89png|^%pdf|^.{4}ftyp", re.DOTALL), "a picture or a video"),
+    (re.compile(rb"(?s)^.{4}\0{4}"), "a TFRecord of something else than Waymo's scenarios"),
+    (re.compile(rb"^\s*[{\[]"), "JSON that is no scenario"),
+    (re.compile(rb"<(?:osm|net|opendrive)\b"), "a map, no recording: see graphrqi road"),
+    (re.compile(rb"^\s*<\?xml|^\s*<\w"), "XML that is no recording"),
+)
+"""What other files are, told from their beginnings (lower case)."""
 
 
 def get_reader(name: str) -> Reader:
@@ -267,16 +306,6 @@ def first_file(folder: Path, name: str) -> Path | None:
     return None
 
 
-def _beginning(path: Path) -> bytes:
-    """The beginning of a file, without a byte order mark."""
-    try:
-        with opened(path) as file:
-            head = file.read(HEAD_BYTES)
-    except (EOFError, zlib.error, gzip.BadGzipFile):
-        return b""
-    return head.removeprefix(codecs.BOM_UTF8)
-
-
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
     """The file itself, or a folder's files whose names match, in upper or lower case."""
     if path.is_file():
@@ -297,22 +326,12 @@ def _named(file: Path, patterns: tuple[str, ...]) -> bool:
 
 
 def recognise(path: Path) -> str:
-    """The format of a file, or the first one of the files in a folder, told from their beginnings.
-
-    Args:
-        path: a file or a folder.
-
-    Returns:
-        A key of ``FORMATS``; ``ind`` for rounD too, which looks the same.
-
-    Raises:
-        InputError: if it is none of them.
-    """
+    """The format of a file, or the first one of those in a folder, as `formats_in` tells them."""
     return formats_in(path)[0]
 
 
 def formats_in(path: Path) -> list[str]:
-    """Every format of the files in a folder, told from their beginnings.
+    """Every format of the files in a folder, told from their columns and their beginnings.
 
     Args:
         path: a file or a folder.
@@ -322,7 +341,7 @@ def formats_in(path: Path) -> list[str]:
         ``ind`` for rounD too.
 
     Raises:
-        InputError: if there is none.
+        InputError: if there is none; the message says what a file is instead.
     """
     _check_there(path)
     found: list[str] = []
@@ -337,19 +356,30 @@ def formats_in(path: Path) -> list[str]:
             found.append(name)
             known.update(here)
     if not found:
-        seen = "no known format"
-        if path.is_dir() and not any(path.iterdir()):
-            seen = "an empty folder"
-        elif path.is_file():
-            line = b"".join(_beginning(path).splitlines()[:1]).decode("utf-8", "replace")
-            if line and line.replace("\t", " ").isprintable():
-                seen += f" in its first line {line[:LINE_CHARACTERS]!r}"
-        known_names = [name for name, entry in FORMATS.items() if entry.reader is not None]
         raise InputError(
-            f"{path}: found {seen}, expected one of {', '.join(known_names)}; "
-            "docs/data.md shows how a table of your own is read"
+            f"{path}: found {_what_it_is(path)}, expected one of "
+            f"{', '.join(name for name, entry in FORMATS.items() if entry.reader is not None)}; "
+            "a table of your own is read with import --columns id=...,t=...,x=...,y=..."
         )
     return found
+
+
+def _what_it_is(path: Path) -> str:
+    """What a file or folder is that no reader knows."""
+    if path.is_dir():
+        return "no known format" if any(path.iterdir()) else "an empty folder"
+    beginning = _beginning(path)
+    head = beginning.head
+    other = next((text for look, text in OTHERS if look.search(head.lower())), None)
+    columns = f"{', '.join(beginning.columns)}"
+    if other == OTHERS[0][1]:
+        return f"no known format in a table with the columns {columns:.{SHOWN}}"
+    if other is not None:
+        return other
+    line = b"".join(head.splitlines()[:1]).decode("utf-8", "replace")
+    if line and line.replace("\t", " ").isprintable():
+        return f"no known format in its first line {line[:SHOWN]!r}"
+    return "no known format"
 
 
 def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
@@ -392,10 +422,15 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
     others: list[Path] = []
     if path.is_dir():
         files = [file for file in files if not _named(file, entry.beside)]
-        strange = [file for file in files if not entry.recognises(file)]
+        knows = entry.columns or entry.head is not NOTHING
+        strange = [file for file in files if knows and not entry.recognises(file)]
         # A file with the format's own name is read even if it is broken, but not as another's.
         others = [file for file in strange if not entry.own_names or _is_of_another(file)]
         files = [file for file in files if file not in set(others)]
+        if entry.one:
+            first = {file.parent: file for file in reversed(files)}
+            others = [file for file in files if first[file.parent] != file]
+            files = [file for file in files if first[file.parent] == file]
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
     return files, others
@@ -412,7 +447,12 @@ def _check_there(path: Path) -> None:
 
 
 def read_recordings(
-    path: Path, name: str | None = None, types: Path | None = None, rate_hz: float | None = None
+    path: Path,
+    name: str | None = None,
+    types: Path | None = None,
+    rate_hz: float | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Iterator[Recording]:
     """Read a recording, or all recordings of one format in a folder.
 
@@ -421,6 +461,8 @@ def read_recordings(
         name: a key of ``FORMATS``; None to tell it from the content.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
         rate_hz: frames per second that the recordings really have; None for what they say.
+        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        units: of these columns.
 
     Yields:
         The recordings, one at a time, in order of the files' names; see `recording_files` for
@@ -431,13 +473,19 @@ def read_recordings(
     Raises:
         InputError: if a file is broken, or there is none.
     """
-    for item in read_formats(path, [name or recognise(path)], types, rate_hz):
+    name = "table" if columns else name or recognise(path)
+    for item in read_formats(path, [name], types, rate_hz, columns, units):
         if not isinstance(item, Path):
             yield item[1]
 
 
 def read_formats(
-    path: Path, names: Sequence[str], types: Path | None = None, rate_hz: float | None = None
+    path: Path,
+    names: Sequence[str],
+    types: Path | None = None,
+    rate_hz: float | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Iterator[tuple[str, Recording] | Path]:
     """As `read_recordings`, of several formats.
 
@@ -446,6 +494,8 @@ def read_formats(
         names: keys of ``FORMATS``.
         types: as in `read_recordings`.
         rate_hz: as in `read_recordings`.
+        columns: as in `read_recordings`.
+        units: as in `read_recordings`.
 
     Yields:
         The path of every file before it is read, then its recordings with their format's name.
@@ -458,7 +508,11 @@ def read_formats(
     if types is not None and "sumo-fcd" not in names:
         raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
     for name in names:
-        options = {"types": types} if types is not None and name == "sumo-fcd" else {}
+        options: dict[str, object] = {}
+        if name == "sumo-fcd" and types is not None:
+            options = {"types": types}
+        if name == "table" and columns:
+            options = {"columns": columns, "units": units or {}}
         files = recording_files(path, name)[0]
         alike = Counter(file.name for file in files)
         for file in files:

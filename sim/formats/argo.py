@@ -8,8 +8,8 @@ release does not say which is which, so nothing but the style of such agents is 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -20,8 +20,8 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import motion
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
-from sim.formats.common.tables import read_csv
+from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
+from sim.formats.common.tables import read_table
 from sim.frames import Tracks
 from sim.input_files import beside, plain_name, stem
 
@@ -58,15 +58,16 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    table = read_csv(path, ["frame", "x", "y"], ["id"])
+    table = read_table(path, ["frame", "x", "y"], ["id"])
     agent, names = table.names("id")
-    xy = np.stack([table.numbers("x"), table.numbers("y")], axis=1)
-    rows = Rows.of(agent, names, table.numbers("frame") / FRAME_RATE_HZ, xy)
+    xy = table.stacked("x", "y")
+    rows = Rows(agent, names, table.numbers("frame") / FRAME_RATE_HZ, xy)
     notes = [
         "the recording vehicle's motion was estimated from those that stand, and taken out",
         CARS_ASSUMED,
     ]
-    recording = Recording(stem(path), remove_ego_motion(assemble(path, rows)), tuple(notes))
+    recording = recorded(path, stem(path), rows, notes)
+    recording = replace(recording, tracks=remove_ego_motion(recording.tracks))
     file = beside(path, plain_name(path).replace("_tracks", "_labels"))
     if file is None:
         yield recording
@@ -75,7 +76,7 @@ def read(path: Path) -> Iterator[Recording]:
     known = [labels.get(name) for name in recording.tracks.names]
     vague = sum(label is not None and label.behavior is None for label in known)
     notes.append(f"{vague} agents are aggressive, but of which class is not known: a style alone")
-    yield dataclasses.replace(recording, notes=tuple(notes)).labelled(known)
+    yield replace(recording, notes=tuple(notes)).labelled(known)
 
 
 def read_labels(path: Path) -> dict[str, DriverLabel]:
@@ -90,7 +91,7 @@ def read_labels(path: Path) -> dict[str, DriverLabel]:
     Raises:
         InputError: if the file is broken, a code is unknown, or an agent is listed twice.
     """
-    table = read_csv(path, ["code"], ["id"])
+    table = read_table(path, ["code"], ["id"])
     agent, names = table.names("id")
     if len(names) != len(table):
         raise InputError(f"{path}: found {len(table)} rows for {len(names)} agents, expected one")
@@ -154,9 +155,4 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
         rotation = rotation @ turn
         xy[:, t] = tracks.xy[:, t] @ rotation.T + shift
     heading, speed = motion(xy, tracks.time_s, 0.0)
-    return dataclasses.replace(
-        tracks,
-        xy=xy,
-        heading=heading,
-        speed=speed,
-    )
+    return replace(tracks, xy=xy, heading=heading, speed=speed)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 from xml.etree.ElementTree import Element
@@ -21,7 +22,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.recording import Recording, Rows, recorded
 from sim.frames import AgentKind, FloatArray, Tracks
 from sim.input_files import stem
 from sim.road import Road
@@ -84,13 +85,12 @@ def _recording(path: Path) -> Recording:
     step_s = real(path, root.get("timeStepSize"), "timeStepSize")
     if step_s <= 0:
         raise InputError(f"{path}: timeStepSize: found {step_s:g}, expected more than 0")
-    tracks, notes = _tracks(path, root, 1.0 if version in IN_SECONDS else step_s, tables)
+    rows, notes = _rows(path, root, 1.0 if version in IN_SECONDS else step_s, tables)
     road = road_of(path, root)
-    if road is not None:
-        tracks = _lit(tracks, road)
-        if road.knows.unknown:
-            notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
-    return Recording(stem(path), tracks, tuple(notes), road)
+    if road is not None and road.knows.unknown:
+        notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
+    found = recorded(path, stem(path), rows, notes, road, own_road=True)
+    return found if road is None else replace(found, tracks=_lit(found.tracks, road))
 
 
 _NUMBER: Final = rb"[-+.\deE]+"
@@ -146,10 +146,10 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
     return tracks.changed(signals=np.array(shown, dtype=np.int8).T)
 
 
-def _tracks(
+def _rows(
     path: Path, root: Element, unit_s: float, tables: list[FloatArray]
-) -> tuple[Tracks, list[str]]:
-    """The obstacles as tracks, and notes on what was assumed."""
+) -> tuple[Rows, list[str]]:
+    """The rows of the obstacles, and notes on what was assumed."""
     names: dict[str, None] = {}
     kinds: list[AgentKind] = []
     sizes: list[tuple[float, float]] = []
@@ -184,7 +184,7 @@ def _tracks(
     table = np.concatenate([np.zeros((0, 5)), *seen])
     agent = np.repeat(np.arange(len(names)), [len(one) for one in seen])
     lengths = np.reshape(sizes, (-1, 2))
-    rows = Rows.of(
+    rows = Rows(
         agent, tuple(names), table[:, 0], table[:, 1:3], table[:, 3], table[:, 4], kinds, lengths
     )
     notes = []
@@ -193,7 +193,7 @@ def _tracks(
         notes.append(f"left out, because they are not road-agents: {found}")
     if (lengths == 0).any():
         notes.append("those without a size have the one usual for their kind")
-    return assemble(path, rows), notes
+    return rows, notes
 
 
 def _states(
@@ -207,6 +207,8 @@ def _states(
         number = trajectory.get("table")
         rows = [_row(path, one, f"obstacle {name}") for one in trajectory.iterfind("state")]
         found.append(np.reshape(rows, (-1, 5)) if number is None else tables[int(number)])
+    if len(found) > 1 and len(found[1]) and np.isin(found[0][:, 0], found[1][:, 0]).any():
+        found = found[1:]  # the initial state is the trajectory's first one, too
     table = np.concatenate(found)
     if not len(table):
         raise InputError(f"{path}: obstacle {name}: found no state, expected a trajectory")

@@ -10,19 +10,16 @@ References:
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.motion import MOVING_MPS
-from sim.formats.common.recording import Recording, Rows, assemble
-from sim.formats.common.tables import Table, read_csv
+from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.tables import Table, read_table
 from sim.frames import AgentKind
 from sim.input_files import beside, plain_name, stem
 from sim.road.files import read_road_file
@@ -40,10 +37,6 @@ TYPES: Final[dict[str, AgentKind]] = {
 }
 """``agent_type``, in lower case."""
 
-MAX_REPEATED: Final = 0.02
-"""Share of rows that may repeat an agent at one time (a tracker that splits vehicles makes some .5
-%): the first counts. A file with more is refused: its ids or times are wrong."""
-
 _COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
 _BOX: Final = ("psi_rad", "length", "width")
 
@@ -52,7 +45,8 @@ def read(path: Path) -> Iterator[Recording]:
     """Read one file of vehicles, and the pedestrians recorded with them.
 
     Args:
-        path: ``vehicle_tracks_NNN.csv`` (or pedestrians alone).
+        path: ``vehicle_tracks_NNN.csv`` (or pedestrians alone), or a file of the multi-agent
+            challenge, ``..._train.csv``, whose agents of one id and two types are two agents.
 
     Yields:
         One recording, or one for each case.
@@ -61,32 +55,16 @@ def read(path: Path) -> Iterator[Recording]:
         InputError: if a file is broken; the message names file and column or row.
     """
     walkers = beside(path, plain_name(path).replace("vehicle_tracks", "pedestrian_tracks"))
-    cases, walking = _cases(path), {} if walkers is None else _cases(walkers)
+    tables = [_cases(path), *([] if walkers is None else [_cases(walkers)])]
     found, origin = map_beside(path), _origin(path)
     road = None if found is None else read_road_file(found, origin=origin)
-    for case in cases | walking:
-        parts = [part[case] for part in (cases, walking) if case in part]
-        rows, repeated = _once(_joined(parts, path, walkers or path))
+    for case in dict.fromkeys(case for table in tables for case in table):
+        rows = _joined([_rows(table[case]) for table in tables if case in table])
         notes = []
-        if walkers is not None:
+        if walkers is not None or (rows.sizes is not None and np.isnan(rows.sizes).any()):
             notes.append("those without a size have the one usual for their kind")
-        if repeated:
-            notes.append(f"{repeated} rows left out that have an agent twice at one time")
         name = f"{stem(path)}-{case}" if case else stem(path)
-        yield Recording(name, assemble(path, rows), tuple(notes), road, origin)
-
-
-def _once(rows: Rows) -> tuple[Rows, int]:
-    """The rows without an agent's second row at one time, and how many were left out."""
-    order = np.lexsort((rows.time_s, rows.agent))
-    agent, time_s = rows.agent[order], rows.time_s[order]
-    again = np.flatnonzero((agent[1:] == agent[:-1]) & (time_s[1:] == time_s[:-1])) + 1
-    if not 0 < again.size <= MAX_REPEATED * agent.size:
-        return rows, 0
-    kept = np.ones(agent.size, dtype=bool)
-    kept[order[again]] = False
-    names = ("agent", "time_s", "x", "y", "heading", "speed")
-    return replace(rows, **{name: getattr(rows, name)[kept] for name in names}), again.size
+        yield recorded(path, name, rows, notes, road, origin)
 
 
 def map_beside(path: Path) -> Path | None:
@@ -122,7 +100,7 @@ def _origin(path: Path) -> tuple[float, float] | None:
     if facts is None:
         return None
     names = ("originlat", "originlon")
-    table = read_csv(facts, names, optional=names)
+    table = read_table(facts, names, optional=names)
     if not all(name in table for name in names):
         return None
     latitude, longitude = (float(table.numbers(name)[0]) for name in names)
@@ -131,43 +109,20 @@ def _origin(path: Path) -> tuple[float, float] | None:
     return latitude, longitude
 
 
-def _joined(parts: list[Rows], path: Path, walkers: Path) -> Rows:
-    """Vehicles and pedestrians together."""
-    if len(parts) == 1:
-        return parts[0]
-    one, other = parts
-    names = (*one.names, *other.names)
-    if len(set(names)) != len(names):
-        raise InputError(f"{walkers}: found an agent that {path.name} has too, expected others")
-
-    def both(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    return Rows(
-        np.concatenate([one.agent, other.agent + len(one.names)]), names, both("time_s"),
-        both("x"), both("y"), both("heading"), both("speed"), both("length"), both("width"),
-        both("kind"),
-    )  # fmt: skip
-
-
-def _cases(path: Path) -> dict[str, Rows]:
+def _cases(path: Path) -> dict[str, Table]:
     """The rows of each case, by its name; of a file without cases, under no name."""
-    words = ["track_id", "agent_type", "case_id"]
-    table = read_csv(path, [*_COMMON, *_BOX], words, optional=[*_BOX, "case_id"])
+    table = read_table(
+        path, [*_COMMON, *_BOX], ["track_id", "agent_type", "case_id"], [*_BOX, "case_id"], _BOX
+    )
     if "case_id" not in table:
-        return {"": _rows(table)}
+        return {"": table}
     code, cases = table.codes("case_id")
-    order = np.argsort(code, kind="stable")
-    ends = np.cumsum(np.bincount(code)).tolist()
-    return {
-        case: _rows(table.part(order[begin:end]))
-        for case, (begin, end) in zip(cases, itertools.pairwise([0, *ends]), strict=True)
-    }
+    return {case: table.part(np.flatnonzero(code == k)) for k, case in enumerate(cases)}
 
 
 def _rows(table: Table) -> Rows:
     """The rows of one case."""
-    agent, names = table.names("track_id")
+    agent, names = table.names("track_id", "agent_type")
     kinds = []
     for word in table.only("agent_type", agent):
         kind = TYPES.get(word.lower())
@@ -177,24 +132,32 @@ def _rows(table: Table) -> Rows:
                 f"{', '.join(TYPES)}"
             )
         kinds.append(kind)
-    vx, vy = table.numbers("vx"), table.numbers("vy")
-    speed = np.hypot(vx, vy)
-    if "psi_rad" in table:
-        heading = table.numbers("psi_rad")
-    else:
-        heading = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
-    _, first = np.unique(agent, return_index=True)
-    sides = [
-        table.numbers(side)[first] if side in table else np.zeros(len(names))
-        for side in ("length", "width")
+    vx, vy = table.measured("vx"), table.measured("vy")
+    speed, heading = np.hypot(vx, vy), table.measured("psi_rad")
+    if np.isnan(heading).any():
+        moving = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
+        heading = np.where(np.isnan(heading), moving, heading)
+    return Rows(
+        agent, names, table.numbers("timestamp_ms", "ms"), table.stacked("x", "y"), heading, speed,
+        kinds, first_sizes(agent, table.stacked("length", "width")),
+    )  # fmt: skip
+
+
+def _joined(parts: list[Rows]) -> Rows:
+    """Vehicles and pedestrians together; an id of both is two agents, named by their kinds."""
+    if len(parts) == 1:
+        return parts[0]
+    one, other = parts
+    shared = set(one.names) & set(other.names)
+    names = [
+        f"{name}-{kind}" if name in shared else name
+        for part in parts
+        for name, kind in zip(part.names, part.kinds or (), strict=True)
     ]
-    return Rows.of(
-        agent,
-        names,
-        table.numbers("timestamp_ms", "ms"),
-        np.stack([table.numbers("x"), table.numbers("y")], axis=1),
-        heading,
-        speed,
-        kinds,
-        np.stack(sides, axis=1),
+    agent = np.concatenate([one.agent, other.agent + len(one.names)])
+    time_s, xy, heading, speed, sizes = (
+        np.concatenate([getattr(part, key) for part in parts])
+        for key in ("time_s", "xy", "heading", "speed", "sizes")
     )
+    kinds = [kind for part in parts for kind in part.kinds or ()]
+    return Rows(agent, names, time_s, xy, heading, speed, kinds, sizes)

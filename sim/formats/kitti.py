@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.recording import Recording, Rows, recorded
 from sim.frames import AgentKind
 from sim.input_files import opened, plain_name, stem
 
@@ -102,7 +102,7 @@ def read(path: Path) -> Iterator[Recording]:
     ego_heading = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     n, frames = len(labels.names), np.arange(len(poses))
     heading = np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), ego_heading)
-    rows = Rows.of(
+    rows = Rows(
         np.append(labels.agent, np.full(frames.size, n)),
         (*labels.names, "ego"),
         np.append(labels.frame, frames).astype(np.float64) * PERIOD_S,
@@ -115,7 +115,7 @@ def read(path: Path) -> Iterator[Recording]:
         "the recording car's motion is undone with its poses; it is the agent ego",
         "speeds are taken from the motion",
     )
-    yield Recording(stem(path), assemble(path, rows), notes)
+    yield recorded(path, stem(path), rows, notes)
 
 
 def _neighbour(path: Path, folder: str) -> Path:

@@ -12,6 +12,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -20,8 +21,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.motion import MOVING_MPS
-from sim.formats.common.recording import Recording, Rows, assemble
-from sim.formats.common.tables import Table, read_csv
+from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.tables import Table, read_table
 from sim.frames import AgentKind
 from sim.input_files import beside, plain_name, stem
 
@@ -52,25 +53,32 @@ def _frame_rate(path: Path) -> float:
     facts = _beside(path, "recordingMeta")
     if facts is None:
         return FRAME_RATE_HZ
-    rates = np.unique(read_csv(facts, ["framerate"]).numbers("framerate")).tolist()
+    rates = np.unique(read_table(facts, ["framerate"]).numbers("framerate")).tolist()
     if len(rates) > 1 or not 1 <= rates[0] <= 1000:
         found = " and ".join(f"{rate:g}" for rate in rates)
         raise InputError(f"{facts}: column framerate: found {found}, expected one, 1 to 1000")
     return float(rates[0])
 
 
-def _agents(
-    table: Table, id_column: str
-) -> tuple[NDArray[np.int64], tuple[str, ...], NDArray[np.int64], list[AgentKind], list[str]]:
-    """(m,) agent of each row; of each agent its name, first row and kind; and notes."""
+@dataclass(frozen=True)
+class _Agents:
+    """The agent of each row; of each agent its name and kind; and notes."""
+
+    agent: NDArray[np.int64]
+    names: tuple[str, ...]
+    kinds: list[AgentKind]
+    notes: list[str]
+
+
+def _agents(table: Table, id_column: str) -> _Agents:
+    """The agents of a table, their kinds from the metadata beside it."""
     agent, names = table.names(id_column)
-    _, first = np.unique(agent, return_index=True)
     facts = _beside(table.path, "tracksMeta")
     if facts is None:
         missing = plain_name(table.path).replace("_tracks.csv", "_tracksMeta.csv")
         notes = [f"{missing} is not there: all are taken for cars"]
-        return agent, names, first, [AgentKind.CAR] * len(names), notes
-    meta = read_csv(facts, [], [id_column, "class"])
+        return _Agents(agent, names, [AgentKind.CAR] * len(names), notes)
+    meta = read_table(facts, [], [id_column, "class"])
     code, words = meta.names(id_column)
     word = dict(zip(words, meta.only("class", code), strict=True))
     kinds = []
@@ -84,7 +92,7 @@ def _agents(
                 f"{', '.join(CLASSES)}"
             )
         kinds.append(kind)
-    return agent, names, first, kinds, []
+    return _Agents(agent, names, kinds, [])
 
 
 def read_ind(path: Path) -> Iterator[Recording]:
@@ -101,7 +109,9 @@ def read_ind(path: Path) -> Iterator[Recording]:
     """
     numbers = ("frame", "xcenter", "ycenter", "heading", "width", "length", "xvelocity",
                "yvelocity")  # fmt: skip
-    table = read_csv(path, numbers, ["trackid", "recordingid"], optional=["recordingid"])
+    table = read_table(
+        path, numbers, ["trackid", "recordingid"], ["recordingid"], empty=["width", "length"]
+    )
     if "recordingid" in table:
         several = table.codes("recordingid")[1]
         if len(several) > 1:  # each recording counts frames and ids from its own start
@@ -109,21 +119,21 @@ def read_ind(path: Path) -> Iterator[Recording]:
                 f"{path}: column recordingid: found {several[0]} and {several[1]}, expected "
                 "one recording in a file"
             )
-    agent, names, first, kinds, notes = _agents(table, "trackid")
-    sizes = np.stack([table.numbers("length")[first], table.numbers("width")[first]], axis=1)
+    found = _agents(table, "trackid")
+    sizes = first_sizes(found.agent, table.stacked("length", "width"))
     if (sizes == 0).any():
-        notes.append("pedestrians and bicycles without a size have the usual one")
-    rows = Rows.of(
-        agent,
-        names,
+        found.notes.append("pedestrians and bicycles without a size have the usual one")
+    rows = Rows(
+        found.agent,
+        found.names,
         table.numbers("frame") / _frame_rate(path),
-        np.stack([table.numbers("xcenter"), table.numbers("ycenter")], axis=1),
-        table.numbers("heading", "deg"),
-        np.hypot(table.numbers("xvelocity"), table.numbers("yvelocity")),
-        kinds,
+        table.stacked("xcenter", "ycenter"),
+        table.measured("heading", "deg"),
+        np.hypot(table.measured("xvelocity"), table.measured("yvelocity")),
+        found.kinds,
         sizes,
     )
-    yield Recording(stem(path), assemble(path, rows), tuple(notes))
+    yield recorded(path, stem(path), rows, found.notes)
 
 
 def read_highd(path: Path) -> Iterator[Recording]:
@@ -139,21 +149,21 @@ def read_highd(path: Path) -> Iterator[Recording]:
         InputError: if a file is broken; the message names file and column or row.
     """
     numbers = ("frame", "x", "y", "width", "height", "xvelocity", "yvelocity")
-    table = read_csv(path, numbers, ["id"])
-    agent, names, first, kinds, notes = _agents(table, "id")
-    length, width = table.numbers("width"), table.numbers("height")
-    x, y = table.numbers("x") + 0.5 * length, -(table.numbers("y") + 0.5 * width)
-    vx, vy = table.numbers("xvelocity"), -table.numbers("yvelocity")
+    table = read_table(path, numbers, ["id"])
+    found = _agents(table, "id")
+    sides = table.stacked("width", "height")
+    corner, velocity = table.stacked("x", "y"), table.stacked("xvelocity", "yvelocity")
+    up = np.array([1.0, -1.0])
+    vx, vy = (velocity * up).T
     speed = np.hypot(vx, vy)
-    rows = Rows.of(
-        agent,
-        names,
+    rows = Rows(
+        found.agent,
+        found.names,
         table.numbers("frame") / _frame_rate(path),
-        np.stack([x, y], axis=1),
+        (corner + 0.5 * sides) * up,
         np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan),
         speed,
-        kinds,
-        np.stack([length[first], width[first]], axis=1),
+        found.kinds,
+        first_sizes(found.agent, sides),
     )
-    notes.append("headings are taken from velocities")
-    yield Recording(stem(path), assemble(path, rows), tuple(notes))
+    yield recorded(path, stem(path), rows, [*found.notes, "headings are taken from velocities"])

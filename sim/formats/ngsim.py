@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble
-from sim.formats.common.tables import Table, read_csv, read_header, read_text
+from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.tables import Table, column_names, read_table, read_text
 from sim.frames import AgentKind
 from sim.input_files import stem
 from sim.units import in_si
@@ -62,10 +62,10 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or line.
     """
-    if "vehicle_id" not in read_header(path):
+    if "vehicle_id" not in column_names(path):
         yield from _recordings(stem(path), read_text(path, TEXT_COLUMNS, NUMBERS))
         return
-    table = read_csv(path, NUMBERS, ["location"], optional=["location"])
+    table = read_table(path, NUMBERS, ["location"], optional=["location"])
     if "location" not in table:
         yield from _recordings(stem(path), table)
         return
@@ -121,15 +121,15 @@ def _recording(name: str, table: Table) -> Recording:
         raise InputError(f"{table.path}: column v_class: found {unknown.pop()}, expected 1, 2 or 3")
     time_ms = table.numbers("global_time")
     # the heading follows from the motion of the front, the centre from the heading
-    rows = Rows.of(
+    rows = Rows(
         agent,
         names,
         in_si(time_ms - time_ms.min(), "ms"),
-        np.stack([table.numbers("local_x", "ft"), table.numbers("local_y", "ft")], axis=1),
-        speed=table.numbers("v_vel", "ft/s"),
+        table.stacked("local_x", "local_y", unit="ft"),
+        speed=table.measured("v_vel", "ft/s"),
         kinds=[CLASSES[code] for code in codes],
-        sizes=np.stack([table.numbers(c, "ft")[first] for c in ("v_length", "v_width")], axis=1),
+        sizes=first_sizes(agent, table.stacked("v_length", "v_width", unit="ft")),
         rest_heading=math.pi / 2,
         ahead_lengths=0.5,
     )
-    return Recording(name, assemble(table.path, rows), ("headings are taken from the motion",))
+    return recorded(table.path, name, rows, ["headings are taken from the motion"])

@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, assemble
-from sim.formats.common.tables import Table, read_csv
+from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, Rows, recorded
+from sim.formats.common.tables import Table, read_table
 from sim.input_files import stem
 
 LENGTH_IN_FEET: Final = 9.0
@@ -41,7 +41,7 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    table = read_csv(path, [*_NUMBERS, "leader_length"], _WORDS, ["leader_length", *_WORDS])
+    table = read_table(path, [*_NUMBERS, "leader_length"], _WORDS, ["leader_length", *_WORDS])
     length = table.numbers("leader_length") if "leader_length" in table else np.zeros(len(table))
     if length.min() < 0.0:
         row = int(length.argmin())
@@ -59,7 +59,7 @@ def read(path: Path) -> Iterator[Recording]:
     for name, chosen in zip(names, np.split(order, ends), strict=True):
         label = f"{stem(path)}-{name}" if name else stem(path)
         rows = _rows(table.part(chosen), "ft" if feet else "")
-        yield Recording(label, assemble(path, rows), tuple(notes))
+        yield recorded(path, label, rows, notes)
 
 
 def _rows(table: Table, unit: str) -> Rows:
@@ -83,7 +83,7 @@ def _rows(table: Table, unit: str) -> Rows:
         ]
     )
     speed = np.concatenate([table.numbers(name, unit) for name in ("v_follower", "v_leader")])
-    return Rows.of(
+    return Rows(
         np.repeat(np.arange(2), m),
         (follower, leader),
         np.tile(table.numbers("t"), 2),

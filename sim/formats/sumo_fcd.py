@@ -13,6 +13,7 @@ import math
 import xml.etree.ElementTree as ET
 from array import array
 from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 from xml.sax.saxutils import quoteattr
@@ -22,9 +23,10 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from sim.files import write_whole
-from sim.formats.common.recording import Recording, Rows, assemble, default_size
+from sim.formats.common.recording import Recording, Rows, default_size, recorded
+from sim.formats.common.tables import column_names, read_table
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, FloatArray, IntArray, Tracks
-from sim.input_files import opened
+from sim.input_files import opened, stem
 from sim.xml_tree import refuse_declarations
 
 HEAD_BYTES: Final = 2**16
@@ -115,13 +117,28 @@ def read_types(path: Path) -> dict[str, tuple[AgentKind, tuple[float, float]]]:
 
 
 _COLUMNS: Final = ("x", "y", "angle", "speed")
+TAGS: Final = ("vehicle", "person")
+LEFT_OUT: Final = ("container",)
+
+
+@dataclass
+class _Found:
+    """What was read of a file: agents by element and id, times, and rows of `_COLUMNS`."""
+
+    agents: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
+    times: list[float] = field(default_factory=list)
+    time_s: list[float] | FloatArray = field(default_factory=list)
+    agent: list[int] | IntArray = field(default_factory=list)
+    values: list[float] | FloatArray = field(default_factory=list)
+    left_out: set[str] = field(default_factory=set)
 
 
 def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
-    """Read one FCD file (``.xml`` or ``.xml.gz``).
+    """Read one FCD file: XML, or SUMO's own CSV or Parquet.
 
     Args:
-        path: the file.
+        path: the file; gzipped where its name ends in ``.gz``. Speeds and angles that it does not
+            have are taken from the motion.
         types: a file with the vTypes; by default the one that ends in ``.types.xml`` beside it,
             if there is one.
 
@@ -131,58 +148,122 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names the file, the time and the agent.
     """
-    name = path.name.removesuffix(".gz").removesuffix(".xml")
+    name = stem(path)
     beside = path.with_name(name + TYPES_SUFFIX)
     types = types or (beside if beside.is_file() else None)
     known = {} if types is None else read_types(types)
-    index: dict[tuple[str, str], int] = {}  # vehicles and persons may share a name
-    agents: list[tuple[str, str, str, str]] = []  # element, id, type and behaviour
-    times, counts = array("d"), array("q")
-    agent, values = array("q"), array("d")
+    tabular = "timestep_time" in column_names(path)
+    found = _from_table(path) if tabular else _from_xml(path)
+    if not found.agents:
+        raise InputError(f"{path}: found no vehicle and no person in a timestep, expected some")
+    yield _recording(path, name, found, known)
+
+
+def seconds_of(where: str, text: str) -> float:
+    """A time of SUMO's, s: a number, or as people read it.
+
+    Args:
+        where: it is, for the message.
+        text: seconds, or ``[days:]hours:minutes:seconds``.
+
+    Raises:
+        InputError: if it is neither.
+
+    Examples:
+        >>> seconds_of("here", "01:00:02.50"), seconds_of("here", "1:00:00:00"), seconds_of("", "7")
+        (3602.5, 86400.0, 7.0)
+    """
+    try:
+        parts = [float(part) for part in text.split(":")]
+    except ValueError:
+        parts = []
+    if len(parts) not in (1, 3, 4):
+        raise InputError(f"{where}: found time {text[:40]!r}, expected seconds or 00:00:00")
+    return float(np.dot(parts[::-1], (1.0, 60.0, 3600.0, 86400.0)[: len(parts)]))
+
+
+def _from_xml(path: Path) -> _Found:
+    """The rows of an XML file."""
+    found = _Found()
+    index: dict[tuple[str, str], int] = {}
+    agent, values, times = array("q"), array("d"), array("d")
+    nan = math.nan
     for step in _elements(path, "timestep"):
-        times.append(_numbers(f"{path}: timestep", step, ("time",))[0])
-        if len(times) > 1 and not times[-1] > times[-2]:
+        now = seconds_of(f"{path}: timestep", step.get("time", ""))
+        if found.times and not now > found.times[-1]:
             raise InputError(
-                f"{path}: timestep: found time {times[-1]:g}, expected one after {times[-2]:g}"
+                f"{path}: timestep: found time {now:g}, expected one after {found.times[-1]:g}"
             )
-        before = len(agent)
+        found.times.append(now)
         for element in step:
-            if element.tag not in ("vehicle", "person"):
-                continue
             get = element.get
             key = element.tag, get("id", "")
+            if element.tag not in TAGS:
+                if element.tag in LEFT_OUT:
+                    found.left_out.add(key[1])
+                continue
             row = index.get(key)
             if row is None:
-                row = index[key] = len(agents)
-                agents.append((*key, get("type", ""), get("behavior", "")))
+                row = index[key] = len(index)
+                found.agents[key] = get("type", ""), get("behavior", "")
             agent.append(row)
+            times.append(now)
             try:
-                values.extend([float(get(column, "")) for column in _COLUMNS])
+                values.extend([float(get(column, nan)) for column in _COLUMNS])
             except ValueError:
-                _numbers(f"{path}: time {times[-1]:g}, {key[0]} {key[1]:.60}", element, _COLUMNS)
-        counts.append(len(agent) - before)
-    if not agents:
-        raise InputError(f"{path}: found no vehicle and no person in a timestep, expected some")
-    yield _recording(
-        path, name, agents, known,
-        np.asarray(times), np.asarray(counts), np.asarray(agent), np.asarray(values).reshape(-1, 4),
-    )  # fmt: skip
+                _numbers(f"{path}: time {now:g}, {key[0]} {key[1]:.60}", element, _COLUMNS)
+    found.time_s, found.agent = np.asarray(times), np.asarray(agent)
+    found.values = np.asarray(values).reshape(-1, 4)
+    return found
+
+
+def _from_table(path: Path) -> _Found:
+    """The rows of a CSV or Parquet file, whose columns are named ``vehicle_x`` and so on."""
+    names = column_names(path)
+    clock = "timestep_time"
+    numbers = [f"{tag}_{c}" for tag in TAGS for c in _COLUMNS]
+    words = [
+        clock,
+        *(f"{tag}_{c}" for tag in (*TAGS, *LEFT_OUT) for c in ("id", "type", "behavior")),
+    ]
+    table = read_table(path, numbers, words, [*numbers, *words[1:]], [*numbers, *words])
+    found, index = _Found(), dict[tuple[str, str], int]()
+    codes, texts = table.codes(clock)
+    clocks = np.array([seconds_of(f"{path}: column {clock}", text) for text in texts])
+    found.times = np.unique(clocks).tolist()
+    agent, rows, values = list[int](), list[int](), list[FloatArray]()
+    for tag in (*TAGS, *LEFT_OUT):
+        if f"{tag}_id" not in names:
+            continue
+        said = {c: table.words(f"{tag}_{c}") if f"{tag}_{c}" in names else [""] * len(table)
+                for c in ("id", "type", "behavior")}  # fmt: skip
+        columns = table.stacked(*(f"{tag}_{c}" for c in _COLUMNS))
+        for row, (identity, kind, behavior) in enumerate(zip(*said.values(), strict=True)):
+            if not identity:
+                continue
+            lower = (kind or "").lower()
+            if tag in LEFT_OUT or "container" in lower:
+                found.left_out.add(identity)
+                continue
+            key = "person" if "pedtype" in lower else tag, identity
+            if key not in index:
+                index[key] = len(index)
+                found.agents[key] = kind or "", behavior or ""
+            agent.append(index[key])
+            rows.append(row)
+        values.append(columns[[r for r in rows[sum(map(len, values)) :]]])
+    found.time_s, found.agent = clocks[codes[rows]], np.array(agent, dtype=np.int64)
+    found.values = np.concatenate(values) if values else np.empty((0, 4))
+    return found
 
 
 def _recording(
-    path: Path,
-    name: str,
-    agents: list[tuple[str, str, str, str]],
-    types: dict[str, tuple[AgentKind, tuple[float, float]]],
-    times: FloatArray,
-    counts: IntArray,
-    agent: IntArray,
-    values: FloatArray,
+    path: Path, name: str, found: _Found, types: dict[str, tuple[AgentKind, tuple[float, float]]]
 ) -> Recording:
-    """The recording of what was gathered: times with so many rows each, rows of `_COLUMNS`."""
+    """The recording of what was gathered."""
     names: dict[str, None] = {}
     kinds, sizes, codes, assumed = [], [], [], 0
-    for element, identity, kind_name, behavior in agents:
+    for (element, identity), (kind_name, behavior) in found.agents.items():
         own = identity
         while own in names:
             own = f"{element}-{own}"
@@ -200,30 +281,20 @@ def _recording(
                 f"one of {', '.join(BEHAVIORS)}"
             )
         codes.append(Behavior(behavior).code if behavior else -1)
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
-        row, column = bad[0]
-        raise InputError(
-            f"{path}: {_COLUMNS[column]} of {list(names)[agent[row]]:.60}: found "
-            f"{values[row, column]}, expected a finite number"
-        )
+    values, labelled = np.asarray(found.values), np.array(codes, dtype=np.int8)
     heading = np.radians(90.0 - values[:, 2])
-    back = 0.5 * np.array(sizes)[agent, :1]
-    labelled = np.array(codes, dtype=np.int8)
-    rows = Rows.of(
-        agent,
-        tuple(names),
-        np.repeat(times, counts),
-        values[:, :2] - back * np.stack([np.cos(heading), np.sin(heading)], axis=1),
-        heading,
-        values[:, 3],
-        kinds,
-        np.array(sizes),
-        behavior=labelled if (labelled >= 0).any() else None,
-        empty_s=tuple(times[counts == 0].tolist()),
-    )
+    rows = Rows(
+        np.asarray(found.agent), tuple(names), np.asarray(found.time_s), values[:, :2], heading,
+        values[:, 3], kinds, np.array(sizes),
+        behavior=labelled if (labelled >= 0).any() else None, empty_s=found.times,
+        ahead_lengths=0.5,
+    )  # fmt: skip
     notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
-    return Recording(name, assemble(path, rows), tuple(notes if assumed else ()))
+    recording = recorded(path, name, rows, notes if assumed else ())
+    if not found.left_out:
+        return recording
+    doubt = f"{len(found.left_out)} containers are left out: they are no road-agents"
+    return replace(recording, doubts=(doubt, *recording.doubts))
 
 
 def _kind_in(name: str) -> AgentKind:

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.recording import Recording, Rows, recorded
 from sim.formats.traf_sheets import labels, sheets_beside
 from sim.input_files import opened, stem
 
@@ -122,7 +122,7 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
         for i, boxes in enumerate(own)
     }
     every = [box for boxes in named.values() for box in boxes]
-    rows = Rows.of(
+    rows = Rows(
         np.repeat(np.arange(len(named)), [len(boxes) for boxes in named.values()]),
         tuple(named),
         np.array([box.frame for box in every]) / frame_rate_hz,
@@ -130,6 +130,7 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
         sizes=np.array(
             [np.median([[b.width, b.height] for b in boxes], axis=0) for boxes in named.values()]
         ),
+        in_metres=False,
     )
     twins = sum(len(own) - 1 for own in tracks.values())
     notes = [
@@ -138,12 +139,12 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     ]
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
-    recorded = assemble(path, rows)
+    recording = recorded(path, stem(path), rows)
     sheets = sheets_beside(path)
     if sheets:
-        codes = labels(recorded, sheets, "lenient")
+        codes = labels(recording.tracks, sheets, "lenient")
         files = ", ".join(f"{sheet.annotator}{sheet.video}.xlsx" for sheet in sheets)
         known = int((codes >= 0).sum())
         notes.append(f"{known} labels are resolved from the traits in {files}")
-        recorded = recorded.with_behavior(codes)
-    yield Recording(stem(path), recorded, tuple(notes))
+        recording = replace(recording, tracks=recording.tracks.with_behavior(codes))
+    yield replace(recording, notes=tuple(notes))

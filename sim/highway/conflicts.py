@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
-from highway_env.road.lane import AbstractLane
 from numpy.typing import NDArray
 
 from sim.compiled import in_place
-from sim.highway.lanes import LaneIndex, places_along
+from sim.highway.lanes import LaneIndex, PolylineLane
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import CELL_M
 
@@ -32,17 +30,8 @@ WIDEST_M: Final = 3.0
 """Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Conflict:
-    """Where a junction path runs too close to another one.
-
-    Attributes:
-        other: the other path.
-        begin_s: distance along this path at which the conflict begins, m.
-        end_s: at which it ends, m.
-        other_begin_s: distance along the other path at which it begins there, m.
-        other_end_s: at which it ends there, m.
-    """
+class Conflict(NamedTuple):
+    """Where a junction path runs too close to another one: from where to where on either, m."""
 
     other: LaneIndex
     begin_s: float
@@ -52,7 +41,7 @@ class Conflict:
 
 
 def find_conflicts(
-    paths: Mapping[LaneIndex, AbstractLane], begins: Mapping[LaneIndex, LaneIndex]
+    paths: Mapping[LaneIndex, PolylineLane], begins: Mapping[LaneIndex, LaneIndex]
 ) -> dict[LaneIndex, list[Conflict]]:
     """Where junction paths come too close, other than those that begin on the same lane.
 
@@ -68,7 +57,7 @@ def find_conflicts(
         np.linspace(0.0, lane.length, max(int(lane.length / SAMPLE_M), 1) + 1)
         for lane in paths.values()
     ]
-    xy = [places_along(lane, s) for lane, s in zip(paths.values(), at, strict=True)]
+    xy = [lane.positions(s) for lane, s in zip(paths.values(), at, strict=True)]
     boxes = boxes_of(xy, WIDEST_M / 2)
     pairs = near_pairs(boxes, boxes, CELL_M)
     numbers: dict[LaneIndex, int] = {}
@@ -84,20 +73,11 @@ def find_conflicts(
         _first_and_last_close(np.concatenate(xy), swing, first, pairs[apart], wider)
         ends[apart] = wider
     meet = ends[:, 0] >= 0
-    spans = {(one, other): span for (one, other), span in
-             zip(pairs[meet].tolist(), ends[meet].tolist(), strict=True)}  # fmt: skip
+    spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
     found: dict[LaneIndex, list[Conflict]] = {}
-    for (one, other), (mine_first, mine_last) in spans.items():
-        theirs_first, theirs_last = spans[other, one]
-        found.setdefault(keys[one], []).append(
-            Conflict(
-                other=keys[other],
-                begin_s=float(at[one][mine_first]),
-                end_s=float(at[one][mine_last]),
-                other_begin_s=float(at[other][theirs_first]),
-                other_end_s=float(at[other][theirs_last]),
-            )
-        )
+    for (one, other), (begins_at, ends_at) in spans.items():
+        span = (*at[one][[begins_at, ends_at]], *at[other][spans[other, one]])
+        found.setdefault(keys[one], []).append(Conflict(keys[other], *map(float, span)))
     return found
 
 
@@ -113,15 +93,7 @@ def _swing(xy: FloatArray) -> FloatArray:
 def _first_and_last_close(
     xy: FloatArray, swing: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray
 ) -> None:
-    """Find the first and the last point of each path that is too close to another path.
-
-    Args:
-        xy: (S, 2) points of all paths, m.
-        swing: (S,) how far cars swing out there, m.
-        first: (P + 1,) where each path's begin.
-        pairs: (n, 2) the path and the other one.
-        ends: (n, 2) receives them, counted along the path; stays as it is where there are none.
-    """
+    """Find the first and the last point, of ``ends``, of each path that is too close to another."""
     for i in range(len(pairs)):
         one, other = pairs[i]
         for p in range(first[one], first[one + 1]):

@@ -13,28 +13,17 @@ from typing import Any, Final
 import numpy as np
 
 from sim.compiled import in_place
-from sim.frames import EventKind, Signal
+from sim.frames import Signal
 from sim.highway.draws import YIELDS, chance
-from sim.highway.driving import COMFORT_DECEL, EMERGENCY_DECEL, attention_m, can_stop
-from sim.highway.junctions import ENTERED_M, EVENT_KINDS
-from sim.highway.scene import Scene, record
-from sim.highway.vehicle import MOST_MET
+from sim.highway.driving import attention_m, can_stop
+from sim.highway.junctions import ENTERED_M
+from sim.highway.state import Scene
 from sim.highway.walkers import SETBACK_M
 
 GREEN, OFF = Signal.GREEN.code, Signal.OFF.code
-YIELDED, NOT_YIELDED = (
-    EVENT_KINDS.index(EventKind.YIELDED), EVENT_KINDS.index(EventKind.NOT_YIELDED)
-)  # fmt: skip
 
 KERB_SOON_S: Final = 4.0
 """Drivers that demand at least this gap see that a pedestrian this near the kerb wants to cross."""
-
-MET_S: Final = 3.0
-"""A driver that would pass less than this before a pedestrian has met that pedestrian, and an event
-records whether it yielded (encounters do not depend on the gap that drivers demand)."""
-
-MET_KERB_S: Final = 2.0
-"""A driver has met only pedestrians on the crossing or this near its kerb."""
 
 STALLED_S: Final = 4.0
 """A pedestrian who has stood this long on the crossing, out of a vehicle's way, waits for the
@@ -99,7 +88,7 @@ def _along(u: float, at: int, scene: Scene) -> float:
 
 @in_place(inner=True)
 def obey_crossings(scene: Scene) -> None:
-    """Note who stops before which crossing and who comes to it, and record who was let across."""
+    """Note who stops before which crossing and who comes to it."""
     scene.now[0].arrivals = 0
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
@@ -122,13 +111,10 @@ def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
     for z in range(net.lanes[lane].strip, net.lanes[lane].strip_end):
         strip = net.strips[z]
         near, far, crossing = strip.near + begin, strip.far + begin, strip.crossing
-        if far + me.length < 0.0:
-            if obeys:
-                _record_encounter(i, crossing, scene)
-            continue
         w = scene.crossing_head[crossing]
         if (
-            near > attention_m(me.parameters, me.speed)
+            far + me.length < 0.0
+            or near > attention_m(me)
             or w < 0
             or scene.now[0].arrivals >= scene.arrivals.size
         ):
@@ -148,42 +134,13 @@ def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
 
 
 @in_place(inner=True)
-def _record_encounter(i: int, crossing: int, scene: Scene) -> None:
-    """Record whether a driver that has passed a crossing yielded to those it met there."""
-    me = scene.vehicles[i]
-    for slot in range(MOST_MET):
-        if me.met[slot] == crossing:
-            if me.met_near[slot]:
-                record(YIELDED if me.yielded[slot] else NOT_YIELDED, me.agent, scene)
-            me.met[slot], me.met_near[slot], me.yielded[slot] = -1, 0, 0
-
-
-@in_place(inner=True)
-def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> None:
-    """Remember that a driver yields to pedestrians at a crossing, or meets them there."""
-    me, at = scene.vehicles[i], -1
-    for slot in range(MOST_MET):
-        if me.met[slot] == crossing or (me.met[slot] < 0 and at < 0):
-            at = slot
-    if at >= 0:
-        me.met[at] = crossing
-        if near:
-            me.met_near[at] = 1
-        if yields:
-            me.yielded[at] = 1
-
-
-@in_place(inner=True)
 def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene) -> bool:
     """Whether a driver stops for a pedestrian at a crossing that is ``near`` to ``far`` m ahead."""
     me, person, crossing = scene.vehicles[i], scene.walkers[w], scene.net.crossings[strip.crossing]
     at = _crossover(w, scene)
     half = scene.net.lanes[me.lane].width / 2 - STRIP_M
-    beyond, pace, speed = (
-        person.s - scene.footways.crossovers[at].begin_s,
-        person.free_speed,
-        me.speed,
-    )
+    beyond = person.s - scene.footways.crossovers[at].begin_s
+    pace, speed = person.free_speed, me.speed
     on = beyond > 0.0
     lit = crossing.signal >= 0 and scene.signals[crossing.signal] != OFF
     walk = not lit or scene.signals[crossing.signal] == GREEN
@@ -193,22 +150,18 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
     if leaves_s < 0.0:
         return False
     if on and (enters_s <= 0.0 or (person.speed > 0.0 and enters_s < DANGER_S)):
-        hard = me.parameters[EMERGENCY_DECEL]
+        hard = me.emergency_decel
         return can_stop(speed, near, hard) and leaves_s > comes_s - DANGER_S
     if on and person.stood_s > STALLED_S:
         return False
     if not ((crossing.priority or lit) and (on or walk)):
         return False
-    gentle = max(1.2 * me.parameters[COMFORT_DECEL], 3.0)
+    gentle = max(1.2 * me.comfort_decel_mps2, 3.0)
     if leaves_s < comes_s - DANGER_S or not can_stop(speed, near, gentle):
         return False
-    met = enters_s < clears_s + MET_S and -beyond < MET_KERB_S * pace
     gap_s = me.crossing_gap_s
     heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
-    yields = heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability
-    if met or yields:
-        _note_met(i, strip.crossing, met, yields, scene)
-    return bool(yields)
+    return bool(heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability)
 
 
 # Pedestrians ---------------------------------------------------------------------------------

@@ -22,15 +22,8 @@ from sim.compiled import in_place
 from sim.highway import crossings, junctions
 from sim.highway.draws import CUTS_IN, DAWDLES, STOP_LASTS, STOPS, WRONG_WAY, chance, wait_s
 from sim.highway.driving import (
-    CHANGE_GAP,
-    COMFORT_DECEL,
-    FOLLOWS_KRAUSS,
     LEAST_CHANGE_GAP_M,
     RANGE_M,
-    SPEED_FACTOR,
-    TOP_SPEED,
-    Follower,
-    Leader,
     approach,
     bounded,
     change_incentive,
@@ -40,9 +33,10 @@ from sim.highway.driving import (
     idm,
     may_cut_in,
     start_up,
-    steer,
+    steering_angle,
 )
-from sim.highway.scene import Beside, Scene, along_lane, beside, path_to
+from sim.highway.scene import along_lane, beside, path_to
+from sim.highway.state import Scene
 from sim.highway.tables import curvature_at, heading_at, project
 
 STOP_LASTS_S: Final = (3.0, 6.0)
@@ -136,12 +130,12 @@ def decide(scene: Scene) -> None:
         if not me.profiled:
             continue
         if me.crashed:
-            me.steering, me.accel = 0.0, -me.parameters[COMFORT_DECEL]
+            me.steering, me.accel = 0.0, -me.comfort_decel_mps2
             continue
         _accelerate(i, scene)
         s, lateral, _ = project(me.x, me.y, me.wanted, scene.net)
         heading, bend = heading_at(s, me.wanted, scene.net), curvature_at(s, me.wanted, scene.net)
-        me.steering = steer(lateral, heading, bend, me.heading, me.speed, me.length)
+        me.steering = steering_angle(me, lateral, heading, bend)
 
 
 # Choosing a lane -------------------------------------------------------------------------------
@@ -182,46 +176,30 @@ def _is_behind_a_change(i: int, scene: Scene) -> bool:
         if j != i:
             ahead = along_lane(j, me.lane, scene) - here
             gap = ahead - (me.length + other.length) / 2
-            if ahead > 0.0 and gap < me.parameters[CHANGE_GAP] + me.speed * 0.5:
+            if ahead > 0.0 and gap < me.change_gap + me.speed * 0.5:
                 return True
         j = scene.lane_link[j]
     return False
 
 
 @in_place(inner=True)
-def _follower(i: int, found: Beside, limit: float, scene: Scene) -> Follower:
-    me = scene.vehicles[i]
-    driver = scene.vehicles[max(found.rear, 0)].parameters  # nobody's are read without a follower
-    desired = min(driver[SPEED_FACTOR] * limit, driver[TOP_SPEED])
-    front_gap = found.rear_gap + me.length + found.front_gap
-    return Follower(driver, found.rear_speed, desired, found.rear_gap, front_gap)
-
-
-@in_place(inner=True)
 def _weigh_lanes(i: int, scene: Scene) -> None:
     """Choose between the present lane and those beside it."""
     net, me = scene.net, scene.vehicles[i]
-    driver, speed, limit = me.parameters, me.speed, net.lanes[me.lane].limit
+    limit, here = net.lanes[me.lane].limit, beside(i, me.lane, scene)
     if me.clock > me.cut_in_at + GIVE_UP_S:
         _schedule_cut_in(me)
-    cutting_in = me.clock >= me.cut_in_at
-    desired = desired_speed(driver, limit, me.speed_cap)
-    here = beside(i, me.lane, scene)
-    leader, follower = Leader(here.front_gap, here.front_speed), _follower(i, here, limit, scene)
-    most = 0.0
+    cutting_in, most = me.clock >= me.cut_in_at, 0.0
     for side in (net.lanes[me.lane].left, net.lanes[me.lane].right):
         if side < 0 or (me.then >= 0 and path_to(side, me.then, net) < 0):
             continue
         there = beside(i, side, scene)
-        if cutting_in and may_cut_in(
-            driver, speed, there.front_gap, there.front_speed, there.rear_gap, there.rear_speed
-        ):
+        if cutting_in and may_cut_in(me, there):
             me.wanted = side
             _schedule_cut_in(me)
             return
-        new_leader = Leader(there.front_gap, there.front_speed)
-        new_follower = _follower(i, there, limit, scene)
-        gain = change_incentive(driver, speed, desired, leader, new_leader, follower, new_follower)
+        old, new = scene.vehicles[max(here.rear, 0)], scene.vehicles[max(there.rear, 0)]
+        gain = change_incentive(me, limit, here, there, old, new)
         if gain > most:
             me.wanted, most = side, gain
 
@@ -287,12 +265,12 @@ def _fits(i: int, side: int, scene: Scene) -> bool:
         return False
     urgency = 1.0 - min(max(me.to_line, 0.0) / RANGE_M, 1.0)
     most = GENTLE_MPS2 + urgency * (URGENT_MPS2 - GENTLE_MPS2)
-    driver, gap, closing = me.parameters, there.front_gap, me.speed - there.front_speed
-    desired = desired_speed(driver, scene.net.lanes[me.lane].limit, me.speed_cap)
-    own = bounded(driver, idm(driver, me.speed, desired, gap, there.front_speed), gap, closing)
+    gap, closing = there.front_gap, me.speed - there.front_speed
+    desired = desired_speed(me, scene.net.lanes[me.lane].limit)
+    own = bounded(me, idm(me, me.speed, desired, gap, there.front_speed), gap, closing)
     if own < -most or there.rear < 0:
         return bool(own >= -most)
-    rear, speed, gap = scene.vehicles[there.rear].parameters, there.rear_speed, there.rear_gap
+    rear, speed, gap = scene.vehicles[there.rear], there.rear_speed, there.rear_gap
     wanted = idm(rear, speed, max(speed, 1.0), gap, me.speed)
     return bool(bounded(rear, wanted, gap, speed - me.speed) >= -most)
 
@@ -314,7 +292,7 @@ def _wrong_way_lane(i: int, scene: Scene) -> int:
     if lane.opposite < 0 or me.clock < me.wrong_way_at:
         return -1
     here = beside(i, me.lane, scene)
-    desired = desired_speed(me.parameters, lane.limit, me.speed_cap)
+    desired = desired_speed(me, lane.limit)
     slow = here.front_gap < SLOW_LEADER_M and here.front_speed < 0.8 * desired
     left = lane.length - me.s
     if not slow or left < JUNCTION_M or me.speed < 2.0 or not me.changes:
@@ -347,22 +325,20 @@ def _lane_to_go_back(i: int, scene: Scene) -> int:
 @in_place(inner=True)
 def _accelerate(i: int, scene: Scene) -> None:
     me = scene.vehicles[i]
-    driver, speed = me.parameters, me.speed
-    desired = desired_speed(driver, scene.net.lanes[me.lane].limit, me.speed_cap)
+    speed, desired = me.speed, desired_speed(me, scene.net.lanes[me.lane].limit)
     here = beside(i, me.lane, scene)
-    accel = follow(driver, speed, desired, here.front_gap, here.front_speed)
+    accel = follow(me, speed, desired, here.front_gap, here.front_speed)
     if me.wanted != me.lane:
         there = beside(i, me.wanted, scene)
-        accel = min(accel, follow(driver, speed, desired, there.front_gap, there.front_speed))
+        accel = min(accel, follow(me, speed, desired, there.front_gap, there.front_speed))
     if me.stop_gap < np.inf:
-        accel = min(accel, approach(driver, speed, me.stop_gap))
+        accel = min(accel, approach(me, speed, me.stop_gap))
     if _stops_for_no_reason(me):
-        accel = min(accel, -driver[COMFORT_DECEL])
-    accel, me.go_at = start_up(driver, speed, accel, me.clock, me.go_at)
-    if driver[FOLLOWS_KRAUSS]:
-        accel -= dawdling(driver, speed, chance(me.key, DAWDLES, me.dawdled))
+        accel = min(accel, -me.comfort_decel_mps2)
+    me.accel = start_up(me, accel)
+    if me.krauss:
+        me.accel -= dawdling(me, chance(me.key, DAWDLES, me.dawdled))
         me.dawdled += 1
-    me.accel = accel
 
 
 @in_place(inner=True)

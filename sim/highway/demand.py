@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
+
+import numpy as np
 
 from behaviors.driver_models import braking_speed, krauss_safe_speed
 from behaviors.errors import InputError
-from sim.frames import AgentKind, FloatArray
-from sim.highway import driving, junctions
+from behaviors.profiles import Profile
+from sim.frames import AgentKind
+from sim.highway.driving import idm
+from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR
 from sim.highway.lanes import LaneIndex
+from sim.highway.network import HighwayNetwork
+from sim.highway.state import IntArray
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import Driver, ProfileVehicle
-from sim.highway.walkers import Footway, Walker, find_footway
+from sim.highway.vehicle import ProfileVehicle, Stretch
+from sim.highway.walkers import Walker
 from sim.scenario import AgentSpec, CarFollowing
 
 LONGEST_WAIT_S: Final = 60.0
@@ -24,6 +29,29 @@ LONGEST_WAIT_S: Final = 60.0
 ENTRY_BRAKING_MPS2: Final = 1.0
 """Agents enter at a speed at which keeping the headway to the vehicle ahead takes no more braking
 than this."""
+
+
+class _Queue(NamedTuple):
+    """Those who begin on one stretch towards the same next one; the lanes on which they may."""
+
+    waiting: deque[AgentSpec]
+    lanes: list[LaneIndex]
+    numbers: IntArray
+    bends: list[tuple[float, float, bool]]
+
+    @classmethod
+    def on(cls, network: HighwayNetwork, way: tuple[Stretch, ...]) -> _Queue:
+        """Nobody yet; for each lane its length, the limit of the path after it, and who waits."""
+        then, number = way[1] if len(way) > 1 else None, network.tables.number
+        lanes, bends = network.lanes_towards(way[0], then), []
+        for lane in lanes:
+            path = None if then is None else network.onward.get((lane, then))
+            limit, waits = math.inf, False
+            if path is not None:
+                info, limit = network.info[path], float(network.lanes[path].speed_limit)
+                waits = info.signal >= 0 or info.must_yield or info.must_stop
+            bends.append((float(network.lanes[lane].length), limit, waits))
+        return cls(deque(), lanes, np.array([number[lane] for lane in lanes]), bends)
 
 
 class Demand:
@@ -46,112 +74,82 @@ class Demand:
         seed: int,
         law: CarFollowing = "IDM",
     ) -> None:
-        self.road = road
-        self.seed = seed
-        self._law = law
-        self._footways: dict[tuple[str, ...], Footway] = {}
-        self._stretches: dict[tuple[str, ...], tuple[tuple[str, str], ...]] = {}
+        self.road, self.seed, self._law = road, seed, law
+        self._ways: dict[tuple[str, ...], tuple[Stretch, ...]] = {}
         self._walking: deque[AgentSpec] = deque()
-        self._queues: dict[tuple[tuple[str, str], ...], deque[AgentSpec]] = {}
+        self._queues: dict[tuple[Stretch, ...], _Queue] = {}
+        self._next: dict[int, ProfileVehicle] = {}
+        network = road.network_info
         for agent in sorted(agents, key=lambda a: (a.depart_s, a.id)):
             if agent.kind is AgentKind.PEDESTRIAN:
-                if agent.route not in self._footways:
-                    self._footways[agent.route] = find_footway(road.network_info.road, agent.route)
+                road.footway_number(agent.route)
                 self._walking.append(agent)
                 continue
             if agent.profile is None:
                 raise InputError(
                     f"agent {agent.id}: found no profile, expected one for a {agent.kind}"
                 )
-            if agent.route not in self._stretches:
-                self._stretches[agent.route] = tuple(road.network_info.stretches(agent.route))
-            way = self._stretches[agent.route]
-            self._queues.setdefault((way[0], *way[1:2]), deque()).append(agent)
-
-    def copied(self, road: TrafficRoad) -> Demand:
-        """The agents still to come, to a copy of the road."""
-        made = copy.copy(self)
-        made.road, made._walking = road, self._walking.copy()
-        made._queues = {way: queue.copy() for way, queue in self._queues.items()}
-        return made
+            if agent.route not in self._ways:
+                self._ways[agent.route] = tuple(network.stretches(agent.route))
+            way = self._ways[agent.route][:2]
+            if way not in self._queues:
+                self._queues[way] = _Queue.on(network, way)
+            self._queues[way].waiting.append(agent)
 
     def enter(self) -> None:
         """Let in the agents whose departure has come if there is room, in order of departure."""
         road, now = self.road, self.road.time_s
         while self._walking and self._walking[0].depart_s <= now:
             agent = self._walking.popleft()
-            walker = Walker(agent, self._footways[agent.route], (self.seed, agent.seed))
-            road.walkers.append(walker)
-            road.objects.append(walker)
-        waiting = [queue for queue in self._queues.values() if queue and queue[0].depart_s <= now]
-        for queue in sorted(waiting, key=lambda q: (q[0].depart_s, q[0].id)):
-            while queue and queue[0].depart_s <= now:
-                agent = queue[0]
-                if now - agent.depart_s > LONGEST_WAIT_S:
-                    queue.popleft()
-                    continue
-                vehicle = self._place(agent)
-                if vehicle is None:
-                    break
-                queue.popleft()
-                road.vehicles.append(vehicle)
+            number = road.footway_number(agent.route)
+            road.add(Walker(agent, road.footways[number], number, (self.seed, agent.seed)))
+        ready = [q for q in self._queues.values() if q.waiting and q.waiting[0].depart_s <= now]
+        for queue in sorted(ready, key=lambda q: (q.waiting[0].depart_s, q.waiting[0].id)):
+            while queue.waiting and queue.waiting[0].depart_s <= now:
+                agent = queue.waiting[0]
+                if now - agent.depart_s <= LONGEST_WAIT_S:
+                    vehicle = self._next.get(agent.id) or self._vehicle(agent)
+                    if not self._place(vehicle, queue):
+                        break
+                    road.add(vehicle)
+                queue.waiting.popleft()
+                self._next.pop(agent.id, None)
 
-    def _place(self, agent: AgentSpec) -> ProfileVehicle | None:
-        """The vehicle on the lane with most room, or None if there is none."""
-        road, network = self.road, self.road.network_info
-        way = self._stretches[agent.route]
-        then = way[1] if len(way) > 1 else None
-        assert agent.profile is not None
-        driver = driving.driver_parameters(agent.profile, agent.kind)
+    def _vehicle(self, agent: AgentSpec) -> ProfileVehicle:
+        """The vehicle of an agent that waits to enter."""
+        way, seed = self._ways[agent.route], (self.seed, agent.seed)
+        self._next[agent.id] = ProfileVehicle(self.road, agent, way, seed, self._law)
+        return self._next[agent.id]
+
+    def _place(self, vehicle: ProfileVehicle, queue: _Queue) -> bool:
+        """Place a vehicle on the lane with most room, and say whether there is any."""
+        me, profile, length = vehicle.table[0], vehicle.profile, vehicle.spec.length_m
+        top_speed = float(vehicle.table["top_speed"][0])
         best: tuple[float, float, LaneIndex] | None = None
-        for lane in network.lanes_towards(way[0], then):
-            gap, ahead = road.room_at_entry(lane, agent.length_m)
-            limit = float(network.lanes[lane].speed_limit)
-            wanted = min(driver[driving.SPEED_FACTOR] * limit, driver[driving.TOP_SPEED])
-            speed = min(wanted, self._speed_to_slow_down(lane, then, agent.length_m, driver))
+        room_at = self.road.room_at_entry(queue.numbers, length)
+        for lane, bend, gap, ahead in zip(queue.lanes, queue.bends, *room_at, strict=True):
+            limit = float(self.road.network_info.lanes[lane].speed_limit)
+            wanted = min(profile.speed_factor * limit, top_speed)
+            speed = min(wanted, _speed_to_slow_down(profile, bend, length))
             if gap < math.inf:
-                headway = driver[driving.TIME_HEADWAY]
-                room = gap - driver[driving.MIN_GAP]
-                if driving.idm(driver, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
-                    safe = krauss_safe_speed(room, ahead, headway, ENTRY_BRAKING_MPS2)
+                room, headway_s = gap - profile.min_gap_m, profile.time_headway_s
+                if idm(me, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
+                    safe = krauss_safe_speed(room, ahead, headway_s, ENTRY_BRAKING_MPS2)
                     speed = min(speed, max(ahead, safe))
-                if room < headway * speed:
+                if room < headway_s * speed:
                     continue
             if best is None or gap > best[0]:
                 best = (gap, float(speed), lane)
-        if best is None:
-            return None
-        _, speed, lane = best
-        geometry = network.lanes[lane]
-        s = agent.length_m / 2
-        return ProfileVehicle(
-            road,
-            geometry.position(s, 0.0),
-            geometry.heading_at(s),
-            speed,
-            driver=Driver(agent.profile, agent.behavior, self._law, (self.seed, agent.seed)),
-            kind=agent.kind,
-            length=agent.length_m,
-            width=agent.width_m,
-            agent=agent.id,
-            lane_index=lane,
-            stretches=way,
-        )
+        if best is not None:
+            vehicle.put(best[2], length / 2, best[1])
+        return best is not None
 
-    def _speed_to_slow_down(
-        self, lane: LaneIndex, then: tuple[str, str] | None, length: float, driver: FloatArray
-    ) -> float:
-        """The speed from which a driver can slow down for the end of the lane that it enters, m/s.
 
-        It can stop there for a light, a sign or others with priority, and take the bend.
-        """
-        network = self.road.network_info
-        path = None if then is None else network.onward.get((lane, then))
-        if path is None:
-            return math.inf
-        info, factor = network.info[path], float(driver[driving.SPEED_FACTOR])
-        waits = info.signal >= 0 or info.must_yield or info.must_stop
-        bend = min(factor, junctions.BEND_FACTOR) * float(network.lanes[path].speed_limit)
-        left = max(float(network.lanes[lane].length) - length, 0.0)
-        braking = junctions.BEND_BRAKING * float(driver[driving.COMFORT_DECEL])
-        return braking_speed(left, 0.0 if waits else bend, braking)
+def _speed_to_slow_down(profile: Profile, bend: tuple[float, float, bool], length: float) -> float:
+    """The speed from which a driver can stop or take the bend at the end of its lane, m/s."""
+    lane_length, limit, waits = bend
+    if limit == math.inf:
+        return math.inf
+    allowed = 0.0 if waits else min(profile.speed_factor, BEND_FACTOR) * limit
+    left = max(lane_length - length, 0.0)
+    return braking_speed(left, allowed, BEND_BRAKING * profile.comfort_decel_mps2)

@@ -1,7 +1,7 @@
 """How a driver of the highway engine accelerates, changes lanes and steers.
 
-The laws themselves are those of `behaviors.driver_models`. A driver's parameters are one row, made
-by `driver_parameters` and laid out by the indices below.
+The laws themselves are those of `behaviors.driver_models`. Drivers are rows of
+`sim.highway.state.VEHICLE`; `profile_fields` says what a profile sets in them.
 
 References:
     Polack et al. (2017), IEEE IV: the kinematic bicycle that highway-env steers.
@@ -9,37 +9,17 @@ References:
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors import driver_models
 from behaviors.profiles import Profile
 from sim.compiled import in_place, shared
 from sim.frames import AgentKind
 from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
-
-FloatArray = NDArray[np.float64]
-
-SPEED_FACTOR: Final = 0
-TIME_HEADWAY: Final = 1
-MIN_GAP: Final = 2
-MAX_ACCEL: Final = 3
-COMFORT_DECEL: Final = 4
-POLITENESS: Final = 5
-CHANGE_THRESHOLD: Final = 6
-PATIENCE: Final = 7
-IMPOSED_BRAKING: Final = 8
-CHANGE_GAP: Final = 9
-EMERGENCY_DECEL: Final = 10
-STARTUP_DELAY: Final = 11
-TOP_SPEED: Final = 12
-FOLLOWS_KRAUSS: Final = 13
-
-PARAMETERS: Final = 14
-"""How many numbers a row has."""
 
 _free_acceleration = shared(driver_models.idm_free_acceleration)
 _desired_gap = shared(driver_models.idm_desired_gap)
@@ -109,348 +89,245 @@ CUT_IN_BRAKING_MPS2: Final = 4.0
 """The most braking that a cut-in may demand of either driver, m/s2."""
 
 
-class Leader(NamedTuple):
-    """The vehicle ahead on a lane.
+class Beside(NamedTuple):
+    """The vehicles ahead and behind on a lane.
 
-    Attributes:
-        gap: bumper to bumper, m; infinite if there is none.
-        speed: along the lane, m/s.
+    Of each: row (-1 for none), bumper gap (infinite for none), m, and speed along the lane, m/s.
     """
 
-    gap: float
-    speed: float
-
-
-class Follower(NamedTuple):
-    """The vehicle behind on a lane.
-
-    Attributes:
-        driver: its driver's parameters.
-        speed: along the lane, m/s.
-        desired: the speed that it wants, m/s.
-        gap: bumper to bumper to the vehicle that may change lanes, m; infinite if there is none.
-        front_gap: to the vehicle ahead of that one on the follower's lane, m.
-    """
-
-    driver: FloatArray
-    speed: float
-    desired: float
-    gap: float
+    front: int
     front_gap: float
+    front_speed: float
+    rear: int
+    rear_gap: float
+    rear_speed: float
 
 
-def driver_parameters(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> FloatArray:
-    """One driver's parameters as the row that the functions of this module read.
+def profile_fields(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> dict[str, Any]:
+    """What a profile sets in the row of a driver's vehicle.
 
     Args:
-        profile: the driver's behaviour.
+        profile: the driver's behaviour; its fields are the row's fields of the same names.
         kind: of vehicle, whose physics limit the driver.
         law: the car-following law that the driver uses.
 
     Returns:
-        (14,) read-only.
+        Values by field of `sim.highway.state.VEHICLE`.
     """
-    limits = KIND_LIMITS[kind]
-    gain = profile.lane_change_gain
+    limits, gain = KIND_LIMITS[kind], profile.lane_change_gain
     assertive = profile.lane_change_assertiveness
-    row = np.array(
-        [
-            profile.speed_factor,
-            profile.time_headway_s,
-            profile.min_gap_m,
-            profile.max_accel_mps2,
-            profile.comfort_decel_mps2,
-            profile.politeness,
-            CHANGE_GAIN_MPS2 / gain if gain > 0 else math.inf,
-            profile.lane_change_patience_s,
-            min(IMPOSED_BRAKING_MPS2 * assertive, MOST_IMPOSED_MPS2),
-            max(profile.min_gap_m / max(assertive, 1e-9), LEAST_CHANGE_GAP_M),
-            max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
-            profile.startup_delay_s,
-            min(limits.max_speed_mps, limits.cruise_mps * profile.speed_factor),
-            law == "Krauss",
-        ]
-    )
-    row.flags.writeable = False
-    return row
+    return {
+        **{field.name: getattr(profile, field.name) for field in dataclasses.fields(profile)},
+        "change_threshold": CHANGE_GAIN_MPS2 / gain if gain > 0 else math.inf,
+        "imposed_braking": min(IMPOSED_BRAKING_MPS2 * assertive, MOST_IMPOSED_MPS2),
+        "change_gap": max(profile.min_gap_m / max(assertive, 1e-9), LEAST_CHANGE_GAP_M),
+        "emergency_decel": max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
+        "top_speed": min(limits.max_speed_mps, limits.cruise_mps * profile.speed_factor),
+        "krauss": law == "Krauss",
+    }
 
 
-DEFAULT_PARAMETERS: Final = driver_parameters(
-    Profile(
-        speed_factor=1.0, time_headway_s=1.5, min_gap_m=2.0, max_accel_mps2=3.0,
-        comfort_decel_mps2=5.0, politeness=0.0, lane_change_gain=1.0,
-        lane_change_patience_s=0.0, lane_change_assertiveness=1.0, gap_acceptance_s=1.0,
-        crossing_gap_s=10.0, yield_probability=1.0, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=0.0,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
-    ),
-    AgentKind.CAR,
+STOCK_DRIVER: Final = Profile(
+    speed_factor=1.0, time_headway_s=1.5, min_gap_m=2.0, max_accel_mps2=3.0,
+    comfort_decel_mps2=5.0, politeness=0.0, lane_change_gain=1.0,
+    lane_change_patience_s=0.0, lane_change_assertiveness=1.0, gap_acceptance_s=1.0,
+    crossing_gap_s=10.0, yield_probability=1.0, red_run_probability=0.0,
+    stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=0.0,
+    cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
 )  # fmt: skip
-"""The driver parameters that others assume of a vehicle without a profile: highway-env's own."""
+"""What others assume of a vehicle without a profile: highway-env's own driver."""
 
 
 @in_place()
-def idm(driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float) -> float:
+def idm(me: Any, speed: float, desired: float, gap: float, leader_speed: float) -> float:
     """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
 
     Args:
-        driver: the driver's parameters.
+        me: the driver's row.
         speed: own speed, m/s.
         desired: speed wanted on a free road, m/s.
         gap: bumper to bumper, m; infinite without leader.
         leader_speed: along the own lane, m/s.
     """
-    accel = driver[MAX_ACCEL]
+    accel = me.max_accel_mps2
     free = _free_acceleration(speed, desired, accel)
     if gap == np.inf:
         return float(free)
     wanted = _desired_gap(
-        speed, leader_speed, driver[MIN_GAP], driver[TIME_HEADWAY], accel, driver[COMFORT_DECEL]
+        speed, leader_speed, me.min_gap_m, me.time_headway_s, accel, me.comfort_decel_mps2
     )
     return float(free - accel * _interaction(gap, wanted))
 
 
 @in_place()
-def krauss(
-    driver: FloatArray, speed: float, desired: float, room: float, leader_speed: float
-) -> float:
+def krauss(me: Any, speed: float, desired: float, room: float, leader_speed: float) -> float:
     """Krauss's acceleration, m/s2, not bounded below and before dawdling.
 
-    Args:
-        driver: the driver's parameters.
-        speed: own speed, m/s.
-        desired: speed wanted on a free road, m/s.
-        room: bumper gap beyond the one at a standstill, m; infinite without a leader.
-        leader_speed: along the own lane, m/s.
+    ``room`` is the bumper gap beyond the one at a standstill, m; the others are as for `idm`.
     """
     goal = desired
     if room < np.inf:
-        safe = _safe_speed(room, leader_speed, driver[TIME_HEADWAY], driver[COMFORT_DECEL])
+        safe = _safe_speed(room, leader_speed, me.time_headway_s, me.comfort_decel_mps2)
         goal = min(goal, safe)
-    return float(min(driver[MAX_ACCEL], (goal - speed) / KRAUSS_STEP_S))
+    return float(min(me.max_accel_mps2, (goal - speed) / KRAUSS_STEP_S))
 
 
-@in_place()
-def dawdling(driver: FloatArray, speed: float, chance: float) -> float:
-    """The acceleration that a driver with Krauss's law loses at random, m/s2 (as in SUMO).
-
-    Args:
-        driver: the driver's parameters.
-        speed: m/s; dawdling never makes it negative.
-        chance: drawn uniformly from 0 to 1.
-    """
-    return float(IMPERFECTION * chance * min(driver[MAX_ACCEL], speed / KRAUSS_STEP_S))
+@in_place(inner=True)
+def dawdling(me: Any, chance: float) -> float:
+    """The acceleration that a driver with Krauss's law loses at random, m/s2 (as in SUMO)."""
+    return float(IMPERFECTION * chance * min(me.max_accel_mps2, me.speed / KRAUSS_STEP_S))
 
 
-@in_place()
-def bounded(driver: FloatArray, wanted: float, gap: float, closing: float) -> float:
-    """Bound a deceleration by the comfortable one or, if greater, by what the gap demands.
-
-    Args:
-        driver: the driver's parameters.
-        wanted: acceleration by the driver's law, m/s2.
-        gap: distance left, m.
-        closing: own speed minus that of what is ahead, m/s.
-    """
-    limit = driver[COMFORT_DECEL]
+@in_place(inner=True)
+def bounded(me: Any, wanted: float, gap: float, closing: float) -> float:
+    """A deceleration bounded by the comfortable one or, if greater, by what the gap demands."""
+    limit = me.comfort_decel_mps2
     if closing > 0.0:
         limit = max(limit, BRAKING_RESERVE * closing * closing / (2.0 * max(gap, 0.1)))
-    return float(max(wanted, -min(limit, driver[EMERGENCY_DECEL])))
+    return float(max(wanted, -min(limit, me.emergency_decel)))
 
 
-@in_place()
-def follow(
-    driver: FloatArray, speed: float, desired: float, gap: float, leader_speed: float
-) -> float:
+@in_place(inner=True)
+def follow(me: Any, speed: float, desired: float, gap: float, leader_speed: float) -> float:
     """The acceleration behind a leader by the driver's law, m/s2; arguments as for `idm`."""
-    if driver[FOLLOWS_KRAUSS]:
-        raw = krauss(driver, speed, desired, gap - driver[MIN_GAP], leader_speed)
+    if me.krauss:
+        raw = krauss(me, speed, desired, gap - me.min_gap_m, leader_speed)
     else:
-        raw = idm(driver, speed, desired, gap, leader_speed)
-    return bounded(driver, raw, gap, speed - leader_speed)
+        raw = idm(me, speed, desired, gap, leader_speed)
+    return bounded(me, raw, gap, speed - leader_speed)
 
 
-@in_place()
-def approach(driver: FloatArray, speed: float, gap: float) -> float:
-    """The acceleration towards a line at which to stop, m/s2.
+@in_place(inner=True)
+def approach(me: Any, speed: float, gap: float) -> float:
+    """The acceleration by the driver's law towards a line ``gap`` m ahead at which to stop, m/s2.
 
-    The driver's law behind a standing obstacle, with `STOP_MARGIN_M` as the gap at a standstill.
-
-    Args:
-        driver: the driver's parameters.
-        speed: m/s.
-        gap: front bumper to the line, m.
+    The line is a standing obstacle, with `STOP_MARGIN_M` as the gap at a standstill.
     """
-    if driver[FOLLOWS_KRAUSS]:
-        raw = krauss(driver, speed, np.inf, gap - STOP_MARGIN_M, 0.0)
+    if me.krauss:
+        raw = krauss(me, speed, np.inf, gap - STOP_MARGIN_M, 0.0)
     else:
-        accel = driver[MAX_ACCEL]
-        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, driver[COMFORT_DECEL])  # its last term
-        wanted = STOP_MARGIN_M + speed * min(driver[TIME_HEADWAY], 1.5) + braking
+        accel = me.max_accel_mps2
+        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, me.comfort_decel_mps2)  # its last term
+        wanted = STOP_MARGIN_M + speed * min(me.time_headway_s, 1.5) + braking
         raw = accel * (1.0 - _interaction(gap, wanted))
-    return bounded(driver, raw, gap - 0.5 * STOP_MARGIN_M, speed)
+    return bounded(me, raw, gap - 0.5 * STOP_MARGIN_M, speed)
 
 
-@in_place()
-def start_up(
-    driver: FloatArray, speed: float, accel: float, clock: float, go_at: float
-) -> tuple[float, float]:
-    """Hold a standing vehicle back for its driver's start-up delay.
-
-    Args:
-        driver: the driver's parameters.
-        speed: m/s.
-        accel: acceleration wanted, m/s2.
-        clock: the time now, s.
-        go_at: when it may start, s; infinite while it has no reason to.
-
-    Returns:
-        The acceleration, and the new ``go_at``.
-    """
-    if speed > STANDING_MPS:
-        return accel, np.inf
-    if accel <= 0.0:
-        return accel, np.inf
-    if go_at == np.inf:
-        go_at = clock + driver[STARTUP_DELAY]
-    return (accel if clock >= go_at else 0.0), go_at
+@in_place(inner=True)
+def start_up(me: Any, accel: float) -> float:
+    """The acceleration after a standing vehicle was held back for its driver's start-up delay."""
+    if me.speed > STANDING_MPS or accel <= 0.0:
+        me.go_at = np.inf
+        return accel
+    if me.go_at == np.inf:
+        me.go_at = me.clock + me.startup_delay_s
+    return accel if me.clock >= me.go_at else 0.0
 
 
 @in_place()
 def change_incentive(
-    driver: FloatArray,
-    speed: float,
-    desired: float,
-    leader: Leader,
-    new_leader: Leader,
-    follower: Follower,
-    new_follower: Follower,
+    me: Any, limit: float, here: Beside, there: Beside, old: Any, new: Any
 ) -> float:
     """MOBIL's incentive for a lane change beyond the driver's threshold, m/s2.
 
     All accelerations in it are IDM's, whatever law the drivers follow by.
 
     Args:
-        driver: the driver's parameters.
-        speed: own speed, m/s.
-        desired: speed wanted, m/s.
-        leader: ahead on the present lane.
-        new_leader: ahead on the other lane.
-        follower: behind on the present lane.
-        new_follower: behind on the other lane.
+        me: the driver's row.
+        limit: the speed limit, m/s.
+        here: who is ahead and behind on the present lane.
+        there: on the other lane.
+        old: the row of the follower on the present lane; any row if there is none.
+        new: of the follower on the other lane.
 
     Returns:
         Positive if the change is wanted and safe; minus infinity if it is not safe, or not worth
         while because the new leader will soon be reached.
     """
-    threshold = driver[CHANGE_THRESHOLD]
-    if threshold == np.inf:
+    speed, desired = me.speed, desired_speed(me, limit)
+    if me.change_threshold == np.inf:
         return -np.inf
-    if new_leader.gap < driver[CHANGE_GAP] or new_follower.gap < driver[CHANGE_GAP]:
+    if there.front_gap < me.change_gap or there.rear_gap < me.change_gap:
         return -np.inf
-    if new_leader.gap < np.inf and new_leader.speed < desired:
-        lasts = new_leader.gap / (desired - new_leader.speed)
-        least = leader.speed + WORTH_MPS2 * driver[PATIENCE]
-        better = leader.gap < np.inf and new_leader.speed > least
-        if lasts < driver[PATIENCE] and not better:
+    if there.front_gap < np.inf and there.front_speed < desired:
+        lasts = there.front_gap / (desired - there.front_speed)
+        least = here.front_speed + WORTH_MPS2 * me.lane_change_patience_s
+        better = here.front_gap < np.inf and there.front_speed > least
+        if lasts < me.lane_change_patience_s and not better:
             return -np.inf
-    after = idm(driver, speed, desired, new_leader.gap, new_leader.speed)
-    if not _safe(after, driver[IMPOSED_BRAKING]):
+    after = idm(me, speed, desired, there.front_gap, there.front_speed)
+    if not _safe(after, me.imposed_braking):
         return -np.inf
-    own_gain = after - idm(driver, speed, desired, leader.gap, leader.speed)
+    own_gain = after - idm(me, speed, desired, here.front_gap, here.front_speed)
     new_gain = old_gain = 0.0
-    if new_follower.gap < np.inf:
-        one = new_follower
-        imposed = idm(one.driver, one.speed, one.desired, one.gap, speed)
-        if not _safe(imposed, driver[IMPOSED_BRAKING]):
+    if there.rear_gap < np.inf:
+        wanted, rear_speed = _on_free_road(new, limit), there.rear_speed
+        imposed = idm(new, rear_speed, wanted, there.rear_gap, speed)
+        if not _safe(imposed, me.imposed_braking):
             return -np.inf
-        before = idm(one.driver, one.speed, one.desired, one.front_gap, new_leader.speed)
-        new_gain = imposed - before
-    if follower.gap < np.inf:
-        one = follower
-        freed = idm(one.driver, one.speed, one.desired, one.front_gap, leader.speed)
-        old_gain = freed - idm(one.driver, one.speed, one.desired, one.gap, speed)
-    incentive = _incentive(own_gain, new_gain, old_gain, driver[POLITENESS])
-    return float(incentive - threshold)
+        gap = there.rear_gap + me.length + there.front_gap
+        new_gain = imposed - idm(new, rear_speed, wanted, gap, there.front_speed)
+    if here.rear_gap < np.inf:
+        wanted, rear_speed = _on_free_road(old, limit), here.rear_speed
+        gap = here.rear_gap + me.length + here.front_gap
+        freed = idm(old, rear_speed, wanted, gap, here.front_speed)
+        old_gain = freed - idm(old, rear_speed, wanted, here.rear_gap, speed)
+    incentive = _incentive(own_gain, new_gain, old_gain, me.politeness)
+    return float(incentive - me.change_threshold)
 
 
-@in_place()
-def may_cut_in(
-    driver: FloatArray,
-    speed: float,
-    new_gap: float,
-    new_speed: float,
-    rear_gap: float,
-    rear_speed: float,
-) -> bool:
-    """Whether there is a vehicle to cut in front of, and enough room to do so.
-
-    Args:
-        driver: the driver's parameters.
-        speed: own speed, m/s.
-        new_gap: to the leader on the other lane, m.
-        new_speed: that leader's speed, m/s.
-        rear_gap: from the follower on the other lane, m.
-        rear_speed: that follower's speed, m/s.
-    """
-    if rear_gap < CUT_IN_REAR_M[0] or rear_gap > CUT_IN_REAR_M[1]:
+@in_place(inner=True)
+def may_cut_in(me: Any, there: Beside) -> bool:
+    """Whether there is a vehicle to cut in front of on another lane, and enough room to do so."""
+    if there.rear_gap < CUT_IN_REAR_M[0] or there.rear_gap > CUT_IN_REAR_M[1]:
         return False
-    if new_gap < max(2.0 * driver[CHANGE_GAP], CUT_IN_REAR_M[0]):
+    if there.front_gap < max(2.0 * me.change_gap, CUT_IN_REAR_M[0]):
         return False
-    behind = max(rear_speed - speed, 0.0)
-    ahead = max(speed - new_speed, 0.0) if new_gap < np.inf else 0.0
-    left, left_ahead = rear_gap - UNSEEN_S * behind, new_gap - UNSEEN_S * ahead
+    behind = max(there.rear_speed - me.speed, 0.0)
+    ahead = max(me.speed - there.front_speed, 0.0) if there.front_gap < np.inf else 0.0
+    left, left_ahead = there.rear_gap - UNSEEN_S * behind, there.front_gap - UNSEEN_S * ahead
     if left < 0.0 or behind * behind > 2.0 * CUT_IN_BRAKING_MPS2 * left:
         return False
     return left_ahead > 0.0 and ahead * ahead <= 2.0 * CUT_IN_BRAKING_MPS2 * left_ahead
 
 
-@in_place()
-def steer(
-    lateral: float,
-    lane_heading: float,
-    curvature: float,
-    heading: float,
-    speed: float,
-    length: float,
-) -> float:
+@in_place(inner=True)
+def steering_angle(me: Any, lateral: float, lane_heading: float, curvature: float) -> float:
     """The steering angle that keeps to a lane, rad.
 
     highway-env's cascade: lateral position to heading, heading to heading rate, heading rate to
     angle. Differs from it: in a bend the body's middle moves at a slip angle to the body, which is
     corrected for; without that, vehicles cut tight turns by most of a metre.
-
-    Args:
-        lateral: distance to the right of the lane's centre, m.
-        lane_heading: the lane's heading, rad.
-        curvature: the lane's, rad/m, clockwise.
-        heading: own heading, rad.
-        speed: m/s.
-        length: of the vehicle, m.
     """
+    speed, half = me.speed, me.length / 2.0
     nonzero = speed if abs(speed) > 1e-2 else (1e-2 if speed >= 0.0 else -1e-2)
-    half = length / 2.0
     aside = min(max(-LATERAL_GAIN_PER_S * lateral, -LATERAL_SPEED_MPS), LATERAL_SPEED_MPS)
     turn = math.asin(min(max(aside / nonzero, -1.0), 1.0))
     slip = math.asin(min(max(half * curvature, -0.9), 0.9))
     wanted = lane_heading - slip + min(max(turn, -math.pi / 4), math.pi / 4)
-    off = (wanted - heading + math.pi) % (2.0 * math.pi) - math.pi
+    off = (wanted - me.heading + math.pi) % (2.0 * math.pi) - math.pi
     bend = curvature + HEADING_GAIN_PER_S * off / nonzero
     angle = math.atan(2.0 * math.tan(math.asin(min(max(half * bend, -1.0), 1.0))))
     return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
 
 
 @in_place(inner=True)
-def desired_speed(driver: FloatArray, limit: float, cap: float) -> float:
-    """The speed wanted on a free road, m/s."""
-    return float(min(min(driver[SPEED_FACTOR] * limit, driver[TOP_SPEED]), cap))
+def _on_free_road(me: Any, limit: float) -> float:
+    """The speed that a driver wants where only the limit and the vehicle bound it, m/s."""
+    return float(min(me.speed_factor * limit, me.top_speed))
 
 
 @in_place(inner=True)
-def attention_m(driver: FloatArray, speed: float) -> float:
+def desired_speed(me: Any, limit: float) -> float:
+    """The speed wanted on a free road, below the cap of the rules, m/s."""
+    return float(min(_on_free_road(me, limit), me.speed_cap))
+
+
+@in_place(inner=True)
+def attention_m(me: Any) -> float:
     """How far ahead a driver attends to junctions and crossings, m."""
-    braking = RESERVE * speed * speed / (2.0 * driver[COMFORT_DECEL])
-    return float(max(RANGE_M, RANGE_S * speed, braking))
+    braking = RESERVE * me.speed * me.speed / (2.0 * me.comfort_decel_mps2)
+    return float(max(RANGE_M, RANGE_S * me.speed, braking))
 
 
 @in_place(inner=True)

@@ -184,7 +184,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         )
         ego.agent, ego.kind, ego.behavior = id, AgentKind.CAR, None
         ego.stretches, ego.route = route, highway_route(lane, route)
-        self.road.vehicles.append(ego)
+        self.road.add(ego)
         self.vehicle = ego
 
     def _make_observation_space(self) -> spaces.Space[Any]:

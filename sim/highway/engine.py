@@ -6,10 +6,13 @@ References:
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Iterator, Sequence
 from typing import Final
+
+import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import Event, Frame
@@ -26,6 +29,8 @@ LONGEST_STEP_S: Final = 0.1
 @functools.lru_cache(maxsize=8)
 def network_of(road: Road) -> HighwayNetwork:
     """The highway-env network of a road, built on first use and kept; nothing changes it."""
+    if road.left_hand:
+        raise InputError(f"road {road.name:.60}: found left-hand traffic, expected its mirror")
     return build_network(road)
 
 
@@ -65,9 +70,17 @@ def _run(
         raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
     if len({a.id for a in agents}) != len(agents):
         raise InputError("agents: found an id twice, expected unique ids")
-    road = TrafficRoad(network_of(scenario.road))
+    left_hand = scenario.road.left_hand
+    road = TrafficRoad(network_of(scenario.road.mirrored if left_hand else scenario.road))
     demand = Demand(road, agents, seed, law)
-    return _frames(scenario, road, demand)
+    frames = _frames(scenario, road, demand)
+    return map(_mirrored, frames) if left_hand else frames
+
+
+def _mirrored(frame: Frame) -> Frame:
+    """A frame in a mirror along the x axis, as left-hand traffic is driven."""
+    heading = np.where(frame.heading == np.pi, np.pi, -frame.heading)
+    return dataclasses.replace(frame, xy=frame.xy * np.array([1.0, -1.0]), heading=heading)
 
 
 def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[Frame]:

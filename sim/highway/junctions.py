@@ -11,7 +11,7 @@ References:
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,26 +19,14 @@ from behaviors import driver_models
 from sim.compiled import in_place, shared
 from sim.frames import EventKind, Signal
 from sim.highway.draws import ROLLS, RUNS_RED, chance
-from sim.highway.driving import (
-    COMFORT_DECEL,
-    EMERGENCY_DECEL,
-    MAX_ACCEL,
-    MIN_GAP,
-    SPEED_FACTOR,
-    STANDING_MPS,
-    STARTUP_DELAY,
-    attention_m,
-    can_stop,
-    desired_speed,
-)
-from sim.highway.scene import Scene, along_lane, beside, next_stretch, path_to, record
+from sim.highway.driving import STANDING_MPS, attention_m, can_stop, desired_speed
+from sim.highway.scene import along_lane, beside, next_stretch, path_to, record
+from sim.highway.state import EVENT_KINDS, Scene
 
 _gap_accepted = shared(driver_models.gap_accepted)
 _braking_speed = shared(driver_models.braking_speed)
 
 RED, YELLOW = Signal.RED.code, Signal.YELLOW.code
-EVENT_KINDS: Final = tuple(EventKind)
-"""Events by their codes."""
 RED_RUN, STOP_ROLLED = (
     EVENT_KINDS.index(EventKind.RED_RUN),
     EVENT_KINDS.index(EventKind.STOP_ROLLED),
@@ -88,60 +76,6 @@ blockers)."""
 
 BLOCKED_MPS: Final = 2.0
 """A leader slower than this may come to a stand in the way."""
-
-
-class Passage(NamedTuple):
-    """How a driver is going to pass a conflict.
-
-    Attributes:
-        agent: its id.
-        to_line: front bumper to the beginning of its path, m.
-        rank: right-of-way rank: 0 with priority, 1 without, 2 after running a red light.
-        entered: whether it is inside the junction.
-        after_green: whether it is inside on a path whose light has turned red.
-        stood_s: for how long it has stood, s.
-        enter_s: when it reaches the conflict, s from now.
-        leave_s: when it has left it, s.
-        gap_acceptance_s: see `behaviors.profiles.Profile`.
-        insistence: likewise.
-    """
-
-    agent: int
-    to_line: float
-    rank: int
-    entered: bool
-    after_green: bool
-    stood_s: float
-    enter_s: float
-    leave_s: float
-    gap_acceptance_s: float
-    insistence: float
-
-
-class Foe(NamedTuple):
-    """A vehicle on its way over the other path of a conflict.
-
-    Attributes:
-        agent: its id.
-        to_line: front bumper to the beginning of its path, m.
-        begin: to the conflict, m.
-        end: until its rear has left the conflict, m.
-        rank: right-of-way rank.
-        entered: whether it is inside the junction.
-        held: whether a light or a sign made it stop at the line a step ago.
-        speed: m/s.
-        stood_s: for how long it has stood, s.
-    """
-
-    agent: int
-    to_line: float
-    begin: float
-    end: float
-    rank: int
-    entered: bool
-    held: bool
-    speed: float
-    stood_s: float
 
 
 # Where everybody is on its way ----------------------------------------------------------------
@@ -204,7 +138,7 @@ def obey_lines(scene: Scene) -> None:
             not me.profiled
             or me.path < 0
             or scene.net.lanes[me.lane].wrong
-            or not -ENTERED_M < me.to_line < attention_m(me.parameters, me.speed)
+            or not -ENTERED_M < me.to_line < attention_m(me)
         ):
             continue
         if scene.net.lanes[me.path].signal >= 0:
@@ -220,12 +154,12 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
         first = beside(i, me.lane, scene).front_gap > me.to_line
         if first and chance(me.key, RUNS_RED, me.path) < me.red_run_probability:
             return False
-        return can_stop(me.speed, me.to_line, me.parameters[EMERGENCY_DECEL])
+        return can_stop(me.speed, me.to_line, me.emergency_decel)
     if _shows(me.path, YELLOW, scene):
         group = scene.net.lanes[me.path].signal
         if scene.now[0].time_s - scene.signal_since[group] < me.yellow_run_s:
             return False
-        return can_stop(me.speed, me.to_line, me.parameters[COMFORT_DECEL])
+        return can_stop(me.speed, me.to_line, me.comfort_decel_mps2)
     return False
 
 
@@ -247,7 +181,7 @@ def obey_junctions(scene: Scene) -> None:
     n = scene.vehicles.size
     for i in range(n):  # who is on its way over each junction path
         me = scene.vehicles[i]
-        if me.path >= 0 and me.to_line < attention_m(me.parameters, me.speed):
+        if me.path >= 0 and me.to_line < attention_m(me):
             scene.lane_link[i], scene.lane_head[me.path] = scene.lane_head[me.path], i
         if me.last_path >= 0 and me.last_path != me.path:
             last = me.last_path
@@ -266,9 +200,9 @@ def obey_junctions(scene: Scene) -> None:
 @in_place(inner=True)
 def _obey_junction(i: int, scene: Scene) -> None:
     net, me = scene.net, scene.vehicles[i]
-    lane, to_line, driver = net.lanes[me.lane], me.to_line, me.parameters
-    factor = min(driver[SPEED_FACTOR], BEND_FACTOR)
-    near = to_line < attention_m(driver, me.speed)
+    lane, to_line = net.lanes[me.lane], me.to_line
+    factor = min(me.speed_factor, BEND_FACTOR)
+    near = to_line < attention_m(me)
     gap, cap, changes = me.stop_gap, np.inf, True
     if lane.connector:
         cap, changes = factor * lane.limit, False
@@ -283,7 +217,7 @@ def _obey_junction(i: int, scene: Scene) -> None:
         return
     if me.path >= 0 and near:
         if not lane.connector:
-            bend, braking = factor * net.lanes[me.path].limit, BEND_BRAKING * driver[COMFORT_DECEL]
+            bend, braking = factor * net.lanes[me.path].limit, BEND_BRAKING * me.comfort_decel_mps2
             cap = _braking_speed(max(to_line, 0.0), bend, braking)
         if me.held or (to_line > -ENTERED_M and _exit_blocked(i, scene)):
             gap = min(gap, to_line)
@@ -302,7 +236,7 @@ def _exit_blocked(i: int, scene: Scene) -> bool:
     if lead.front < 0 or lead.front_speed > BLOCKED_MPS or lead.front_gap < me.to_line:
         return False
     inside = scene.net.lanes[me.path].length
-    needed = me.to_line + inside + me.length + me.parameters[MIN_GAP]
+    needed = me.to_line + inside + me.length + me.min_gap_m
     return bool(lead.front_gap < needed)
 
 
@@ -317,51 +251,31 @@ def _rank(i: int, path: int, entered: bool, scene: Scene) -> int:
 def _conflicts_gap(i: int, gap: float, scene: Scene) -> float:
     """The nearest place at which a driver waits for others, or ``gap`` if that is nearer, m."""
     net, n, me = scene.net, scene.vehicles.size, scene.vehicles[i]
-    path, to_line, speed, driver = me.path, me.to_line, me.speed, me.parameters
-    entered = to_line < -ENTERED_M
-    rank = _rank(i, path, entered, scene)
-    after_green = entered and me.lane == path and _shows(path, RED, scene)
-    top = desired_speed(driver, net.lanes[me.lane].limit, me.speed_cap)
-    delay = driver[STARTUP_DELAY] if speed < STANDING_MPS else 0.0
+    path, to_line, speed, accel = me.path, me.to_line, me.speed, me.max_accel_mps2
+    rank = _rank(i, path, to_line < -ENTERED_M, scene)
+    top = desired_speed(me, net.lanes[me.lane].limit)
+    delay = me.startup_delay_s if speed < STANDING_MPS else 0.0
     for c in range(net.lanes[path].conflict, net.lanes[path].conflict_end):
         conflict = net.conflicts[c]
         entry = scene.lane_head[conflict.other]
         begin, end = to_line + conflict.begin, to_line + conflict.end + me.length
         if entry < 0 or begin <= 0.0 or end < 0.0:
             continue  # nobody comes, or it is in the conflict or past it already
-        own = Passage(
-            me.agent, to_line, rank, entered, after_green, me.stood_s,
-            delay + reach_s(speed, begin, driver[MAX_ACCEL], top),
-            delay + reach_s(speed, end, driver[MAX_ACCEL], top),
-            me.gap_acceptance_s, me.insistence,
-        )  # fmt: skip
+        enter_s = delay + reach_s(speed, begin, accel, top)
+        leave_s = delay + reach_s(speed, end, accel, top)
         while entry >= 0:
-            j = entry % n
-            other = scene.vehicles[j]
-            foe_line, held = other.to_line, other.was_held
-            if entry >= n:  # on its way out of the junction
-                front = other.s + other.length / 2
-                foe_line, held = -(net.lanes[conflict.other].length + front), False
+            j, leaving = entry % n, entry >= n
             entry = scene.lane_link[entry]
-            if j == i:
+            if j == i or not _must_wait(i, j, leaving, rank, conflict, enter_s, leave_s, scene):
                 continue
-            foe_entered = foe_line < -ENTERED_M
-            foe = Foe(
-                other.agent, foe_line, foe_line + conflict.other_begin,
-                foe_line + conflict.other_end + other.length,
-                _rank(j, conflict.other, foe_entered, scene), foe_entered, held,
-                max(other.speed, 0.0), other.stood_s,
-            )  # fmt: skip
-            if not must_wait(own, foe):
-                continue
-            at_line = not entered and (conflict.begin < AT_LINE_M or rank == 2)
+            at_line = to_line >= -ENTERED_M and (conflict.begin < AT_LINE_M or rank == 2)
             stop = to_line if at_line else begin - CONFLICT_MARGIN_M
-            if can_stop(speed, stop, driver[EMERGENCY_DECEL]):
+            if can_stop(speed, stop, me.emergency_decel):
                 gap = min(gap, stop)
     return gap
 
 
-@in_place()
+@in_place(inner=True)
 def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
     """Time to cover a distance while speeding up to a top speed, s."""
     if distance <= 0.0:
@@ -373,44 +287,55 @@ def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
     return (top - speed) / accel + (distance - gaining) / top
 
 
-@in_place()
-def must_wait(own: Passage, foe: Foe) -> bool:
-    """Whether a driver has to wait for another one before a conflict."""
-    if foe.end < 0.0:
-        return False
-    speed = foe.speed
-    if foe.begin <= 0.0:  # it is in the conflict
-        if own.stood_s > 2.0 * PATIENCE_S and foe.stood_s > PATIENCE_S:
-            return False
-        return own.enter_s < foe.end / max(speed, 0.5) + CLEARANCE_S
-    if foe.held:
-        return False
-    if own.stood_s > PATIENCE_S and foe.stood_s > 1.0:
-        return False
-    if foe.stood_s > WAITING_S and (foe.entered or foe.rank >= own.rank or own.after_green):
-        return False  # it waits itself, for this vehicle or for another
-    foe_enters_s = reach_s(speed, foe.begin, FOE_ACCEL_MPS2, max(speed, 8.0))
-    foe_leaves_s = foe.end / max(speed, 2.0)
-    if _goes_first(own, foe):
-        if not foe.entered or speed < STANDING_MPS:
-            return False
-        return foe_enters_s < own.enter_s and own.enter_s < foe_leaves_s + CLEARANCE_S
-    critical_s = own.gap_acceptance_s
-    if _gap_accepted(own.enter_s, own.leave_s, foe_enters_s, foe_leaves_s, critical_s, CLEARANCE_S):
-        return False
-    braking = speed * speed / (2.0 * foe.begin)
-    insists = own.insistence * INSISTED_BRAKING_MPS2
-    lets_in = insists > 0.0 and braking <= insists and speed > 1.0
-    return not (lets_in and own.leave_s < foe_leaves_s)
-
-
 @in_place(inner=True)
-def _goes_first(own: Passage, foe: Foe) -> bool:
-    """Whether a driver has the right of way over another one: by rank, place, then number."""
-    if own.rank != foe.rank:
-        return own.rank < foe.rank
-    if own.entered != foe.entered:
-        return own.entered
-    if abs(own.to_line - foe.to_line) > 0.5:
-        return own.to_line < foe.to_line
-    return own.agent < foe.agent
+def _must_wait(
+    i: int, j: int, leaving: bool, rank: int, conflict: Any, enter_s: float, leave_s: float,
+    scene: Scene,
+) -> bool:  # fmt: skip
+    """Whether a driver that is in a conflict from ``enter_s`` to ``leave_s`` waits for another one.
+
+    ``rank`` is its own: 0 with priority, 1 without, 2 after running a red light; ``leaving`` says
+    whether the other one is on its way out of the junction.
+    """
+    me, foe = scene.vehicles[i], scene.vehicles[j]
+    foe_line, held = foe.to_line, foe.was_held
+    if leaving:
+        front = foe.s + foe.length / 2
+        foe_line, held = -(scene.net.lanes[conflict.other].length + front), False
+    begin, end = foe_line + conflict.other_begin, foe_line + conflict.other_end + foe.length
+    speed = max(foe.speed, 0.0)
+    if end < 0.0:
+        return False
+    if begin <= 0.0:  # it is in the conflict
+        if me.stood_s > 2.0 * PATIENCE_S and foe.stood_s > PATIENCE_S:
+            return False
+        return bool(enter_s < end / max(speed, 0.5) + CLEARANCE_S)
+    if held or (me.stood_s > PATIENCE_S and foe.stood_s > 1.0):
+        return False
+    entered, foe_entered = me.to_line < -ENTERED_M, foe_line < -ENTERED_M
+    foe_rank = _rank(j, conflict.other, foe_entered, scene)
+    after_green = entered and me.lane == me.path and _shows(me.path, RED, scene)
+    if foe.stood_s > WAITING_S and (foe_entered or foe_rank >= rank or after_green):
+        return False  # it waits itself, for this vehicle or for another
+    foe_enters_s = reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))
+    foe_leaves_s = end / max(speed, 2.0)
+    if rank != foe_rank:  # right of way: by rank, place, then number
+        goes_first = rank < foe_rank
+    elif entered != foe_entered:
+        goes_first = entered
+    elif abs(me.to_line - foe_line) > 0.5:
+        goes_first = me.to_line < foe_line
+    else:
+        goes_first = me.agent < foe.agent
+    if goes_first:
+        if not foe_entered or speed < STANDING_MPS:
+            return False
+        return bool(foe_enters_s < enter_s and enter_s < foe_leaves_s + CLEARANCE_S)
+    if _gap_accepted(
+        enter_s, leave_s, foe_enters_s, foe_leaves_s, me.gap_acceptance_s, CLEARANCE_S
+    ):
+        return False
+    braking = speed * speed / (2.0 * begin)
+    insists = me.insistence * INSISTED_BRAKING_MPS2
+    lets_in = insists > 0.0 and braking <= insists and speed > 1.0
+    return not (lets_in and leave_s < foe_leaves_s)

@@ -1,18 +1,12 @@
-"""A highway-env lane along any line of points, with a heading that turns smoothly.
-
-highway-env's own spline lane samples its curve and is slow to project on; junction paths have a
-handful of points, so a loop over their pieces is quicker and exact.
-"""
+"""highway-env's lanes and network as this engine makes them: lanes along any line of points."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, LineType, StraightLane
+from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
@@ -30,6 +24,9 @@ BLEND_M: Final = 2.0
 """The heading turns from one piece's to the next's within this distance of the corner (half a
 wheelbase)."""
 
+UNPAINTED: Final = (LineType.NONE, LineType.NONE)
+"""What is painted on the left and on the right of a lane without lines."""
+
 
 def is_wrong_side(lane: LaneIndex) -> bool:
     """Whether a lane runs over one of the opposite direction; see `HighwayNetwork.wrong_side`."""
@@ -42,7 +39,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
     Before its first point and after its last it goes on straight.
 
     Args:
-        points: (P, 2) centre line in highway-env's axes, m; at least two different points.
+        points: (P, 2) centre line in highway-env's axes, m.
         width: m.
         line_types: what is painted on the left and on the right.
         speed_limit: m/s.
@@ -57,85 +54,63 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         self,
         points: FloatArray,
         width: float,
-        line_types: tuple[int, int] = (LineType.NONE, LineType.NONE),
+        line_types: tuple[int, int] = UNPAINTED,
         speed_limit: float = 20.0,
         forbidden: bool = False,
         priority: int = 0,
     ) -> None:
-        points = np.asarray(points, dtype=np.float64)
-        step = np.diff(points, axis=0)
-        size = np.hypot(step[:, 0], step[:, 1])
-        keep = size > 1e-9
-        self.points = np.concatenate([points[:-1][keep], points[-1:]])
-        step, size = step[keep], size[keep]
-        self.starts: list[tuple[float, float]] = [(float(x), float(y)) for x, y in self.points[:-1]]
-        self.directions: list[tuple[float, float]] = [
-            (float(x / d), float(y / d)) for (x, y), d in zip(step, size, strict=True)
-        ]
-        self.sizes: list[float] = size.tolist()
-        self.begins: list[float] = (np.cumsum(size) - size).tolist()
-        self.outsides: list[float] = [
-            math.copysign(1.0, dy * ex - dx * ey) if dx * ex + dy * ey < 0.0 else 0.0
-            for (dx, dy), (ex, ey) in itertools.pairwise(self.directions)
-        ]  # of corners sharper than 90 degrees: the side on which the far side of the corner lies
-        self.length = float(size.sum())
-        self.width = width
-        self.line_types = line_types
-        self.speed_limit = speed_limit
-        self.forbidden = forbidden
-        self.priority = priority
-        self.turn_at, self.turn_heading = self._turns(
-            np.unwrap(np.arctan2(step[:, 1], step[:, 0])), size
-        )
-
-    def _turns(self, heading: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distances and headings between which the heading is interpolated."""
-        at, value = [0.0], [float(heading[0])]
-        for i in range(1, len(size)):
-            blend = min(BLEND_M, size[i - 1] / 2, size[i] / 2)
-            corner = self.begins[i]
-            at += [corner - blend, corner + blend]
-            value += [float(heading[i - 1]), float(heading[i])]
-        return np.array([*at, self.length]), np.array([*value, float(heading[-1])])
+        self.points = _simplest(np.asarray(points, dtype=np.float64))
+        step = np.diff(self.points, axis=0)
+        self.sizes = np.hypot(step[:, 0], step[:, 1])
+        self.directions = step / self.sizes[:, None]
+        self.begins = np.cumsum(self.sizes) - self.sizes
+        before, after = self.directions[:-1], self.directions[1:]
+        turn = before[:, 1] * after[:, 0] - before[:, 0] * after[:, 1]
+        sharp = (before * after).sum(axis=1) < 0.0
+        outsides = np.where(sharp, np.copysign(1.0, turn), 0.0)
+        self.outsides = np.concatenate([[0.0], outsides, [0.0]])  # of corners sharper than 90
+        # degrees: the side on which the far side of the corner lies
+        self.length = float(self.sizes.sum())
+        self.width, self.line_types, self.speed_limit = width, line_types, speed_limit
+        self.forbidden, self.priority = forbidden, priority
+        heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+        blend = np.minimum(np.minimum(self.sizes[:-1], self.sizes[1:]) / 2, BLEND_M)
+        corner = self.begins[1:]
+        inside = np.column_stack([corner - blend, corner + blend]).ravel()
+        self.turn_at = np.concatenate([[0.0], inside, [self.length]])
+        self.turn_heading = np.repeat(heading, 2)
 
     def local_coordinates(self, position: FloatArray) -> tuple[float, float]:
         """Distance along the lane and to the right of it, m."""
-        x, y = float(position[0]), float(position[1])
-        last = len(self.sizes) - 1
-        best, longitudinal, lateral = math.inf, 0.0, 0.0
-        for i, ((x0, y0), (dx, dy), size) in enumerate(
-            zip(self.starts, self.directions, self.sizes, strict=True)
-        ):
-            along = (x - x0) * dx + (y - y0) * dy
-            across = (y - y0) * dx - (x - x0) * dy
-            clipped, side = along, across
-            if along < 0.0 and i > 0:
-                clipped, side = 0.0, self.outsides[i - 1] or across
-            elif along > size and i < last:
-                clipped, side = size, self.outsides[i] or across
-            distance = math.hypot(across, along - clipped)
-            if distance < best:
-                best = distance
-                longitudinal, lateral = self.begins[i] + clipped, math.copysign(distance, side)
-        return longitudinal, lateral
+        away = np.asarray(position) - self.points[:-1]
+        ahead = self.directions
+        along = away[:, 0] * ahead[:, 0] + away[:, 1] * ahead[:, 1]
+        side = away[:, 1] * ahead[:, 0] - away[:, 0] * ahead[:, 1]
+        clipped = along.copy()
+        clipped[1:] = np.maximum(clipped[1:], 0.0)
+        clipped[:-1] = np.minimum(clipped[:-1], self.sizes[:-1])
+        distance = np.hypot(side, along - clipped)
+        i = int(np.argmin(distance))
+        if clipped[i] != along[i]:
+            side[i] = self.outsides[i if clipped[i] > along[i] else i + 1] or side[i]
+        return float(self.begins[i] + clipped[i]), math.copysign(distance[i], side[i])
+
+    def positions(self, along: FloatArray, lateral: float = 0.0) -> FloatArray:
+        """(n, 2) the places at (n,) distances along the lane and so far to the right of it, m."""
+        i = np.maximum(np.searchsorted(self.begins, along, side="right") - 1, 0)
+        dx, dy = self.directions[i].T
+        beyond = along - self.begins[i]
+        x, y = self.points[i].T
+        return np.stack([x + beyond * dx - lateral * dy, y + beyond * dy + lateral * dx], axis=-1)
 
     def position(self, longitudinal: float, lateral: float) -> FloatArray:
         """The place at a distance along the lane and to the right of it, m."""
-        i = 0
-        while i + 1 < len(self.begins) and self.begins[i + 1] <= longitudinal:
-            i += 1
-        (x0, y0), (dx, dy) = self.starts[i], self.directions[i]
-        along = longitudinal - self.begins[i]
-        return np.array([x0 + along * dx - lateral * dy, y0 + along * dy + lateral * dx])
+        place: FloatArray = self.positions(np.array([longitudinal]), lateral)[0]
+        return place
 
     def heading_at(self, longitudinal: float) -> float:
         """The lane's heading, rad, clockwise from +x as seen from above."""
         return float(np.interp(longitudinal, self.turn_at, self.turn_heading))
-
-    def curvature_at(self, longitudinal: float) -> float:
-        """How fast the heading turns over `BLEND_M` around a place, rad/m."""
-        before, after = longitudinal - BLEND_M / 2, longitudinal + BLEND_M / 2
-        return (self.heading_at(after) - self.heading_at(before)) / BLEND_M
 
     def width_at(self, longitudinal: float) -> float:
         """The lane's width, m."""
@@ -148,76 +123,25 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
 
     def to_config(self) -> dict[str, Any]:
         """What `highway_env.road.lane.lane_from_config` needs to make it again."""
+        names = ("width", "line_types", "speed_limit", "forbidden", "priority")
+        config = {"points": self.points.tolist(), **{n: getattr(self, n) for n in names}}
         return {
             "class_path": f"{type(self).__module__}.{type(self).__qualname__}",
-            "config": {
-                "points": self.points.tolist(),
-                "width": self.width,
-                "line_types": self.line_types,
-                "speed_limit": self.speed_limit,
-                "forbidden": self.forbidden,
-                "priority": self.priority,
-            },
+            "config": config,
         }
 
 
-def make_lane(
-    points: FloatArray,
-    width: float,
-    line_types: tuple[int, int],
-    speed_limit: float,
-) -> StraightLane | PolylineLane:
-    """The simplest highway-env lane along a line of points in its axes.
-
-    Args:
-        points: (P, 2) m.
-        width: m.
-        line_types: what is painted on the left and on the right.
-        speed_limit: m/s.
-
-    Returns:
-        A straight lane if the line is straight, else a polyline.
-    """
+def _simplest(points: FloatArray) -> FloatArray:
+    """A line without points that are twice there, or between the ends of a straight one."""
     if np.hypot(*(points - points[0]).T).max() <= LEAST_LENGTH_M:  # no direction of its own
-        points = np.stack([points[0], points[0] + np.array([LEAST_LENGTH_M, 0.0])])
-    chord = points[-1] - points[0]
+        return np.stack([points[0], points[0] + np.array([LEAST_LENGTH_M, 0.0])])
+    chord, off = points[-1] - points[0], points - points[0]
     size = float(np.hypot(*chord))
-    off = points - points[0]
     across = (off[:, 1] * chord[0] - off[:, 0] * chord[1]) / max(size, 1e-9)
     if size > 0 and np.abs(across).max() < STRAIGHT_TOLERANCE_M:
-        return StraightLane(
-            points[0], points[-1], width=width, line_types=line_types, speed_limit=speed_limit
-        )
-    return PolylineLane(points, width, line_types, speed_limit)
-
-
-def places_along(lane: AbstractLane, along: FloatArray) -> FloatArray:
-    """The places at distances along a lane's centre line, as ``lane.position`` gives each.
-
-    Args:
-        lane: made by `make_lane`.
-        along: (n,) m.
-
-    Returns:
-        (n, 2) m.
-    """
-    if not isinstance(lane, PolylineLane):
-        return np.asarray(lane.start + along[:, None] * lane.direction)
-    begins = np.array(lane.begins)
-    piece = np.maximum(np.searchsorted(begins, along, side="right") - 1, 0)
-    beyond = (along - begins[piece])[:, None]
-    places: FloatArray = np.array(lane.starts)[piece] + beyond * np.array(lane.directions)[piece]
-    return places
-
-
-def corners(lanes: Sequence[AbstractLane]) -> list[FloatArray]:
-    """The centre line of each lane as points, in highway-env's axes."""
-    return [
-        lane.points
-        if isinstance(lane, PolylineLane)
-        else np.stack([lane.start, lane.end]).astype(np.float64)
-        for lane in lanes
-    ]
+        return np.stack([points[0], points[-1]])
+    keep = np.hypot(*np.diff(points, axis=0).T) > 1e-9
+    return np.concatenate([points[:-1][keep], points[-1:]])
 
 
 class NearLanesNetwork(RoadNetwork):  # type: ignore[misc]
@@ -226,13 +150,13 @@ class NearLanesNetwork(RoadNetwork):  # type: ignore[misc]
     Examples:
         >>> network = NearLanesNetwork()
         >>> for y in (0.0, 4.0, 400.0):
-        ...     network.add_lane("a", "b", StraightLane([0.0, y], [50.0, y]))
+        ...     lane = PolylineLane(np.array([[0.0, y], [50.0, y]]), 4.0)
+        ...     network.add_lane("a", "b", lane)
         >>> network.get_closest_lane_index(np.array([20.0, 3.0]), 0.0)
         ('a', 'b', 1)
     """
 
-    _circles: tuple[list[tuple[str, str, int]], list[AbstractLane], FloatArray, FloatArray] | None
-    _circles = None
+    _circles: tuple[list[tuple[LaneIndex, PolylineLane]], FloatArray, FloatArray] | None = None
 
     def add_lane(self, _from: str, _to: str, lane: AbstractLane) -> None:
         """Add a lane between two nodes."""
@@ -241,25 +165,20 @@ class NearLanesNetwork(RoadNetwork):  # type: ignore[misc]
 
     def get_closest_lane_index(
         self, position: FloatArray, heading: float | None = None
-    ) -> tuple[str, str, int]:
+    ) -> LaneIndex:
         """The lane closest to a place, m, for a heading, rad; of equal ones the first."""
         if self._circles is None:
-            found = dict(self.lanes_dict())
-            lines = corners(list(found.values()))
-            centre = np.array([(line.min(axis=0) + line.max(axis=0)) / 2 for line in lines])
-            radius = np.array(
-                [np.hypot(*(line - c).T).max() for line, c in zip(lines, centre, strict=True)]
-            )
-            self._circles = list(found), list(found.values()), centre, radius
-        keys, lanes, centre, radius = self._circles
-        at_least = np.hypot(*(centre - position).T) - radius - STRAIGHT_TOLERANCE_M
-        choice = int(np.argmin(at_least))
-        least = lanes[choice].distance_with_heading(position, heading)
-        near = np.flatnonzero(at_least <= least)
-        for i in near[np.argsort(at_least[near], kind="stable")].tolist():
+            found = list(self.lanes_dict().items())
+            boxes = np.array([(p.min(axis=0), p.max(axis=0)) for p in (n.points for _, n in found)])
+            radius = np.hypot(*(boxes[:, 1] - boxes[:, 0]).T) / 2 + STRAIGHT_TOLERANCE_M
+            self._circles = found, boxes.mean(axis=1), radius
+        lanes, centre, radius = self._circles
+        at_least = np.hypot(*(centre - position).T) - radius
+        least, choice = math.inf, -1
+        for i in np.argsort(at_least, kind="stable").tolist():
             if at_least[i] > least:
                 break
-            distance = lanes[i].distance_with_heading(position, heading)
+            distance = lanes[i][1].distance_with_heading(position, heading)
             if distance < least or (distance == least and i < choice):
                 choice, least = i, distance
-        return keys[choice]
+        return lanes[choice][0]

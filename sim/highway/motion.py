@@ -15,8 +15,8 @@ from sim.compiled import in_place
 from sim.frames import EventKind
 from sim.highway.crossings import walk
 from sim.highway.driving import STANDING_MPS
-from sim.highway.junctions import EVENT_KINDS
-from sim.highway.scene import Scene, leg_at, next_stretch, onward, record
+from sim.highway.scene import leg_at, next_stretch, onward, record
+from sim.highway.state import EVENT_KINDS, Scene
 from sim.highway.tables import project
 
 WRONG_WAY = EVENT_KINDS.index(EventKind.WRONG_WAY)
@@ -43,7 +43,7 @@ def move(dt: float, scene: Scene) -> bool:
     """Move everybody for ``dt`` seconds and find who touches whom.
 
     Returns:
-        Whether somebody may have to go; see `leave`.
+        Whether somebody has to go; ``leaves`` says who and why.
     """
     somebody = False
     for i in range(scene.vehicles.size):
@@ -63,7 +63,7 @@ def move(dt: float, scene: Scene) -> bool:
         if not me.profiled:
             _note_standing(me, scene.now[0].time_s)
     _find_touching(scene)
-    return bool(somebody)
+    return bool(somebody and _leave(scene))
 
 
 @in_place(inner=True)
@@ -103,7 +103,7 @@ def _update_lane(i: int, scene: Scene) -> None:
     if me.target != me.lane:
         then_s, then_aside, _ = project(me.x, me.y, me.target, net)
         if abs(then_aside) < abs(aside):
-            me.lane, me.changed_at, s = me.target, me.clock, then_s
+            me.lane, s = me.target, then_s
     if s > net.lanes[me.lane].length:
         then = onward(i, me.lane, scene)
         if then >= 0:
@@ -125,13 +125,9 @@ def _has_arrived(w: int, scene: Scene) -> bool:
     return bool(person.s >= scene.footways.ways[person.way].length - 1e-6)
 
 
-@in_place()
-def leave(scene: Scene) -> bool:
-    """Note why each one goes, if it does, and who has come onto the wrong side.
-
-    Returns:
-        Whether somebody goes.
-    """
+@in_place(inner=True)
+def _leave(scene: Scene) -> bool:
+    """Note why each one goes, if it does, and who has come onto the wrong side."""
     somebody, now_s = False, scene.now[0].time_s
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
@@ -152,7 +148,7 @@ def leave(scene: Scene) -> bool:
     for w in range(scene.walkers.size):
         person = scene.walkers[w]
         person.leaves = STAYS
-        if now_s - person.struck_at > CLEAR_AFTER_S:
+        if now_s - person.crashed_at > CLEAR_AFTER_S:
             person.leaves = CLEARED
         elif _has_arrived(w, scene):
             person.leaves = ARRIVED

@@ -7,7 +7,6 @@ the start of another. highway-env counts lanes from the left, `Road` from the ri
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,13 +14,13 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from highway_env.road.lane import AbstractLane, LineType
+from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.highway.conflicts import Conflict, find_conflicts
-from sim.highway.lanes import LaneIndex, NearLanesNetwork, corners, make_lane
+from sim.highway.lanes import LaneIndex, NearLanesNetwork, PolylineLane
 from sim.highway.tables import LaneTables
 from sim.road import Connection, Lane, Road
 from sim.road.cells import boxes_of, near_pairs
@@ -40,15 +39,10 @@ CELL_M: Final = 50.0
 """Width of the cells in which opposite lanes are looked for, m (half a block)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Strip:
-    """Where a lane runs over a pedestrian crossing.
+class Strip(NamedTuple):
+    """Where a lane runs over a crossing: its number, from where to where, m, and how far along it.
 
-    Attributes:
-        crossing: index into ``Road.crossings``.
-        near_s: distance along the lane of the near edge, m.
-        far_s: of the far edge, m.
-        u: distance along the crossing of the lane's centre line, m.
+    ``near_s`` and ``far_s`` are distances along the lane, ``u`` is the lane's along the crossing.
     """
 
     crossing: int
@@ -57,8 +51,7 @@ class Strip:
     u: float
 
 
-@dataclass(frozen=True, slots=True)
-class LaneInfo:
+class LaneInfo(NamedTuple):
     """The facts about a lane that highway-env's network cannot hold.
 
     Attributes:
@@ -98,7 +91,7 @@ class HighwayNetwork:
     road: Road
     net: RoadNetwork
     info: dict[LaneIndex, LaneInfo]
-    lanes: dict[LaneIndex, AbstractLane]
+    lanes: dict[LaneIndex, PolylineLane]
     stretch_of: dict[str, tuple[str, str]]
     onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex]
     exit_of: dict[LaneIndex, LaneIndex]
@@ -109,22 +102,6 @@ class HighwayNetwork:
     def tables(self) -> LaneTables:
         """The lanes as arrays, in that order."""
         return LaneTables(self)
-
-    @cached_property
-    def ways_of_lane(self) -> dict[LaneIndex, tuple[tuple[str, str], ...]]:
-        """The stretches that each lane leads to."""
-        found: dict[LaneIndex, tuple[tuple[str, str], ...]] = {}
-        for lane, then in self.onward:
-            found[lane] = (*found.get(lane, ()), then)
-        return found
-
-    @cached_property
-    def ways_of_stretch(self) -> dict[tuple[str, str], tuple[tuple[str, str], ...]]:
-        """The stretches that each stretch leads to from any of its lanes."""
-        found: dict[tuple[str, str], dict[tuple[str, str], None]] = {}
-        for lane, then in self.onward:
-            found.setdefault(lane[:2], {})[then] = None
-        return {stretch: tuple(ways) for stretch, ways in found.items()}
 
     def stretches(self, route: Sequence[str]) -> list[tuple[str, str]]:
         """The stretches that a route of edges runs over.
@@ -211,13 +188,12 @@ def build_network(road: Road) -> HighwayNetwork:
         c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
     ]
     paths, onward, exit_of = _add_junction_paths(net, joins, by_id, placed.lanes)
-    geometry: dict[LaneIndex, AbstractLane] = dict(net.lanes_dict())
+    geometry: dict[LaneIndex, PolylineLane] = dict(net.lanes_dict())
     strips = _strips(road, placed.lanes)
     begins = {path: lane for (lane, _), path in onward.items()}
     conflicts = find_conflicts({i: geometry[i] for i in exit_of}, begins)
     info = {
-        index: dataclasses.replace(
-            paths.get(index, LaneInfo()),
+        index: paths.get(index, LaneInfo())._replace(
             strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
             conflicts=tuple(sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)),
         )
@@ -288,7 +264,9 @@ def _add_stretches(
             left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
             last = k == len(driving[edge]) - 1
             right = LineType.CONTINUOUS_LINE if last else LineType.NONE
-            net.add_lane(*key, make_lane(points, lane.width_m, (left, right), lane.speed_limit_mps))
+            net.add_lane(
+                *key, PolylineLane(points, lane.width_m, (left, right), lane.speed_limit_mps)
+            )
         placed.edge_at[key] = tuple(starts)
         for one in chain:
             placed.stretch_of[one] = key
@@ -326,7 +304,7 @@ def _add_junction_paths(
         key = (from_index[1], to_index[0])
         index = (*key, len(net.graph.get(key[0], {}).get(key[1], [])))
         limit = min((p.speed_limit_mps for p in inner), default=end.speed_limit_mps)
-        net.add_lane(*key, make_lane(points, begin.width_m, (LineType.NONE, LineType.NONE), limit))
+        net.add_lane(*key, PolylineLane(points, begin.width_m, speed_limit=limit))
         at = 0.0
         for piece in inner:
             places.setdefault(piece.id, []).append((index, at))
@@ -399,7 +377,7 @@ def _strips(
 
 def _add_wrong_side_lanes(
     net: RoadNetwork,
-    lanes: dict[LaneIndex, AbstractLane],
+    lanes: dict[LaneIndex, PolylineLane],
     info: dict[LaneIndex, LaneInfo],
     stretches: set[tuple[str, str]],
 ) -> dict[LaneIndex, LaneIndex]:
@@ -409,7 +387,7 @@ def _add_wrong_side_lanes(
     leftmost = [lanes[(*stretch, 0)] for stretch in ordered]
     middles = [lane.position(lane.length / 2, 0.0) for lane in leftmost]
     reach_m = OPPOSITE_M * max(lane.width for lane in leftmost)
-    lines = corners(leftmost)
+    lines = [lane.points for lane in leftmost]
     pairs = near_pairs(
         boxes_of([middle[None] for middle in middles], reach_m), boxes_of(lines, 0.0), CELL_M
     )
@@ -425,11 +403,10 @@ def _add_wrong_side_lanes(
             inside = 0.0 < s < opposite.length
             if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
                 key = (f"~{stretch[0]}", f"~{stretch[1]}")
-                points = lines[number][::-1].copy()
-                made = make_lane(
-                    points, opposite.width, (LineType.NONE, LineType.NONE), opposite.speed_limit
-                )
-                made.forbidden = True
+                made = PolylineLane(
+                    lines[number][::-1], opposite.width,
+                    speed_limit=opposite.speed_limit, forbidden=True,
+                )  # fmt: skip
                 net.add_lane(*key, made)
                 index = (*key, 0)
                 lanes[index], info[index], wrong_side[left] = made, LaneInfo(), index

@@ -2,55 +2,48 @@
 
 from __future__ import annotations
 
-import heapq
-import math
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
-from sim.highway.lanes import LaneIndex
-from sim.highway.network import HighwayNetwork
+from sim.highway.tables import LaneTables
 
 Stretch = tuple[str, str]
 
 
-def find_way(network: HighwayNetwork, lane: LaneIndex, goal: Stretch) -> tuple[Stretch, ...] | None:
-    """The shortest way from a lane to a stretch, or else to any stretch where the road ends.
+def find_way(tables: LaneTables, lane: int, goal: Stretch) -> tuple[Stretch, ...] | None:
+    """The shortest way from a lane to a stretch, or else to the nearest where the road ends.
 
     Args:
-        network: of the road.
+        tables: of the road.
         lane: where it begins; other lanes of its stretch are not used, nor is the stretch again.
         goal: where it is to lead.
 
     Returns:
-        The stretches after that of ``lane``; None if the lane leads nowhere.
+        The stretches after that of ``lane``; None if the lane leads nowhere. On a road that never
+        ends it is the way to the farthest stretch.
     """
-    here = lane[:2]
-    best: dict[Stretch, float] = {}
-    before: dict[Stretch, Stretch] = {}
-    queue: list[tuple[float, Stretch]] = []
-    for then in network.ways_of_lane.get(lane, ()):
-        if then != here:
-            best[then] = network.lanes[(*then, 0)].length
-            heapq.heappush(queue, (best[then], then))
-    way_out: Stretch | None = None
-    furthest: Stretch | None = None
-    while queue:
-        cost, stretch = heapq.heappop(queue)
-        if cost > best[stretch]:
-            continue
-        furthest = stretch
-        if stretch == goal:
-            break
-        onward = network.ways_of_stretch.get(stretch, ())
-        if not onward and way_out is None:
-            way_out = stretch
-        for then in onward:
-            new = cost + network.lanes[(*then, 0)].length
-            if then != here and new < best.get(then, math.inf):
-                best[then], before[then] = new, stretch
-                heapq.heappush(queue, (new, then))
-    end = goal if goal in best else way_out or furthest
-    if end is None:
+    net, names = tables.net, list(tables.stretches)
+    lanes, n = net.lanes, len(names)
+    begin = np.repeat(np.arange(lanes.size), lanes["way_end"] - lanes["way"])
+    one, other, here = lanes["stretch"][begin], net.ways["stretch"], int(lanes["stretch"][lane])
+    length = np.ones(n)
+    length[lanes["stretch"][::-1]] = lanes["length"][::-1]  # of each one's first lane
+    used = (other != here) & ((one != here) | (begin == lane))
+    pairs = np.unique(np.stack([one[used], other[used]], axis=1), axis=0)
+    graph = coo_array((length[pairs[:, 1]], (pairs[:, 0], pairs[:, 1])), shape=(n, n)).tocsr()
+    away, before = dijkstra(graph, indices=[here], return_predecessors=True)
+    away[0, here] = np.inf
+    reached = np.isfinite(away[0])
+    if not reached.any():
         return None
-    way = [end]
-    while way[-1] in before:
-        way.append(before[way[-1]])
-    return tuple(reversed(way))
+    ends = reached & ~np.isin(np.arange(n), one)
+    end = tables.stretch(goal)
+    if end >= n or not reached[end]:
+        away[0, ~(ends if ends.any() else reached)] = np.nan
+        end = int(np.nanargmin(away[0]) if ends.any() else np.nanargmax(away[0]))
+    way = []
+    while end != here:
+        way.append(names[end])
+        end = int(before[0, end])
+    return tuple(way[::-1])

@@ -1,19 +1,16 @@
-"""What kernels read and write: a road's arrays and everybody on it, and who is on which lane."""
+"""Who is on which lane, who is ahead and behind on it, and how everybody moves."""
 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.compiled import in_place
-from sim.highway.tables import LONGEST_M, Net, Records, heading_at, project, record_type
-from sim.highway.walkers import Footways
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim.highway.driving import Beside
+from sim.highway.state import FloatArray, IntArray, Scene
+from sim.highway.tables import LONGEST_M, Net, Records, heading_at, project
 
 ALIGNED: Final = 0.5
 """A vehicle turned by more than 60 degrees from a lane crosses it and is not on it. On stretches,
@@ -28,91 +25,6 @@ LEADER_RANGE_M: Final = 200.0
 
 MOST_LANES: Final = 4
 """A leader is looked for on the present lane and on this many after it."""
-
-NOW: Final = record_type(
-    time_s="f8", events="i8", arrivals="i8", pairs="i8", astray="i8", entries="i8"
-)
-"""The time, and how many rows of each list are in use; ``astray``: how many drivers need another
-route; ``entries``: vehicles on lanes."""
-
-EVENT: Final = record_type(kind="i8", agent="i8")
-"""Something that a rule recorded, by the code of its `EventKind`."""
-
-ON: Final = record_type(row="i8", s="f8", along="f8")
-"""A vehicle on a lane: its distance along it, m, and its speed along it, m/s."""
-
-ARRIVAL: Final = record_type(
-    vehicle="i8", crossing="i8", near="f8", far="f8", yields="?", stood_s="f8", link="i8"
-)
-"""A vehicle that comes to a spot of a crossing: front bumper to its near and far edge, m; whether
-it lets the pedestrians go first; for how long it has stood, s; the next arrival at that spot."""
-
-PAIR: Final = record_type(one="i8", other="i8")
-"""Two who touch; pedestrians are counted after the vehicles."""
-
-
-class Scene(NamedTuple):
-    """A road at one time.
-
-    Lists without a maximum length are linked: a ``head`` has the first row of each, or -1, and the
-    rows have the next. Heads are -1 between two kernels.
-
-    Attributes:
-        net: the road.
-        routes: (r, m) numbers of the stretches on each route, -1 after the last.
-        footways: ways on foot.
-        signals: (g,) what each signal group shows.
-        signal_since: (g,) since when, s.
-        vehicles: (n,) rows of `sim.highway.vehicle.VEHICLE`.
-        walkers: (m,) rows of `sim.highway.walkers.WALKER`.
-        now: (1,) of `NOW`.
-        on_first: (K + 1,) where each lane's entries of ``on`` begin.
-        on: of `ON`, by lane, then by distance along it.
-        unsorted: as ``on``, in the order in which they are found.
-        unsorted_lane: the lane of each.
-        lane_head: (K,) first vehicle on its way over each junction path, or changing to a lane.
-        lane_link: (2n,) the next; those who have not quite left a path are counted from n.
-        spot_head: first arrival at each spot of a crossing.
-        crossing_head: first pedestrian on or near each crossing.
-        cell_head: first of everybody in each cell.
-        cell_link: (n + m,) the next one.
-        arrivals: of `ARRIVAL`.
-        pairs: of `PAIR`.
-        events: of `EVENT`.
-    """
-
-    net: Net
-    routes: IntArray
-    footways: Footways
-    signals: NDArray[np.int8]
-    signal_since: FloatArray
-    vehicles: Records
-    walkers: Records
-    now: Records
-    on_first: IntArray
-    on: Records
-    unsorted: Records
-    unsorted_lane: IntArray
-    lane_head: IntArray
-    lane_link: IntArray
-    spot_head: IntArray
-    crossing_head: IntArray
-    cell_head: IntArray
-    cell_link: IntArray
-    arrivals: Records
-    pairs: Records
-    events: Records
-
-
-class Beside(NamedTuple):
-    """The vehicles ahead and behind: row (-1 for none), bumper gap, m, and speed, m/s, of each."""
-
-    front: int
-    front_gap: float
-    front_speed: float
-    rear: int
-    rear_gap: float
-    rear_speed: float
 
 
 @in_place(inner=True)
@@ -130,12 +42,6 @@ def along_lane(i: int, lane: int, scene: Scene) -> float:
     """Distance of a vehicle along a lane, m."""
     me = scene.vehicles[i]
     return project(me.x, me.y, lane, scene.net)[0]
-
-
-@in_place()
-def distance_on(i: int, lane: int, scene: Scene) -> float:
-    """The same, for Python."""
-    return along_lane(i, lane, scene)
 
 
 @in_place(inner=True)
@@ -172,13 +78,6 @@ def onward(i: int, lane: int, scene: Scene) -> int:
         return int(after)
     then = next_stretch(i, lane, scene)
     return path_to(lane, then, scene.net) if then >= 0 else -1
-
-
-@in_place()
-def path_of(i: int, scene: Scene) -> int:
-    """The junction path that a vehicle is on, has not left, or comes to next; or -1."""
-    me = scene.vehicles[i]
-    return int(me.last_path if me.last_path >= 0 else onward(i, me.lane, scene))
 
 
 @in_place()
@@ -295,29 +194,31 @@ def beside(i: int, lane: int, scene: Scene) -> Beside:
 
 
 @in_place()
-def room_at_entry(lane: int, length: float, scene: Scene) -> tuple[float, float]:
-    """Room at the beginning of a lane.
+def room_at_entry(
+    lanes: IntArray, length: float, scene: Scene, gap: FloatArray, speed: FloatArray
+) -> None:
+    """Find the bumper gap to the first vehicle on lanes or changing to them, and its speed.
 
     Args:
-        lane: which.
+        lanes: (n,) which lanes.
         length: of the vehicle that may enter, m.
         scene: the road.
-
-    Returns:
-        Bumper gap to the first vehicle on the lane or changing to it, m, and its speed, m/s.
+        gap: (n,) receives the gaps, m; infinite where nobody is.
+        speed: (n,) receives the speeds along the lane, m/s.
     """
-    net, nearest, speed = scene.net, np.inf, 0.0
-    for j in range(scene.vehicles.size):
-        other = scene.vehicles[j]
-        s, lateral, _ = project(other.x, other.y, lane, net)
-        aside = abs(lateral) > net.lanes[lane].width / 2 + 1.0
-        if (aside and other.target != lane) or s > net.lanes[lane].length:
-            continue
-        gap = s - length - other.length / 2
-        if gap < nearest:
-            nearest = gap
-            speed = other.speed * math.cos(other.heading - heading_at(s, lane, net))
-    return nearest, max(speed, 0.0)
+    for at in range(lanes.size):
+        lane = scene.net.lanes[lanes[at]]
+        gap[at], speed[at] = np.inf, 0.0
+        for j in range(scene.vehicles.size):
+            other = scene.vehicles[j]
+            s, lateral, _ = project(other.x, other.y, lanes[at], scene.net)
+            aside = abs(lateral) > lane.width / 2 + 1.0
+            if (aside and other.target != lanes[at]) or s > lane.length:
+                continue
+            if s - length - other.length / 2 < gap[at]:
+                gap[at] = s - length - other.length / 2
+                turned = other.heading - heading_at(s, lanes[at], scene.net)
+                speed[at] = max(other.speed * math.cos(turned), 0.0)
 
 
 @in_place()

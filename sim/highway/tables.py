@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.compiled import in_place
-from sim.highway.lanes import BLEND_M, LaneIndex, PolylineLane, corners, is_wrong_side
+from sim.highway.lanes import BLEND_M, LaneIndex, is_wrong_side
 from sim.road.cells import Cells, boxes_of, cells_of
 
 FloatArray = NDArray[np.float64]
@@ -40,28 +40,6 @@ lorry's)."""
 
 ROUNDING_M: Final = 1e-3
 """Lanes are searched this much farther from vehicles than they can be, m."""
-
-
-class LaneNetwork(Protocol):
-    """What the tables are made of: `sim.highway.network.HighwayNetwork`."""
-
-    @property
-    def road(self) -> Any: ...  # noqa: D102
-
-    @property
-    def info(self) -> Mapping[LaneIndex, Any]: ...  # noqa: D102
-
-    @property
-    def lanes(self) -> Mapping[LaneIndex, Any]: ...  # noqa: D102
-
-    @property
-    def onward(self) -> Mapping[tuple[LaneIndex, tuple[str, str]], LaneIndex]: ...  # noqa: D102
-
-    @property
-    def exit_of(self) -> Mapping[LaneIndex, LaneIndex]: ...  # noqa: D102
-
-    @property
-    def wrong_side(self) -> Mapping[LaneIndex, LaneIndex]: ...  # noqa: D102
 
 
 def record_type(**fields: str) -> np.dtype[Any]:
@@ -137,10 +115,10 @@ class LaneTables:
     """A road's lanes as arrays, with the numbers of its lanes and stretches.
 
     Args:
-        network: the road in highway-env's terms.
+        network: the road in highway-env's terms, a `HighwayNetwork`.
     """
 
-    def __init__(self, network: LaneNetwork) -> None:
+    def __init__(self, network: Any) -> None:
         self.network = network
         self.keys: list[LaneIndex] = list(network.lanes)
         self.number: dict[LaneIndex, int] = {key: k for k, key in enumerate(self.keys)}
@@ -187,19 +165,15 @@ class LaneTables:
             ]
             for one in info
         ]
-        conflicts = [
-            [(self.number[c.other], c.begin_s, c.end_s, c.other_begin_s, c.other_end_s)
-             for c in one.conflicts]
-            for one in info
-        ]  # fmt: skip
-        turns = [
-            list(zip(lane.turn_at.tolist(), lane.turn_heading.tolist(), strict=True))
-            if isinstance(lane, PolylineLane)
-            else [(0.0, float(lane.heading))]
+        conflicts = [[(self.number[c.other], *c[1:]) for c in one.conflicts] for one in info]
+        turns = [_rows(lane.turn_at, lane.turn_heading) for lane in objects]
+        pieces = [
+            _rows(
+                *lane.points[:-1].T, *lane.directions.T, lane.sizes, lane.begins,
+                lane.outsides[:-1], lane.outsides[1:],
+            )
             for lane in objects
-        ]
-        lines = corners(objects)
-        pieces = [_pieces(line, lane) for line, lane in zip(lines, objects, strict=True)]
+        ]  # fmt: skip
         return Net(
             lanes=lanes,
             pieces=listed(lanes, "piece", pieces, PIECE),
@@ -209,7 +183,7 @@ class LaneTables:
             strips=listed(lanes, "strip", strips, STRIP),
             crossings=crossings,
             spots=spots,
-            cells=_cells(lines, lanes),
+            cells=_cells([lane.points for lane in objects], lanes),
             has_paths=bool((lanes["exit"] >= 0).any()),
             has_wrong=bool(network.wrong_side),
         )
@@ -218,15 +192,12 @@ class LaneTables:
         """The number of the lane that is given for each lane."""
         return [self.number[found[key]] if key in found else -1 for key in self.keys]
 
-    def _beside(self, step: int) -> list[int]:
+    def _beside(self, step: int) -> IntArray:
         """The lane to which each lane's drivers may change on one side."""
         info, number = self.network.info, self.number
-        return [
-            -1
-            if info[key].connector or is_wrong_side(key)
-            else number.get((*key[:2], key[2] + step), -1)
-            for key in self.keys
-        ]
+        beside = [number.get((*key[:2], key[2] + step), -1) for key in self.keys]
+        fixed = [info[key].connector or is_wrong_side(key) for key in self.keys]
+        return np.asarray(np.where(fixed, -1, beside), np.int64)
 
     def _crossings(self) -> tuple[Records, Records]:
         """The crossings, and where lanes run over each of them."""
@@ -261,15 +232,8 @@ def _spot(crossing: Any, spots: Records, u: float) -> int:
     return int(crossing.spot + np.argmax(near))
 
 
-def _pieces(line: FloatArray, lane: object) -> list[tuple[float, ...]]:
-    """A lane's straight pieces, as rows of `PIECE`."""
-    step = np.diff(line, axis=0)
-    size = np.hypot(step[:, 0], step[:, 1])
-    begin = np.cumsum(size) - size
-    corner = lane.outsides if isinstance(lane, PolylineLane) else []
-    sides = [0.0, *corner, 0.0]
-    columns = (*line[:-1].T, *(step / size[:, None]).T, size, begin, sides[:-1], sides[1:])
-    return list(zip(*(np.asarray(column).tolist() for column in columns), strict=True))
+def _rows(*columns: FloatArray) -> list[tuple[float, ...]]:
+    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _cells(lines: Sequence[FloatArray], lanes: Records) -> Cells:

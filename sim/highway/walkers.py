@@ -1,4 +1,4 @@
-"""Pedestrians of the highway engine: their ways on foot, and where they are on them.
+"""Pedestrians of the highway engine: their ways on foot.
 
 They keep to the sidewalks of their route and cross where the road has crossings. When they wait and
 when they walk is decided by `sim.highway.crossings`.
@@ -6,27 +6,27 @@ when they walk is decided by `sim.highway.crossings`.
 
 from __future__ import annotations
 
-import bisect
 import functools
-import heapq
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from highway_env.vehicle.objects import Landmark
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
 from sim.frames import AgentKind
-from sim.highway.tables import Records, listed, record_type
-from sim.highway.vehicle import column, move_to, position_of
+from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, FloatArray, Footways
+from sim.highway.tables import listed
+from sim.highway.vehicle import RowView
 from sim.road import Road
+from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
-
-FloatArray = NDArray[np.float64]
 
 LINK_M: Final = 12.0
 """Sidewalk ends and crossing ends this near to each other are joined on foot (the widest
@@ -39,64 +39,16 @@ begins and ends there."""
 OFFSET_M: Final = 0.6
 """Pedestrians keep up to this far to either side of the path's middle, m."""
 
-
-@dataclass(frozen=True, slots=True)
-class Crossover:
-    """A stretch of a pedestrian's way that is a crossing.
-
-    Attributes:
-        crossing: index into ``Road.crossings``.
-        begin_s: distance along the way at which the pedestrian waits before it, m.
-        end_s: at which the pedestrian has left it, m.
-        forward: whether it is walked along its centre line, not against it.
-    """
-
-    crossing: int
-    begin_s: float
-    end_s: float
-    forward: bool
+DETOUR_M: Final = 5.0
+"""Pedestrians cross a road only if that saves more than this, m."""
 
 
-@dataclass(frozen=True)
-class Footway:
-    """A pedestrian's whole way.
+class Footway(NamedTuple):
+    """A pedestrian's whole way: its length, m, and rows of `STEP` and of `CROSSOVER`."""
 
-    Attributes:
-        points: (P, 2) in highway-env's axes, m.
-        at: (P,) distance along the way of each point, m.
-        crossovers: the crossings on it, in order.
-    """
-
-    points: FloatArray
-    at: FloatArray
-    crossovers: tuple[Crossover, ...]
-
-    @property
-    def length(self) -> float:
-        """How long it is, m."""
-        return float(self.at[-1])
-
-    @functools.cached_property
-    def pieces(self) -> list[tuple[float, float, float, float, float]]:
-        """The beginning of each piece, m, its direction, and its heading, rad."""
-        found = []
-        for begin, end in itertools.pairwise(self.points):
-            x, y = (end - begin) / np.hypot(*(end - begin))
-            found.append((float(begin[0]), float(begin[1]), float(x), float(y), math.atan2(y, x)))
-        return found
-
-    @functools.cached_property
-    def _begins(self) -> list[float]:
-        begins: list[float] = self.at.tolist()
-        return begins
-
-    def place(self, s: float, aside: float) -> tuple[FloatArray, float]:
-        """Position, m, and heading, rad, at a distance along the way."""
-        i = min(max(bisect.bisect_right(self._begins, s) - 1, 0), len(self._begins) - 2)
-        x, y, ahead, beside, heading = self.pieces[i]
-        along = s - self._begins[i]
-        xy = (x + ahead * along + aside * -beside, y + beside * along + aside * ahead)
-        return np.array(xy), heading
+    length: float
+    steps: list[tuple[float, ...]]
+    crossovers: list[tuple[Any, ...]]
 
 
 @functools.lru_cache(maxsize=256)
@@ -135,14 +87,16 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
             kept.append(i)
         index_of[i] = len(kept) - 1
     line = np.array([points[i] for i in kept]) * np.array([1.0, -1.0])
-    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    size = np.hypot(*np.diff(line, axis=0).T)
+    at = np.concatenate([[0.0], np.cumsum(size)]).tolist()
+    ahead = (np.diff(line, axis=0) / size[:, None]).tolist()
     return Footway(
-        points=line,
-        at=at,
-        crossovers=tuple(
-            Crossover(c, float(at[index_of[i]]), float(at[index_of[i + 1]]), forward)
-            for i, c, forward in crossed
-        ),
+        at[-1],
+        [
+            (*xy, *along, math.atan2(along[1], along[0]), begins)
+            for xy, along, begins in zip(line[:-1].tolist(), ahead, at, strict=False)
+        ],
+        [(c, at[index_of[i]], at[index_of[i + 1]], forward) for i, c, forward in crossed],
     )
 
 
@@ -163,43 +117,29 @@ def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
     return found
 
 
-def _unit(step: FloatArray) -> FloatArray:
-    return np.asarray(step / np.hypot(*step), dtype=np.float64)
-
-
 def _far(a: FloatArray, b: FloatArray) -> float:
     return float(np.hypot(*(a - b)))
 
 
 def _walk(road: Road, begin: FloatArray, end: FloatArray) -> list[tuple[FloatArray, int, bool]]:
     """Points from one place to another: (point, crossing walked to reach it or -1, forward)."""
-    places = [begin, end]
+    ends = [begin, end]
     for each in road.crossings:
         line = each.centerline
-        places += [
-            line[0] - SETBACK_M * _unit(line[1] - line[0]),
-            line[-1] + SETBACK_M * _unit(line[-1] - line[-2]),
-        ]
-    roads = [lane.centerline for lane in road.lanes if not lane.walking]
-    best, before = {0: 0.0}, {}
-    queue = [(0.0, 0)]
-    while queue:
-        cost, i = heapq.heappop(queue)
-        if i == 1:
-            break
-        if cost > best.get(i, math.inf):
-            continue
-        for j, place in enumerate(places):
-            crossing = (i - 2) // 2 if i >= 2 and j >= 2 and i != j and i // 2 == j // 2 else -1
-            size = _far(places[i], place)
-            joined = j != i and size <= LINK_M and not _crosses(places[i], place, roads)
-            if crossing < 0 and not joined:
-                continue
-            new = cost + size + (5.0 if crossing >= 0 else 0.0)  # nobody crosses without need
-            if new < best.get(j, math.inf):
-                best[j], before[j] = new, (i, crossing)
-                heapq.heappush(queue, (new, j))
-    if 1 not in before:
+        for kerb, inside in ((line[0], line[1]), (line[-1], line[-2])):
+            ends.append(kerb + SETBACK_M * (kerb - inside) / np.hypot(*(kerb - inside)))
+    places = np.array(ends)
+    near = KDTree(places).query_pairs(LINK_M, output_type="ndarray")
+    near = near[~_runs_over_a_lane(road, places[near])]
+    near = near[(near[:, 0] < 2) | (near[:, 0] // 2 != near[:, 1] // 2)]
+    first = np.arange(2, len(places), 2)
+    pairs = np.concatenate([near, np.column_stack([first, first + 1])])
+    cost = np.hypot(*(places[pairs[:, 0]] - places[pairs[:, 1]]).T)
+    cost[len(near) :] += DETOUR_M
+    shape = (len(places), len(places))
+    graph = coo_array((np.maximum(cost, 1e-9), (pairs[:, 0], pairs[:, 1])), shape=shape)
+    away, before = dijkstra(graph.tocsr(), directed=False, indices=[0], return_predecessors=True)
+    if not np.isfinite(away[0, 1]):
         raise InputError(
             f"route: found no way on foot from {np.round(begin, 1)} to {np.round(end, 1)}, "
             f"expected crossings of road {road.name!r} to join them"
@@ -207,120 +147,60 @@ def _walk(road: Road, begin: FloatArray, end: FloatArray) -> list[tuple[FloatArr
     way: list[tuple[FloatArray, int, bool]] = []
     j = 1
     while j != 0:
-        i, crossing = before[j]
-        way.append((places[j], crossing, i < j))
+        i = int(before[0, j])
+        crosses = i >= 2 and j >= 2 and i // 2 == j // 2
+        way.append((places[j], (i - 2) // 2 if crosses else -1, i < j))
         j = i
     return way[::-1]
 
 
-def _crosses(a: FloatArray, b: FloatArray, roads: list[FloatArray]) -> bool:
-    """Whether the straight way between two places runs over a lane's centre line."""
-    for line in roads:
-        p, q = line[:-1], line[1:]
-        step, other = b - a, q - p
-        det = step[0] * other[:, 1] - step[1] * other[:, 0]
-        ok = np.abs(det) > 1e-12
-        gap = p - a
-        t = np.full(len(p), -1.0)
-        u = np.full(len(p), -1.0)
-        t[ok] = (gap[ok, 0] * other[ok, 1] - gap[ok, 1] * other[ok, 0]) / det[ok]
-        u[ok] = (gap[ok, 0] * step[1] - gap[ok, 1] * step[0]) / det[ok]
-        if ((t > 0) & (t < 1) & (u >= 0) & (u <= 1)).any():
-            return True
-    return False
-
-
-WALKER: Final = record_type(
-    agent="i8", length="f8", width="f8", x="f8", y="f8", heading="f8", speed="f8",
-    way="i8", s="f8", aside="f8", free_speed="f8", crossed="i8", stood_s="f8",
-    crashed="?", struck_at="f8", leaves="i8", link="i8",
-)  # fmt: skip
-"""A pedestrian; lengths in m, times in s, highway-env's axes.
-
-``way``: number of its footway; ``s`` and ``aside``: its place on it; ``crossed``: how many of its
-crossings it has passed; ``stood_s``: for how long it has stood; ``leaves``: why it goes; ``link``:
-the next one at the same crossing.
-"""
-
-FOOTWAY: Final = record_type(
-    length="f8", step="i8", step_end="i8", crossover="i8", crossover_end="i8"
-)
-"""A way on foot, with its straight pieces, `STEP`, and its crossings, `CROSSOVER`."""
-
-STEP: Final = record_type(x="f8", y="f8", dx="f8", dy="f8", heading="f8", begin="f8")
-CROSSOVER: Final = record_type(crossing="i8", begin_s="f8", end_s="f8", forward="?")
-
-
-class Footways(NamedTuple):
-    """The ways on foot that pedestrians of a road take, as arrays named after their types."""
-
-    ways: Records
-    steps: Records
-    crossovers: Records
+def _runs_over_a_lane(road: Road, links: FloatArray) -> NDArray[np.bool_]:
+    """Whether each straight way, of (n, 2, 2) beginnings and ends, meets a lane's centre line."""
+    lines = [lane.centerline for lane in road.lanes if not lane.walking]
+    pieces = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    pairs = near_pairs(boxes_of(list(links), 0.0), boxes_of(list(pieces), 0.0), LINK_M)
+    (a, b), (p, q) = (ends[pairs[:, i]].swapaxes(0, 1) for i, ends in enumerate((links, pieces)))
+    step, other, gap = b - a, q - p, p - a
+    det = step[:, 0] * other[:, 1] - step[:, 1] * other[:, 0]
+    det = np.where(np.abs(det) > 1e-12, det, np.nan)  # NaN where they are parallel
+    t = (gap[:, 0] * other[:, 1] - gap[:, 1] * other[:, 0]) / det
+    u = (gap[:, 0] * step[:, 1] - gap[:, 1] * step[:, 0]) / det
+    meets = np.zeros(len(links), bool)
+    meets[pairs[(t > 0) & (t < 1) & (u >= 0) & (u <= 1), 0]] = True
+    return meets
 
 
 def footways_of(footways: Sequence[Footway]) -> Footways:
     """Ways on foot as arrays."""
     ways = np.zeros(len(footways), FOOTWAY)
     ways["length"] = [way.length for way in footways]
-    steps = [
-        [(*piece, at) for piece, at in zip(way.pieces, way.at.tolist(), strict=False)]
-        for way in footways
-    ]
-    crossovers = [
-        [(c.crossing, c.begin_s, c.end_s, c.forward) for c in way.crossovers] for way in footways
-    ]
-    return Footways(
-        ways, listed(ways, "step", steps, STEP), listed(ways, "crossover", crossovers, CROSSOVER)
-    )
+    steps = listed(ways, "step", [way.steps for way in footways], STEP)
+    crossovers = listed(ways, "crossover", [way.crossovers for way in footways], CROSSOVER)
+    return Footways(ways, steps, crossovers)
 
 
-class Walker(Landmark):  # type: ignore[misc]
+class Walker(RowView, Landmark):  # type: ignore[misc]
     """One pedestrian: a view of its row, as an object of highway-env.
 
     Args:
-        agent: the pedestrian.
+        spec: the pedestrian.
         footway: its way.
-        rng_seed: of how far aside it walks.
+        number: of that way on the road.
+        seed: of how far aside it walks.
     """
 
     kind = AgentKind.PEDESTRIAN
-    position = property(position_of, move_to)
-    heading = column("heading", float)
-    speed = column("speed", float)
-    LENGTH = column("length", float)
-    WIDTH = column("width", float)
-    agent = column("agent", int)
-    s = column("s", float)
-    stood_s = column("stood_s", float)
-    crashed = column("crashed", bool)
-    struck_at = column("struck_at", float)
-    free_speed = column("free_speed", float)
+    road = lane_index = lane = impact = behavior = None
+    collidable = solid = check_collisions = hit = False
 
-    road = lane_index = lane = impact = None
-    collidable = False
-    solid = check_collisions = hit = False
-
-    def __init__(self, agent: AgentSpec, footway: Footway, rng_seed: tuple[int, ...]) -> None:
-        self.table, self.row, self.footway = np.zeros(1, WALKER), 0, footway
-        self.LENGTH, self.WIDTH = agent.length_m, agent.width_m
-        aside = float(np.random.default_rng(rng_seed).uniform(-OFFSET_M, OFFSET_M))
-        self.position, self.heading = footway.place(0.0, aside)
-        self.table["aside"] = aside
-        self.agent, self.free_speed, self.struck_at = agent.id, agent.speed_mps, math.inf
-
-    @property
-    def diagonal(self) -> float:
-        """From corner to corner, m."""
-        return math.hypot(self.LENGTH, self.WIDTH)
-
-    @property
-    def crossover(self) -> Crossover | None:
-        """The crossing it is on or comes to next."""
-        ways, crossed = self.footway.crossovers, int(self.table["crossed"][self.row])
-        return ways[crossed] if crossed < len(ways) else None
-
-    def to_walk(self) -> float:
-        """How far to the kerb of the next crossing, m; negative on it, infinite without one."""
-        way = self.crossover
-        return math.inf if way is None else way.begin_s - self.s
+    def __init__(
+        self, spec: AgentSpec, footway: Footway, number: int, seed: tuple[int, ...]
+    ) -> None:
+        self.table, self.row = np.zeros(1, WALKER), 0
+        self.agent, self.crashed_at = spec.id, math.inf
+        self.LENGTH, self.WIDTH = spec.length_m, spec.width_m
+        aside = float(np.random.default_rng(seed).uniform(-OFFSET_M, OFFSET_M))
+        x, y, ahead, beside, self.heading, _ = footway.steps[0]
+        self.position = np.array([x + aside * -beside, y + aside * ahead])
+        self.table["way"], self.table["aside"] = number, aside
+        self.table["free_speed"] = spec.speed_mps

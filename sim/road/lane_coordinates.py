@@ -1,4 +1,4 @@
-"""Places in metres and in lane coordinates, compiled: the lane that fits a place, and back."""
+"""Places in metres and along lines, compiled: the lane that fits a place, and back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import in_place
+from sim.compiled import compiled, in_place
 
 FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
 """Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
@@ -117,3 +117,52 @@ def place(
         xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
         xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
         piece[i] = g
+
+
+@in_place()
+def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
+    """`along` of one place (x, y)."""
+    begin, nearest, found, left = 0.0, np.inf, 0.0, 0.0
+    pieces = len(line) - 1
+    for k in range(pieces):
+        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        size = np.hypot(east, north)
+        east, north = east / size, north / size
+        dx, dy = x - line[k, 0], y - line[k, 1]
+        forward, aside = dx * east + dy * north, east * dy - north * dx
+        clipped = forward
+        if k > 0:
+            clipped = max(clipped, 0.0)
+        if k < pieces - 1:
+            clipped = min(clipped, size)
+        away = np.hypot(aside, forward - clipped)
+        if away < nearest:
+            nearest, found, left = away, begin + clipped, aside
+        begin += size
+    return found, left, begin
+
+
+@compiled
+def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
+    """Places in the coordinates of a line that goes on straight at both ends.
+
+    Args:
+        line: (P, 2) points, m.
+        xy: (n, 2) places, m.
+
+    Returns:
+        (n,) distance along it, m (negative before it, above its length after it), (n,) distance to
+        its left, m, and its length, m.
+
+    Examples:
+        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
+        >>> u.tolist(), left.tolist(), total
+        ([9.0], [-1.0], 8.0)
+    """
+    n, total = len(xy), 0.0
+    u, left = np.empty(n), np.empty(n)
+    for i in range(n):
+        u[i], left[i], total = along_at(line, xy[i, 0], xy[i, 1])
+    if n == 0:
+        _, _, total = along_at(line, 0.0, 0.0)
+    return u, left, total

@@ -9,13 +9,16 @@ from __future__ import annotations
 import functools
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.road import Connection, Lane, LanePosition, Road
-from sim.road.cells import boxes_of, near_pairs
+from behaviors.errors import InputError
+from sim.geometry import LEAST_PIECE_M, Pieces, meeting, pieces_of
+from sim.road import LanePosition, Road
+from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -29,11 +32,12 @@ NEAR_M, CELL_M = 0.01, 30.0
 """Lines whose boxes are farther apart than this do not meet; width of the cells in which such boxes
 are looked for, m (beyond rounding errors, and about the size of a junction)."""
 
-_PROJECT_CHUNK: Final = 2048
-"""Points projected at once, so that memory stays small however long a recording is."""
+TURN_COST_M, PATH_TURN_COST_M = 0.7, 4.0
+"""What facing across a lane costs when a place is put on a lane, m, and what it costs on a path
+inside a junction (a lane is some 3 m wide)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class LaneGraph:
     """Lanes and their relations; every index is into ``Road.lanes``, -1 means none.
 
@@ -61,6 +65,7 @@ class LaneGraph:
         segment_start: (G, 2) where each straight piece of centre line begins, m.
         segment_direction: (G, 2) unit vector of each piece.
         segment_heading: (G,) of each piece, rad.
+        segment_length: (G,) of each piece, m.
         segment_at: (G,) distance along its lane at which each piece begins, m.
         segment_first: (L,) first piece of each lane.
         segment_last: (L,) last piece of each lane.
@@ -89,6 +94,7 @@ class LaneGraph:
     segment_start: FloatArray
     segment_direction: FloatArray
     segment_heading: FloatArray
+    segment_length: FloatArray
     segment_at: FloatArray
     segment_first: IntArray
     segment_last: IntArray
@@ -122,36 +128,73 @@ class LaneGraph:
         )  # fmt: skip
         return xy, self.segment_heading[piece]
 
+    @cached_property
+    def _fitted(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, Cells]:
+        """Start, direction, length, number and turn cost of vehicles' pieces, and their cells."""
+        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
 
-def project(road: Road, xy: FloatArray, heading: FloatArray) -> LanePosition:
-    """`Road.project` for any number of points, in chunks of bounded memory."""
-    parts = [
-        road.project(xy[i : i + _PROJECT_CHUNK], heading[i : i + _PROJECT_CHUNK])
-        for i in range(0, len(xy), _PROJECT_CHUNK)
-    ]
-    if not parts:
-        return LanePosition(np.empty(0, np.int64), np.empty(0), np.empty(0))
-    return LanePosition(
-        lane=np.concatenate([p.lane for p in parts]),
-        s=np.concatenate([p.s for p in parts]),
-        offset=np.concatenate([p.offset for p in parts]),
-    )
+        lane = np.repeat(np.arange(self.length.size), self.segment_last - self.segment_first + 1)
+        piece = np.flatnonzero(self.drivable[lane] & (self.segment_length > LEAST_PIECE_M))
+        if not piece.size:
+            raise InputError("road: found no drivable lane, expected at least one")
+        start, direction = self.segment_start[piece], self.segment_direction[piece]
+        length = self.segment_length[piece]
+        parts = np.maximum(np.ceil(length / FIT_CELL_M), 1.0).astype(np.int64)
+        whole = np.repeat(np.arange(parts.size), parts)
+        number = np.arange(whole.size) - np.repeat(np.cumsum(parts) - parts, parts)
+        step = (length / parts)[whole, None] * direction[whole]
+        ends = start[whole, None] + step[:, None] * (number[:, None] + [0.0, 1.0])[..., None]
+        low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
+        cells = cells_of(np.concatenate([low, high], axis=1), whole, FIT_CELL_M)
+        cost_m = np.where(self.internal[lane[piece]], PATH_TURN_COST_M, TURN_COST_M)
+        return start, direction, length, piece, cost_m, cells
+
+    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
+        """Lane coordinates of points, on the vehicles' lane that fits place and heading best.
+
+        The fit is the distance to the centre line plus, in metres, how far the heading is from
+        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
+        junctions, where paths overlap and only the heading tells them apart.
+
+        Args:
+            xy: (n, 2) m.
+            heading: (n,) rad.
+
+        Returns:
+            Lane index, distance along it and signed offset of each point.
+
+        Raises:
+            InputError: if the road has no lane for vehicles.
+        """
+        from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
+
+        start, direction, length, piece, cost_m, cells = self._fitted
+        n = len(xy)
+        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
+        fit(
+            np.ascontiguousarray(xy, dtype=np.float64),
+            np.ascontiguousarray(heading, dtype=np.float64),
+            start, direction, length, cost_m, cells, best, along, across,
+        )  # fmt: skip
+        best = piece[best]
+        lane = np.searchsorted(self.segment_first, best, side="right") - 1
+        return LanePosition(lane=lane, s=self.segment_at[best] + along, offset=across)
 
 
 def _build(road: Road) -> LaneGraph:
     lanes = road.lanes
+    pieces = [_pieces(lane.centerline) for lane in lanes]
+    rules = road.knows.limits_rule
     return LaneGraph(
-        length=np.array([_steps_of(lane)[1].sum() for lane in lanes]),
-        limit=np.array(
-            [lane.speed_limit_mps if road.knows.limits_rule else np.nan for lane in lanes]
-        ),
+        length=np.array([each.length.sum() for each in pieces]),
+        limit=np.array([lane.speed_limit_mps if rules else np.nan for lane in lanes]),
         width=np.array([lane.width_m for lane in lanes]),
         internal=np.array([lane.internal for lane in lanes]),
         drivable=np.array([not lane.walking for lane in lanes]),
         **_beside(road),
         **_following(road),
         **_crossed(road),
-        **_segments(road),
+        **_segments(pieces),
     )
 
 
@@ -177,7 +220,7 @@ def _following(road: Road) -> dict[str, Any]:
     for connection in road.connections:
         if connection.from_lane not in index or connection.to_lane not in index:
             continue
-        code = _direction_code(connection)
+        code = DIRECTIONS.index(connection.direction)
         chain = [index[i] for i in (connection.from_lane, *connection.via, connection.to_lane)]
         for one, then in itertools.pairwise(chain):
             if (code, then) not in following[one]:
@@ -236,54 +279,35 @@ def _crossed(road: Road) -> dict[str, Any]:
     }
 
 
-def _steps_of(lane: Lane) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(P, 2) start, (P,) length and (P, 2) unit direction of each straight piece of a lane."""
-    step = np.diff(lane.centerline, axis=0)
-    size = np.hypot(step[:, 0], step[:, 1])
-    keep = size > 1e-9
-    if not keep.any():  # a lane of no length: a stub keeps the arrays whole
-        step, size, keep = np.array([[1e-9, 0.0]]), np.array([1e-9]), np.array([True])
-    step, size = step[keep], size[keep]
-    return lane.centerline[: keep.size][keep], size, step / size[:, None]
+def _pieces(line: FloatArray) -> Pieces:
+    """The straight pieces of a centre line; a stub for one of no length keeps the arrays whole."""
+    found = pieces_of(line)
+    if found.length.size:
+        return found
+    return Pieces(line[:1], np.array([[1.0, 0.0]]), np.array([1e-9]), np.zeros(1))
 
 
-def _segments(road: Road) -> dict[str, Any]:
+def _segments(pieces: list[Pieces]) -> dict[str, Any]:
     """The straight pieces of all centre lines."""
-    pieces = [_steps_of(lane) for lane in road.lanes]
-    directions = np.concatenate([direction for _, _, direction in pieces])
-    end = np.cumsum([size.size for _, size, _ in pieces])
+    direction = np.concatenate([each.direction for each in pieces])
+    end = np.cumsum([each.length.size for each in pieces])
     return {
-        "segment_start": np.concatenate([start for start, _, _ in pieces]),
-        "segment_direction": directions,
-        "segment_heading": np.arctan2(directions[:, 1], directions[:, 0]),
-        "segment_at": np.concatenate([np.cumsum(size) - size for _, size, _ in pieces]),
+        "segment_start": np.concatenate([each.start for each in pieces]),
+        "segment_direction": direction,
+        "segment_heading": np.arctan2(direction[:, 1], direction[:, 0]),
+        "segment_length": np.concatenate([each.length for each in pieces]),
+        "segment_at": np.concatenate([each.at for each in pieces]),
         "segment_first": np.concatenate([[0], end[:-1]]).astype(np.int64),
         "segment_last": (end - 1).astype(np.int64),
     }
-
-
-def _direction_code(connection: Connection) -> int:
-    return DIRECTIONS.index(connection.direction)
 
 
 def _meet(
     lane: FloatArray, crossing: FloatArray, width_m: float
 ) -> tuple[float, float, float] | None:
     """Where a lane meets a crossing: near edge and far edge along the lane, place across it, m."""
-    step_a, step_b = np.diff(lane, axis=0), np.diff(crossing, axis=0)
-    long_a, long_b = np.hypot(*step_a.T), np.hypot(*step_b.T)
-    before_a, before_b = np.cumsum(long_a) - long_a, np.cumsum(long_b) - long_b
-    for j in range(len(step_b)):
-        for i in range(len(step_a)):
-            det = step_a[i, 0] * step_b[j, 1] - step_a[i, 1] * step_b[j, 0]
-            if abs(det) < 1e-9 * max(long_a[i] * long_b[j], 1e-9):
-                continue
-            gap = crossing[j] - lane[i]
-            t = (gap[0] * step_b[j, 1] - gap[1] * step_b[j, 0]) / det
-            u = (gap[0] * step_a[i, 1] - gap[1] * step_a[i, 0]) / det
-            if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
-                sine = abs(det) / (long_a[i] * long_b[j])
-                half = 0.5 * width_m / max(sine, 0.3)
-                s = before_a[i] + t * long_a[i]
-                return s - half, s + half, before_b[j] + u * long_b[j]
-    return None
+    found = meeting(lane, crossing)
+    if found is None:
+        return None
+    half = 0.5 * width_m / max(found.sine, 0.3)
+    return found.along - half, found.along + half, found.along_other

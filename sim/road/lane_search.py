@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.compiled import compiled, in_place
+from sim.compiled import in_place
 
 if TYPE_CHECKING:
     from sim.road.lane_graph import LaneGraph
@@ -62,55 +62,6 @@ class LaneView(NamedTuple):
     crossing_distance: FloatArray
 
 
-@in_place()
-def along_at(line: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
-    """`along` of one place (x, y)."""
-    begin, nearest, found, left = 0.0, np.inf, 0.0, 0.0
-    pieces = len(line) - 1
-    for k in range(pieces):
-        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
-        size = np.hypot(east, north)
-        east, north = east / size, north / size
-        dx, dy = x - line[k, 0], y - line[k, 1]
-        forward, aside = dx * east + dy * north, east * dy - north * dx
-        clipped = forward
-        if k > 0:
-            clipped = max(clipped, 0.0)
-        if k < pieces - 1:
-            clipped = min(clipped, size)
-        away = np.hypot(aside, forward - clipped)
-        if away < nearest:
-            nearest, found, left = away, begin + clipped, aside
-        begin += size
-    return found, left, begin
-
-
-@compiled
-def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
-    """Places in the coordinates of a line that goes on straight at both ends.
-
-    Args:
-        line: (P, 2) points, m.
-        xy: (n, 2) places, m.
-
-    Returns:
-        (n,) distance along it, m (negative before it, above its length after it), (n,) distance to
-        its left, m, and its length, m.
-
-    Examples:
-        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
-        >>> u.tolist(), left.tolist(), total
-        ([9.0], [-1.0], 8.0)
-    """
-    n, total = len(xy), 0.0
-    u, left = np.empty(n), np.empty(n)
-    for i in range(n):
-        u[i], left[i], total = along_at(line, xy[i, 0], xy[i, 1])
-    if n == 0:
-        _, _, total = along_at(line, 0.0, 0.0)
-    return u, left, total
-
-
 def perceive(
     xy: FloatArray, heading: FloatArray, length: FloatArray, drives: BoolArray, lane: IntArray,
     s: FloatArray, offset: FloatArray, by_time: IntArray, begins: IntArray, graph: LaneGraph,
@@ -122,7 +73,7 @@ def perceive(
         heading: (m,) rad.
         length: (m,) m.
         drives: (m,) whether the row is a vehicle's; the others are on no lane.
-        lane: (m,) lane that fits best, as `Road.project` finds it.
+        lane: (m,) lane that fits best, as `LaneGraph.project` finds it.
         s: (m,) distance along it, m.
         offset: (m,) distance to its left, m.
         by_time: (m,) the rows in order of time.
@@ -143,27 +94,19 @@ def perceive(
         ),
         (on_lane, forward, segment, missed, turned, front),
     )  # fmt: skip
-    leader, gap = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
-    follower = np.full(m, -1)
-    _find_followers(leader, gap, follower)
+    leaders, gaps = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
+    leader, gap = leaders[:, 0], gaps[:, 0]
     group, crossing = np.full(m, -1), np.full(m, -1)
     stop, to_crossing = np.full(m, np.inf), np.full(m, np.inf)
     _find_stops(
-        forward, front, graph.internal, graph.signal, graph.length, graph.ahead, graph.cross_first,
-        graph.cross_id, graph.cross_s, graph.cross_exit_s, (stop, group, crossing, to_crossing),
+        forward, front,
+        (graph.internal, graph.signal, graph.length, graph.ahead),
+        (graph.cross_first, graph.cross_id, graph.cross_s, graph.cross_exit_s),
+        (stop, group, crossing, to_crossing),
     )  # fmt: skip
+    follower = _followers(leader, gap)
     return LaneView(
-        on_lane,
-        segment,
-        missed,
-        turned,
-        leader[:, 0],
-        gap[:, 0],
-        follower,
-        stop,
-        group,
-        crossing,
-        to_crossing,
+        on_lane, segment, missed, turned, leader, gap, follower, stop, group, crossing, to_crossing
     )
 
 
@@ -193,27 +136,26 @@ def _search(
     by_time: IntArray, begins: IntArray, lane: IntArray, s: FloatArray, length: FloatArray,
     begin: IntArray, graph: LaneGraph,
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """Who is next along K ways from each vehicle, ahead on the first and third, else behind.
-
-    Args:
-        by_time: (m,) and the next as of `perceive`.
-        begins: (T + 1,).
-        lane: (m,) lane that each is on, -1: none.
-        s: (m,) distance along it, m.
-        length: (m,) m.
-        begin: (m, K) lane on which each search begins beside the vehicle, -1: none.
-        graph: the road.
-
-    Returns:
-        (m, K) rows or -1, and (m, K) gaps bumper to bumper, m, or +inf.
-    """
+    """(m, K) who is next from each of K lanes, ahead, behind, ahead and so on, and the gaps, m."""
     who, gap = np.full(begin.shape, -1), np.full(begin.shape, np.inf)
-    most = int(np.diff(begins).max(initial=0))
+    time = np.repeat(np.arange(begins.size - 1), np.diff(begins))
+    rows = by_time[np.lexsort((s[by_time], lane[by_time], time))]
+    lanes = lane[rows]
+    nowhere = np.bincount(time[lanes < 0], minlength=begins.size - 1)  # lane -1 is sorted first
     _find_neighbors(
-        by_time, begins, lane, s, length, begin, (graph.length, graph.ahead, graph.behind),
-        np.empty((3, most), np.int64), np.empty(most), who, gap,
+        rows, lanes, s[rows], begins[:-1] + nowhere, begins, s, length, begin,
+        (graph.length, graph.ahead, graph.behind), who, gap,
     )  # fmt: skip
     return who, gap
+
+
+def _followers(leader: IntArray, gap: FloatArray) -> IntArray:
+    """(m,) who is nearest behind each; of several at the same distance the last."""
+    follower = np.full(leader.size, -1)
+    behind = np.flatnonzero(leader >= 0)
+    behind = behind[np.argsort(-gap[behind], kind="stable")]
+    follower[leader[behind]] = behind  # the last one written, with the least gap, stays
+    return follower
 
 
 @in_place()
@@ -221,22 +163,7 @@ def _place(
     xy: Any, heading: Any, length: Any, drives: Any, lane: Any, s: Any, offset: Any, segments: Any,
     out: Any,
 ) -> None:  # fmt: skip
-    """Place vehicles on the straight pieces of their lanes.
-
-    Args:
-        xy: (m, 2) and the next six as of `perceive`.
-        heading: (m,).
-        length: (m,).
-        drives: (m,).
-        lane: (m,).
-        s: (m,).
-        offset: (m,).
-        segments: the columns of a `sim.road.lane_graph.LaneGraph` that say where they are, and its
-            lanes' widths.
-        out: receives the (m,) lane, the lane if the vehicle drives along it, both -1 before, the
-            piece, the distance from the lane coordinates, m, the heading relative to the lane's,
-            rad, and the distance of the front bumper along it, m.
-    """
+    """Place vehicles on the straight pieces of their lanes; fills the six arrays of ``out``."""
     first, last, at, start, direction, segment_heading, width = segments
     on_lane, forward, segment, missed, turned, front = out
     for i in range(s.size):
@@ -259,54 +186,9 @@ def _place(
                 forward[i] = on
 
 
-@in_place(inner=True)
-def _sort(rows: Any, spare: Any, count: int, lane: Any, s: Any) -> None:
-    """Sort the first ``count`` of ``rows`` by lane, then place; equals stay as they are.
-
-    Runs of sixteen are sorted by insertion and then merged (von Neumann's merge sort).
-
-    Args:
-        rows: (n,) rows of vehicles, sorted in place.
-        spare: (n,) room to work in.
-        count: how many of them count.
-        lane: (m,) lane of each row.
-        s: (m,) distance along it, m.
-    """
-    run = 16
-    for begin in range(0, count, run):
-        for k in range(begin + 1, min(begin + run, count)):
-            row, g = rows[k], k
-            while g > begin:
-                before = rows[g - 1]
-                earlier = lane[row] == lane[before] and s[row] < s[before]
-                if not (lane[row] < lane[before] or earlier):
-                    break
-                rows[g] = before
-                g -= 1
-            rows[g] = row
-    while run < count:
-        for begin in range(0, count, 2 * run):
-            middle, end = min(begin + run, count), min(begin + 2 * run, count)
-            one, two = begin, middle
-            for k in range(begin, end):
-                second = one >= middle
-                if one < middle and two < end:
-                    i, j = rows[one], rows[two]
-                    second = lane[j] < lane[i] or (lane[j] == lane[i] and s[j] < s[i])
-                if second:
-                    spare[k] = rows[two]
-                    two += 1
-                else:
-                    spare[k] = rows[one]
-                    one += 1
-        for k in range(count):
-            rows[k] = spare[k]
-        run *= 2
-
-
 @in_place()
 def next_vehicle(
-    lanes: Any, at: Any, count: int, lane: Any, s: Any, forward: bool, lane_length: Any,
+    lanes: Any, at: Any, first: int, last: int, lane: Any, s: Any, forward: bool, lane_length: Any,
     onward: Any,
 ) -> tuple[Any, Any]:  # fmt: skip
     """The first vehicle strictly ahead of (or behind) a place, along the lane and beyond.
@@ -314,7 +196,8 @@ def next_vehicle(
     Args:
         lanes: (m,) lane of each vehicle, in order of lane, then of place.
         at: (m,) distance along it, m.
-        count: how many of them there are.
+        first: the first of the vehicles that are looked at.
+        last: the first after them.
         lane: where the search begins, -1: nowhere.
         s: distance along the lane, m.
         forward: whether to look ahead.
@@ -328,7 +211,7 @@ def next_vehicle(
     for _ in range(MAX_LANES_AHEAD):
         if now < 0 or travelled > LOOK_AHEAD_M:
             break
-        low, high = 0, count
+        low, high = first, last
         while low < high:
             middle = (low + high) // 2
             before = lanes[middle] < now or (
@@ -339,7 +222,7 @@ def next_vehicle(
             else:
                 high = middle
         j = low if forward else low - 1
-        if 0 <= j < count and lanes[j] == now:
+        if first <= j < last and lanes[j] == now:
             far = travelled + abs(at[j] - max(place, 0.0))
             if far <= LOOK_AHEAD_M:
                 return j, far
@@ -356,86 +239,31 @@ def next_vehicle(
 
 @in_place()
 def _find_neighbors(
-    by_time: Any, begins: Any, lane: Any, s: Any, length: Any, begin: Any, road: Any, room: Any,
-    at: Any, who: Any, gap: Any,
+    rows: Any, lanes: Any, at: Any, first: Any, begins: Any, s: Any, length: Any, begin: Any,
+    road: Any, who: Any, gap: Any,
 ) -> None:  # fmt: skip
-    """Find who is next along K ways.
-
-    Args:
-        by_time: (m,) and the next five as of `_search`.
-        begins: (T + 1,).
-        lane: (m,).
-        s: (m,).
-        length: (m,).
-        begin: (m, K).
-        road: (L,) lengths of the lanes, m, and the lanes ahead and behind, -1: none.
-        room: (3, p) room to work in, for as many as there are at one time.
-        at: (p,) likewise.
-        who: (m, K) receives the rows; must be -1 before.
-        gap: (m, K) receives the gaps, m; must be +inf before.
-    """
+    """Find who is next along K ways, among rows in order of time, lane and place."""
     lane_length, ahead, behind = road
-    rows, spare, lanes = room[0], room[1], room[2]
     _, ways = begin.shape
-    for t in range(begins.size - 1):
-        count = 0 * begins.size  # not the literal 0: searches would be compiled once more for it
-        for j in range(begins[t], begins[t + 1]):
-            i = by_time[j]
-            if lane[i] >= 0:
-                rows[count] = i
-                count += 1
-        _sort(rows, spare, count, lane, s)
-        for j in range(count):
-            lanes[j], at[j] = lane[rows[j]], s[rows[j]]
+    for t in range(first.size):
         for q in range(begins[t], begins[t + 1]):
-            i = by_time[q]
+            i = rows[q]
             for k in range(ways):
                 forward = k % 2 == 0
                 onward = ahead if forward else behind
                 j, far = next_vehicle(
-                    lanes, at, count, begin[i, k], s[i], forward, lane_length, onward
-                )
+                    lanes, at, first[t], begins[t + 1], begin[i, k], s[i], forward, lane_length,
+                    onward,
+                )  # fmt: skip
                 if j >= 0:
                     who[i, k], gap[i, k] = rows[j], far - (length[i] + length[rows[j]]) / 2
 
 
 @in_place()
-def _find_followers(leader: Any, gap: Any, follower: Any) -> None:
-    """Find who is nearest behind each; of several at the same distance the last.
-
-    Args:
-        leader: (m, 1) the vehicle ahead of each, or -1.
-        gap: (m, 1) the gap to it, m.
-        follower: (m,) receives them; must be -1 before.
-    """
-    for i in range(follower.size):
-        ahead = leader[i, 0]
-        if ahead >= 0 and (follower[ahead] < 0 or gap[i, 0] <= gap[follower[ahead], 0]):
-            follower[ahead] = i
-
-
-@in_place()
-def _find_stops(
-    lane: Any, front: Any, internal: Any, signal: Any, length: Any, onward: Any, cross_first: Any,
-    cross_id: Any, cross_s: Any, cross_exit_s: Any, out: Any,
-) -> None:  # fmt: skip
-    """Find the next junction entry and the next crossing of vehicles.
-
-    Args:
-        lane: (m,) lane along which each drives, -1: none.
-        front: (m,) distance of the front bumper along it, m.
-        internal: (L,) and the next seven: columns of the `sim.road.lane_graph.LaneGraph`.
-        signal: (L,).
-        length: (L,).
-        onward: (L,) its ``ahead``.
-        cross_first: (L + 1,).
-        cross_id: (Z,).
-        cross_s: (Z,).
-        cross_exit_s: (Z,).
-        out: receives the (m,) distance to the junction entry, m, negative inside one, +inf before;
-            its signal group and the crossing, -1 before; and the distance to its near edge, m,
-            +inf before.
-    """
+def _find_stops(lane: Any, front: Any, lanes: Any, crossings: Any, out: Any) -> None:
+    """Find the next junction entry and the next crossing; fills the four (m,) arrays of ``out``."""
+    internal, signal, length, onward = lanes
+    cross_first, cross_id, cross_s, cross_exit_s = crossings
     stop, group, crossing, to_crossing = out
     for i in range(lane.size):
         now, travelled = lane[i], -front[i]

@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
+from sim.road.lane_graph import LaneGraph
 
 FloatArray = NDArray[np.float64]
 
@@ -28,12 +28,6 @@ MOST_POINTS: Final = 3_000
 
 LEAST_POINTS: Final = 20
 """Moving positions that are needed to judge a map."""
-
-TURN_M: Final = 1.5
-"""How far a lane of the opposite direction counts as being away, half, m."""
-
-SAMPLE_M: Final = 0.5
-"""Distance of the points along centre lines that positions are compared with, m."""
 
 LEAST: Final = 0.6
 """Below this share inside a map is refused (of recordings on maps of other places, most have less
@@ -109,21 +103,16 @@ def map_fit(road: Road, tracks: Tracks) -> MapFit:
     moving = np.flatnonzero(drives & (rows.speed >= MOVING_MPS))
     if moving.size > MOST_POINTS:
         moving = moving[np.linspace(0, moving.size - 1, MOST_POINTS).astype(np.int64)]
-    lanes = [lane for lane in road.lanes if not lane.walking]
-    parts = [_sampled(lane.centerline) for lane in lanes]
-    sizes = [len(part) for part in parts]
-    if moving.size < LEAST_POINTS or not sum(sizes):
+    if moving.size < LEAST_POINTS or all(lane.walking for lane in road.lanes):
         return MapFit(math.nan, math.nan)
-    table = np.concatenate(parts)
-    half_width = np.repeat([lane.width_m / 2 for lane in lanes], sizes)
-    limit = np.repeat([lane.speed_limit_mps for lane in lanes], sizes)
-    xy, heading = rows.xy[moving], rows.heading[moving]
-    tree = cKDTree(_embedded(table[:, :2], table[:, 2]))
-    at = np.asarray(tree.query(_embedded(xy, heading))[1], dtype=np.int64)
-    away = np.hypot(*(table[at, :2] - xy).T)
-    inside = (away <= half_width[at] + SAMPLE_M / 4) & (np.cos(table[at, 2] - heading) > 0)
-    agent = rows.index.agent[moving]
-    ratio = _limit_ratio(agent, rows.speed[moving] / limit[at])
+    xy, heading, agent = rows.xy[moving], rows.heading[moving], rows.index.agent[moving]
+    graph = LaneGraph.of(road)
+    place = graph.project(xy, heading)
+    nearest, direction = graph.position(place.lane, place.s)
+    away_m = np.hypot(*(nearest - xy).T)
+    inside = (away_m <= graph.width[place.lane] / 2) & (np.cos(direction - heading) > 0)
+    limit = np.array([lane.speed_limit_mps for lane in road.lanes])[place.lane]
+    ratio = _limit_ratio(agent, rows.speed[moving] / limit)
     return MapFit(float(np.mean(inside)), ratio, np.unique(agent).size)
 
 
@@ -133,27 +122,6 @@ def shifted(road: Road, shift_m: tuple[float, float]) -> Road:
     lanes = [dataclasses.replace(lane, centerline=lane.centerline + by) for lane in road.lanes]
     crossings = [dataclasses.replace(c, centerline=c.centerline + by) for c in road.crossings]
     return dataclasses.replace(road, lanes=tuple(lanes), crossings=tuple(crossings))
-
-
-def _embedded(xy: FloatArray, heading: FloatArray) -> FloatArray:
-    """(n, 4) places and directions, m: opposite directions are 2 `TURN_M` apart."""
-    return np.column_stack([xy, TURN_M * np.cos(heading), TURN_M * np.sin(heading)])
-
-
-def _sampled(line: FloatArray) -> FloatArray:
-    """(n, 3) x, y and heading of points along a line, about every `SAMPLE_M`."""
-    step = np.diff(line, axis=0)
-    size = np.hypot(step[:, 0], step[:, 1])
-    kept = size > 1e-9
-    start, step, size = line[:-1][kept], step[kept], size[kept]
-    if not size.size:
-        return np.empty((0, 3))
-    along = np.concatenate([[0.0], np.cumsum(size)])
-    count = int(min(along[-1] / SAMPLE_M, 200_000)) + 1
-    s = (np.arange(count) + 0.5) * (along[-1] / count)
-    piece = np.clip(np.searchsorted(along, s, side="right") - 1, 0, size.size - 1)
-    xy = start[piece] + (step / size[:, None])[piece] * (s - along[piece])[:, None]
-    return np.column_stack([xy, np.arctan2(step[:, 1], step[:, 0])[piece]])
 
 
 def _limit_ratio(agent: NDArray[np.int64], ratio: FloatArray) -> float:

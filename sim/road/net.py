@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 import xml.sax
@@ -16,6 +17,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import Signal
+from sim.geometry import distances_along
 from sim.input_files import read_bytes
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
 from sim.xml_tree import refuse_declarations
@@ -51,6 +53,9 @@ STOPPING_STATES: Final = frozenset("sw")
 """Link states of connections with a stop sign."""
 
 
+HEAD_BYTES: Final = 65536
+"""Beginning of a net in which its location stands."""
+
 MAX_NET_BYTES: Final = 2**28
 """Largest net that is read, unpacked (256 MiB; a district of a city has some 20)."""
 
@@ -69,6 +74,25 @@ _BROKEN: Final = (
     OSError, RuntimeError, TypeError, ValueError, zlib.error,
 )  # fmt: skip
 """What sumolib raises on a broken net."""
+
+
+_LEFT_HAND: Final = re.compile(rb"""<net\b[^>]*?\blefthand\s*=\s*["'](?:true|1)["']""")
+_OFFSET: Final = re.compile(
+    rb"""<location\b[^>]*?\bnetOffset\s*=\s*["']([-+.\deE]+),([-+.\deE]+)"""
+)
+
+
+def net_offset(path: Path) -> tuple[float, float]:
+    """What was added to the coordinates of a SUMO net when it was made, m; 0 where it says none.
+
+    Args:
+        path: a net, or any other map.
+    """
+    found = _OFFSET.search(read_bytes(path, MAX_NET_BYTES)[:HEAD_BYTES])
+    try:
+        return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
+    except ValueError:
+        return 0.0, 0.0
 
 
 def signal_code(letter: str) -> int:
@@ -119,6 +143,8 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
         raise InputError(
             f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
         ) from None
+    if _LEFT_HAND.search(data[:HEAD_BYTES]):
+        road = dataclasses.replace(road, left_hand=True)
     _check_ids(source, data.replace(b"\0", b""), road)
     _check(source, road)
     return road
@@ -197,7 +223,7 @@ def _check(source: Path, road: Road) -> None:
         near = bool((np.abs(line) <= MAX_COORDINATE_M).all())
         require(near, what, "a point that is not finite or too far away", "metres")
         require(0 < width <= MAX_WIDTH_M, what, f"width {width}", f"up to {MAX_WIDTH_M:g} m")
-        total_m += float(np.hypot(*np.diff(line, axis=0).T).sum())
+        total_m += float(distances_along(line)[-1])
     require(total_m <= MAX_LENGTH_M, "lanes", f"{total_m:.3g} m", f"at most {MAX_LENGTH_M:g}")
     for lane in road.lanes:
         limit = lane.speed_limit_mps

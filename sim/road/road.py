@@ -7,20 +7,23 @@ from a SUMO net by `sim.road.net.read_road`, or from a recording's own map.
 from __future__ import annotations
 
 import html
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.display import counted
-from behaviors.errors import InputError
 from sim.frames import Signal
-from sim.road.cells import Cells, cells_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+MARGIN_M: Final = 10.0
+"""White round a picture, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +170,7 @@ class LanePosition:
 
 @dataclass(frozen=True, slots=True)
 class MapKnowledge:
-    """What a map tells; what it does not, nobody may take for granted.
+    """Which facts a map provides; anything else is unknown.
 
     Attributes:
         limits: whether it has speed limits.
@@ -184,7 +187,7 @@ class MapKnowledge:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """What it does not tell, in words.
+        """The facts that it does not provide, in words.
 
         Examples:
             >>> MapKnowledge(signals=False).unknown
@@ -206,6 +209,8 @@ class Road:
         source: the file it was read from.
         signal_plans: the programmes behind the signal groups, at most one for each group.
         knows: what its map tells; a SUMO net tells everything.
+        left_hand: whether traffic drives on the left; a lane's index 0 is then the leftmost.
+        doubts: what of its map is left out because it is broken, a sentence each.
     """
 
     name: str
@@ -216,12 +221,11 @@ class Road:
     source: Path
     signal_plans: tuple[SignalPlan, ...] = ()
     knows: MapKnowledge = MapKnowledge()
+    left_hand: bool = False
+    doubts: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
-        """Of what tells roads apart at once: what is kept per road is looked up at every frame.
-
-        Equal roads have equal hashes, and the cost does not grow with the road.
-        """
+        """A cheap hash: caches per road are looked up at every frame."""
         return hash((self.name, self.source, len(self.lanes), len(self.connections), self.knows))
 
     def __repr__(self) -> str:
@@ -245,27 +249,60 @@ class Road:
             f"{counted(len(self.signal_groups), 'signal group')}{extent})"
         )
 
-    def _repr_html_(self) -> str:
-        """A picture of the centre lines, for notebooks: sidewalks and crossings are lighter."""
-        lines = [
-            (lane.centerline, lane.width_m, "#bbb" if lane.walking else "#666")
-            for lane in self.lanes
-        ]
-        lines += [(crossing.centerline, crossing.width_m, "#ddd") for crossing in self.crossings]
-        if not lines:
-            return f"<p>{html.escape(repr(self))}</p>"
+    def svg(self, edge_colors: Mapping[str, str] | None = None) -> str:
+        """A picture of the centre lines, as wide as lanes are; paths of junctions lie below.
+
+        Args:
+            edge_colors: colours of the vehicles' lanes by edge, instead of grey.
+        """
         x0, y0, x1, y1 = self.bounds
-        margin = 5.0
-        box = f"{x0 - margin:.1f} {-y1 - margin:.1f} {x1 - x0 + 10:.1f} {y1 - y0 + 10:.1f}"
-        paths = "".join(
-            f'<polyline fill="none" stroke="{color}" stroke-width="{0.9 * width_m:.1f}" points="'
-            + " ".join(f"{x:.1f},{-y:.1f}" for x, y in line)
-            + '"/>'
-            for line, width_m, color in lines
+        wide, high = x1 - x0 + 2 * MARGIN_M, y1 - y0 + 2 * MARGIN_M
+        lines = []
+        for lane in sorted(self.lanes, key=lambda one: not one.internal):
+            color = "#d9d4c7" if lane.walking else "#a9b1bb" if lane.internal else "#5b6470"
+            if edge_colors and not lane.walking:
+                color = edge_colors.get(lane.edge, color)
+            lines.append((lane.centerline, 0.85 * lane.width_m, color))
+        lines += [(crossing.centerline, crossing.width_m, "#e8c468") for crossing in self.crossings]
+        return "\n".join(
+            [
+                '<svg xmlns="http://www.w3.org/2000/svg" width="1000" '
+                f'viewBox="{x0 - MARGIN_M:.1f} {-y1 - MARGIN_M:.1f} {wide:.1f} {high:.1f}" '
+                f'height="{max(1000 * high / wide, 80):.0f}" style="background: white">',
+                f"<title>{html.escape(self.name)}</title>",
+                *(
+                    f'<polyline fill="none" stroke="{color}" stroke-width="{width_m:.2f}" points="'
+                    + " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
+                    + '"/>'
+                    for line, width_m, color in lines
+                ),
+                "</svg>\n",
+            ]
         )
-        return (
-            f'<figure><svg viewBox="{box}" width="480" height="320">{paths}</svg>'
-            f"<figcaption>{html.escape(repr(self))}</figcaption></figure>"
+
+    def _repr_html_(self) -> str:
+        """A picture and a summary, for notebooks."""
+        if not self.lanes:
+            return f"<p>{html.escape(repr(self))}</p>"
+        caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
+        return f"<figure>{self.svg()}{caption}</figure>"
+
+    @cached_property
+    def mirrored(self) -> Road:
+        """The road in a mirror along the x axis: traffic on the left is then on the right."""
+        other = np.array([1.0, -1.0])
+        swapped = {"left": "right", "right": "left"}
+        return replace(
+            self,
+            lanes=tuple(replace(one, centerline=one.centerline * other) for one in self.lanes),
+            connections=tuple(
+                replace(one, direction=swapped.get(one.direction, one.direction))
+                for one in self.connections
+            ),
+            crossings=tuple(
+                replace(one, centerline=one.centerline * other) for one in self.crossings
+            ),
+            left_hand=not self.left_hand,
         )
 
     @cached_property
@@ -292,51 +329,6 @@ class Road:
         points = np.concatenate([lane.centerline for lane in self.lanes])
         (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
         return float(x0), float(y0), float(x1), float(y1)
-
-    @cached_property
-    def _drivable_segments(
-        self,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
-        """Start, unit direction, length, lane, start distance and turn cost of each segment."""
-        start, direction, length, lane, at = [], [], [], [], []
-        for i, one in enumerate(self.lanes):
-            if one.walking:
-                continue
-            step = np.diff(one.centerline, axis=0)
-            size = np.hypot(step[:, 0], step[:, 1])
-            keep = size > 1e-9
-            start.append(one.centerline[:-1][keep])
-            direction.append(step[keep] / size[keep, None])
-            length.append(size[keep])
-            lane.append(np.full(int(keep.sum()), i, dtype=np.int64))
-            at.append((np.cumsum(size) - size)[keep])
-        if not start:
-            raise InputError(f"road {self.name!r}: found no drivable lane, expected at least one")
-        return (
-            np.concatenate(start),
-            np.concatenate(direction),
-            np.concatenate(length),
-            np.concatenate(lane),
-            np.concatenate(at),
-            # a lane is some 3 m wide
-            np.where(
-                np.array([one.internal for one in self.lanes])[np.concatenate(lane)], 4.0, 0.7
-            ),
-        )
-
-    @cached_property
-    def _segment_cells(self) -> Cells:
-        """The drivable segments by cell, as `sim.road.lane_coordinates.fit` looks for them."""
-        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
-
-        start, direction, length, *_ = self._drivable_segments
-        parts = np.maximum(np.ceil(length / FIT_CELL_M), 1.0).astype(np.int64)
-        segment = np.repeat(np.arange(parts.size), parts)
-        number = np.arange(segment.size) - np.repeat(np.cumsum(parts) - parts, parts)
-        step = (length / parts)[segment, None] * direction[segment]
-        ends = start[segment, None] + step[:, None] * (number[:, None] + [0.0, 1.0])[..., None]
-        low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
-        return cells_of(np.concatenate([low, high], axis=1), segment, FIT_CELL_M)
 
     @cached_property
     def _plan_of_group(self) -> dict[int, SignalPlan]:
@@ -372,29 +364,3 @@ class Road:
         if not self.green_together(first.signal, second.signal):
             return True
         return two in first.yields_to and one in second.yields_to
-
-    def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
-        """Lane coordinates of points, on the drivable lane that fits place and heading best.
-
-        The fit is the distance to the centre line plus, in metres, how far the heading is from
-        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
-        junctions, where paths overlap and only the heading tells them apart.
-
-        Args:
-            xy: (n, 2) m.
-            heading: (n,) rad.
-
-        Returns:
-            Lane index, distance along it and signed offset of each point.
-        """
-        from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
-
-        start, direction, length, lane, at, turn_cost_m = self._drivable_segments
-        n = len(xy)
-        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
-        fit(
-            np.ascontiguousarray(xy, dtype=np.float64),
-            np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, turn_cost_m, self._segment_cells, best, along, across,
-        )  # fmt: skip
-        return LanePosition(lane=lane[best], s=at[best] + along, offset=across)

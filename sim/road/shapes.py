@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.geometry import distances_along, offset_line, points_at
 from sim.road import Lane, Road
 
 FloatArray = NDArray[np.float64]
@@ -81,49 +82,29 @@ def band(line: FloatArray, width_m: float) -> FloatArray:
         >>> band(np.array([[0.0, 0.0], [4.0, 0.0]]), 2.0).tolist()
         [[0.0, -1.0], [4.0, -1.0], [4.0, 1.0], [0.0, 1.0]]
     """
-    step = np.diff(line, axis=0)
-    direction = step / np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)[:, None]
-    at_point = np.concatenate([direction[:1], direction[:-1] + direction[1:], direction[-1:]])
-    at_point = at_point / np.maximum(np.hypot(at_point[:, 0], at_point[:, 1]), 1e-9)[:, None]
-    aside = np.stack([-at_point[:, 1], at_point[:, 0]], axis=1) * width_m / 2
-    return np.concatenate([line - aside, (line + aside)[::-1]])
+    right, left = offset_line(line, -width_m / 2), offset_line(line, width_m / 2)
+    return np.concatenate([right, left[::-1]])
 
 
 def hull(points: FloatArray) -> FloatArray:
-    """The convex hull of points, counter-clockwise (Andrew's monotone chain).
-
-    Args:
-        points: (n, 2).
-
-    Returns:
-        (m, 2) its corners.
-    """
+    """The convex hull of points (n, 2), counter-clockwise (Andrew's monotone chain)."""
     ordered = sorted({(round(float(x), 3), round(float(y), 3)) for x, y in points})
-
-    def chain(sequence: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    chains: list[list[tuple[float, float]]] = []
+    for sequence in (ordered, ordered[::-1]):
         found: list[tuple[float, float]] = []
-        for p in sequence:
+        for x, y in sequence:
             while len(found) >= 2:
-                (x0, y0), (x1, y1) = found[-2], found[-1]
-                if (x1 - x0) * (p[1] - y0) - (y1 - y0) * (p[0] - x0) > 0:
+                (x0, y0), (x1, y1) = found[-2:]
+                if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
                     break
                 found.pop()
-            found.append(p)
-        return found[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
+            found.append((x, y))
+        chains.append(found[:-1])
+    return np.array(chains[0] + chains[1])
 
 
 def zebra_bars(line: FloatArray, width_m: float) -> list[FloatArray]:
-    """The bars of a zebra crossing.
-
-    Args:
-        line: (P, 2) the way people walk, m.
-        width_m: of the crossing, m.
-
-    Returns:
-        (4, 2) corners of each bar, m.
-    """
+    """(4, 2) corners of each bar of a zebra crossing along a line (P, 2), m."""
     step = line[-1] - line[0]
     size = float(np.hypot(*step))
     direction = step / size
@@ -137,26 +118,14 @@ def zebra_bars(line: FloatArray, width_m: float) -> list[FloatArray]:
 
 def dashes_along(line: FloatArray) -> FloatArray:
     """(D, 2, 2) ends of the dashes along a line (P, 2), m."""
-    size = np.hypot(*np.diff(line, axis=0).T)
-    at = np.concatenate([[0.0], np.cumsum(size)])
-    begin = np.arange(0.0, at[-1], sum(DASH_M))
-    end = np.minimum(begin + DASH_M[0], at[-1])
-
-    def points(s: FloatArray) -> FloatArray:
-        return np.stack([np.interp(s, at, line[:, 0]), np.interp(s, at, line[:, 1])], axis=1)
-
-    return np.stack([points(begin), points(end)], axis=1)
+    length_m = distances_along(line)[-1]
+    begin = np.arange(0.0, length_m, sum(DASH_M))
+    end = np.minimum(begin + DASH_M[0], length_m)
+    return np.stack([points_at(line, begin), points_at(line, end)], axis=1)
 
 
 def road_shapes(road: Road) -> RoadShapes:
-    """The shapes of a road.
-
-    Args:
-        road: any.
-
-    Returns:
-        What there is to draw.
-    """
+    """Everything about a road that pictures draw."""
     plain = [lane for lane in road.lanes if not lane.internal]
     driving = [lane for lane in plain if not lane.walking]
     asphalt = [band(lane.centerline, lane.width_m) for lane in driving]
@@ -190,9 +159,8 @@ def _junctions(road: Road) -> list[list[Lane]]:
 
 
 def _right_and_left(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    outline = band(lane.centerline, lane.width_m)
-    half = len(lane.centerline)
-    return outline[:half], outline[half:][::-1]
+    half_m = lane.width_m / 2
+    return offset_line(lane.centerline, -half_m), offset_line(lane.centerline, half_m)
 
 
 def _painted(

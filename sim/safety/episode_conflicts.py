@@ -44,13 +44,14 @@ from sim.safety.priority import priorities
 
 MASS_KG: Final = {
     AgentKind.CAR: 1500.0,
-    AgentKind.BUS: 7500.0,
-    AgentKind.TRUCK: 12000.0,
+    AgentKind.BUS: 12000.0,
+    AgentKind.TRUCK: 4500.0,
     AgentKind.MOTORCYCLE: 270.0,
     AgentKind.BICYCLE: 80.0,
     AgentKind.PEDESTRIAN: 70.0,
 }
-"""Masses by kind: the defaults of SUMO's vehicle classes, two-wheelers with a rider of 70 kg."""
+"""Masses by kind, kg: those of SUMO 1.28's vehicle classes (``vehicletype.getMass``); two-wheelers
+carry a rider, as heavy as its pedestrian."""
 
 ONCOMING_RAD: Final = math.radians(150.0)
 """Bodies whose headings differ by more come towards each other."""
@@ -82,7 +83,8 @@ CONFLICT_KINDS: Final = tuple(ConflictKind)
 """The code order: code c means ``CONFLICT_KINDS[c]``."""
 
 FOLLOWING, MERGING, CROSSING, ONCOMING, SIDE, WALKING = range(len(CONFLICT_KINDS))
-PATHS_CROSS: Final = (CROSSING, ONCOMING, WALKING)
+DECIDED: Final = (MERGING, CROSSING, ONCOMING, WALKING)
+"""Kinds of which one party has to let the other go first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,7 @@ class Conflicts:
         passed_first: (k,) id of the one that was first at the place of ``pet_s``.
         priority: (k,) id of the one that the other had to let go first, as far as the map tells.
         near_miss: (k,) whether they nearly collided (`sim.safety.is_near_miss`). Post-encroachment
-            time counts where paths cross: crossing, oncoming, pedestrian.
+            time counts where one does not follow the other: the later one comes in from aside.
     """
 
     first: IntArray
@@ -220,20 +222,20 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     moment = np.where(ttc_s < np.inf, at_ttc, at_gap)
     nearest = np.stack([_taken(each, moment, 0) for each in rows])
 
-    kind = _kinds(driven, outlines, places, of_place, at_pet, nearest)
+    kind, aside = _kinds(driven, outlines, places, of_place, at_pet, nearest)
     kind[(tracks.kind == PEDESTRIAN)[agents].any(axis=0)] = WALKING
     touch = np.flatnonzero(found.gap_m == 0.0)
     depth = -separation(outlines.rows(rows[0, touch]), outlines.rows(rows[1, touch]))
     contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
-    crossing_s = np.maximum(pet_s, np.finfo(float).tiny)  # what grazes is no contact
-    crossing_s[~np.isin(kind, PATHS_CROSS)] = np.nan
-    close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k) > 0
-    close |= is_near_miss(np.inf, 0.0, crossing_s)
+    aside_s = np.where(aside & (kind != FOLLOWING)[of_place], places.gap_s, np.inf)
+    aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # what grazes is no contact
+    close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k)
+    close += np.bincount(of_place[is_near_miss(np.inf, 0.0, aside_s)], minlength=k)
     mass = np.array([MASS_KG[each] for each in KINDS])[tracks.kind[agents]]
     passed = _taken(places.earlier, at_pet, -1), _taken(places.later, at_pet, -1)
     priority = np.full(k, -1)
     if road is not None:
-        decided = np.flatnonzero(np.isin(kind, (MERGING, *PATHS_CROSS)))
+        decided = np.flatnonzero(np.isin(kind, DECIDED))
         at = np.where(at_pet < 0, nearest, passed)[:, decided]
         priority[decided] = priorities(driven, tracks, road, *at)
     first_id = np.append(tracks.ids[driven.index.agent], -1)[np.where(pet_s > 0.0, passed[0], -1)]
@@ -254,7 +256,7 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
         delta_v_mps=_taken(approach, moment, np.nan) * mass.max(axis=0) / mass.sum(axis=0),
         passed_first=first_id,
         priority=priority,
-        near_miss=close & ~contact,
+        near_miss=(close > 0) & ~contact,
     )
 
 
@@ -302,8 +304,11 @@ def _kinds(
     of_place: IntArray,
     at_pet: IntArray,
     nearest: IntArray,
-) -> CodeArray:
-    """(k,) the kinds, as `ConflictKind` says; ``nearest``: rows nearest to a collision."""
+) -> tuple[CodeArray, BoolArray]:
+    """(k,) the kinds, as `ConflictKind` says, and to which shared places one comes from aside.
+
+    ``nearest`` are the rows nearest to a collision.
+    """
     k = at_pet.size
     turn = np.abs(wrapped(*np.diff(driven.piece_heading[[places.earlier, places.later]], axis=0)))
     aside, _, wide, _ = _beside(outlines, places.earlier, places.later)
@@ -319,7 +324,8 @@ def _kinds(
     angle = np.where(at_pet < 0, facing, _taken(turn, at_pet, 0.0))
     kind = np.where(angle > ONCOMING_RAD, ONCOMING, CROSSING)
     same_way = (angle < SAME_WAY_RAD) | in_the_end
-    return np.where(same_way, np.where(at_pet < 0, predicted, behind), kind).astype(np.int8)
+    kind = np.where(same_way, np.where(at_pet < 0, predicted, behind), kind)
+    return kind.astype(np.int8), enters
 
 
 def _beside(outlines: Outlines, rows: IntArray, others: IntArray) -> tuple[FloatArray, ...]:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from sim.frames import IntArray, Signal, Tracks
 from sim.road import Road
-from sim.road.lane_search import along
+from sim.road.lane_coordinates import along
+from sim.road.lane_graph import LaneGraph
 from sim.safety.encounters import Driven
 
-NEAR_S = 10.0
-"""A body is on its way over a junction if it is inside within this time, s."""
+NEAR_S: Final = 60.0
+"""A body is on its way over a junction if it is inside within this time, s (a signal cycle)."""
+
+JUNCTION_M: Final = 60.0
+"""Bodies that are on connections farther apart than this are in different junctions, m."""
 
 
 def priorities(
@@ -19,60 +25,82 @@ def priorities(
     """(k,) ids of those that have priority, of the bodies in (k,) rows; -1 where nobody knows.
 
     A pedestrian on a crossing has priority over vehicles unless the map or its red light says no.
-    Between vehicles, who entered the junction on red has none; otherwise their paths decide.
+    Between vehicles, one that has or had a red light at the junction has none; otherwise their
+    paths decide. Where signals never let both go, the first to enter has priority.
     """
-    rows = np.flatnonzero(np.isin(driven.index.agent, driven.index.agent[[*first, *second]]))
-    link, crossing = np.full((2, driven.time_s.size), -1)
+    agents = driven.index.agent[np.concatenate([first, second])]
+    rows = np.flatnonzero(np.isin(driven.index.agent, agents))
+    link, ahead, crossing = np.full((3, driven.time_s.size), -1)
+    begins = np.full(len(road.lanes), -1)
+    for number, connection in enumerate(road.connections):
+        begins[road.lane_index[connection.from_lane]] = number
     drives = rows[~driven.walking[rows]]
     if drives.size:
-        lane = road.project(driven.bodies.xy[drives], driven.bodies.heading[drives]).lane
-        link[drives] = road.connection_of_lane[lane]
+        bodies = driven.bodies
+        lane = LaneGraph.of(road).project(bodies.xy[drives], bodies.heading[drives]).lane
+        link[drives], ahead[drives] = road.connection_of_lane[lane], begins[lane]
     walks = rows[driven.walking[rows]]
     for number, place in enumerate(road.crossings):
         u, across, total = along(place.centerline, driven.bodies.xy[walks])
         crossing[walks[(np.abs(across) <= place.width_m / 2) & (u >= 0) & (u <= total)]] = number
 
-    def red(row: int, on: IntArray, group: int) -> bool:
-        """Whether the light was red when the body came to where it is now."""
+    def entered(row: int, on: IntArray) -> int:
+        """The row in which a body came to where it is in another row."""
         agent = driven.index.agent[row]
         while row > driven.index.first[agent] and on[row - 1] == on[row]:
             row -= 1
+        return row
+
+    def red(row: int, group: int) -> bool:
+        """Whether a light was red in a row."""
         if not road.knows.signals or not 0 <= group < tracks.signals.shape[0]:
             return False
         return bool(tracks.signals[group, driven.index.step[row]] == Signal.RED.code)
 
-    def on_link(row: int) -> int:
-        """The row nearest in time in which a vehicle is on a junction; -1 if that is far."""
+    def walker_first(row: int) -> bool:
+        """Whether a pedestrian on a crossing has priority."""
+        place = road.crossings[crossing[row]]
+        goes = place.priority or place.signal >= 0
+        return goes and not red(entered(row, crossing), place.signal)
+
+    def way_of(row: int) -> tuple[int, int, bool]:
+        """A vehicle's connection, where it enters it, and whether it does while it is seen."""
         mine = driven.index.rows(int(driven.index.agent[row]))
         inside = mine.start + np.flatnonzero(link[mine] >= 0)
         away = np.abs(driven.time_s[inside] - driven.time_s[row])
-        return int(inside[away.argmin()]) if away.min(initial=np.inf) <= NEAR_S else -1
+        if away.min(initial=np.inf) > NEAR_S:
+            return int(ahead[row]), row, False
+        came = int(inside[away.argmin()])
+        return int(link[came]), entered(came, link), True
+
+    def vehicle_first(pair: tuple[int, int]) -> int:
+        """Which of two vehicles has priority, 0 or 1; -1 where nobody knows."""
+        (one, came, seen), (other, came_2, seen_2) = (way_of(row) for row in pair)
+        if min(one, other) < 0 or one == other:
+            return -1
+        if np.hypot(*(driven.bodies.xy[came] - driven.bodies.xy[came_2])) > JUNCTION_M:
+            return -1
+        ways = road.connections[one], road.connections[other]
+        stopped = red(min(pair[0], came), ways[0].signal), red(min(pair[1], came_2), ways[1].signal)
+        yields = other in ways[0].yields_to, one in ways[1].yields_to
+        since_s = driven.time_s[came], driven.time_s[came_2]
+        if stopped[0] != stopped[1]:
+            return stopped.index(False)
+        if not (road.knows.priority and seen and seen_2):
+            return -1
+        if road.first_come(one, other):
+            return -1 if since_s[0] == since_s[1] else int(since_s[0] > since_s[1])
+        return -1 if yields[0] == yields[1] else yields.index(False)
 
     found = np.full(len(first), -1)
     for n, pair in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        ids = tracks.ids[driven.index.agent[list(pair)]].tolist()
         walking = driven.walking[list(pair)]
-        if walking.any():
+        if not walking.any():
+            before = vehicle_first(pair)
+        else:
             walker = int(walking.argmax())
-            row = pair[walker]
-            if crossing[row] >= 0:
-                place = road.crossings[crossing[row]]
-                goes = place.priority or place.signal >= 0
-                goes &= not red(row, crossing, place.signal)
-                found[n] = ids[walker if goes else 1 - walker]
-            continue
-        inside = [on_link(row) for row in pair]
-        links = [int(link[row]) for row in inside]
-        if min(inside) < 0 or links[0] == links[1]:
-            continue
-        one, other = (road.connections[number] for number in links)
-        stopped = [
-            red(row, link, way.signal) for row, way in zip(inside, (one, other), strict=True)
-        ]
-        if stopped[0] != stopped[1]:
-            found[n] = ids[stopped.index(False)]
-        elif road.knows.priority and not road.first_come(*links):
-            yields = links[1] in one.yields_to, links[0] in other.yields_to
-            if yields[0] != yields[1]:
-                found[n] = ids[yields.index(False)]
+            known = crossing[pair[walker]] >= 0
+            before = (walker if walker_first(pair[walker]) else 1 - walker) if known else -1
+        if before >= 0:
+            found[n] = tracks.ids[driven.index.agent[pair[before]]]
     return found

@@ -152,7 +152,7 @@ def read_catalogue(place: Place) -> pa.Table:
     """
     with opened(place, EPISODES) as parquet:
         check_columns(place.path / EPISODES, parquet.schema_arrow, CATALOGUE)
-        rows = parquet.read()
+        rows = parquet.read(use_threads=False)
     for name in _WORDS:
         words = rows.column(name).dictionary_encode()
         rows = rows.set_column(rows.schema.get_field_index(name), name, words)

@@ -11,7 +11,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
+from sim.safety import Conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import (
     EPISODES,
@@ -34,7 +35,7 @@ from sim.store.catalogue import (
     rows_where,
     totals_of,
 )
-from sim.store.decode import read_tables
+from sim.store.decode import read_conflicts, read_tables
 from sim.store.schema import (
     CATALOGUE,
     TABLES,
@@ -160,7 +161,7 @@ class Dataset:
         """One table of all episodes that fit, to be read in pieces.
 
         Args:
-            table: steps, agents, frames, signals, events or traits.
+            table: steps, agents, frames, signals, events, traits or conflicts.
             filters: as of `episodes`; each chooses episodes, not agents.
 
         Returns:
@@ -171,7 +172,6 @@ class Dataset:
             InputError: if there is no such table, or a filter is wrong.
         """
         from pyarrow import dataset as arrow_dataset
-        from pyarrow.fs import LocalFileSystem
 
         if table not in TABLES:
             raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
@@ -185,7 +185,7 @@ class Dataset:
             [self._place.full(file) for file in files],
             schema=pa.schema([*schema, *parts]),
             format="parquet",
-            filesystem=self._place.filesystem if self._place.remote else LocalFileSystem(),
+            filesystem=self._place.arrow_filesystem,
             partitioning=arrow_dataset.partitioning(parts, flavor="hive"),
             partition_base_dir=self._place.full(table),
         )
@@ -247,6 +247,17 @@ class Dataset:
         """
         return Episode(entry, *read_tables(self._place, entry))
 
+    def conflicts(self, entry: EpisodeEntry) -> Conflicts:
+        """The conflicts of an episode, as `sim.safety.conflicts` finds them in its tracks.
+
+        Args:
+            entry: one of `episodes`.
+
+        Raises:
+            InputError: if the file is missing, altered, or does not fit the schema; names the file.
+        """
+        return read_conflicts(self._place, entry)
+
     def load_episode(self, identity: str) -> Episode:
         """Read the episode of an id, as `read` does.
 
@@ -301,4 +312,15 @@ def open_dataset(path: str | Path) -> Dataset:
     Raises:
         InputError: if there is no catalogue, or it is broken or of another version.
     """
-    return Dataset(path)
+    place = place_of(path)
+    try:
+        stamp = place.stamp(EPISODES)
+    except OSError:
+        return Dataset(path)  # which says what is missing
+    return _opened(place.url, stamp)
+
+
+@lru_cache(maxsize=4)
+def _opened(url: str, stamp: str) -> Dataset:
+    """A dataset, opened once in a process while its catalogue stays the same."""
+    return Dataset(url)

@@ -17,8 +17,9 @@ from behaviors.profiles import PROFILE_FIELDS, Profile
 from behaviors.row_index import RowIndex
 from sim.files import Place
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
+from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.scenario import AgentSpec
-from sim.store.schema import MAX_STEPS, TABLES, EpisodeEntry
+from sim.store.schema import CONFLICTS, MAX_STEPS, TABLES, EpisodeEntry
 from sim.store.shards import ShardName, read_rows
 from sim.track_rows import TrackRows
 
@@ -27,6 +28,7 @@ WORDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "signals": {"state": SIGNALS},
     "events": {"kind": tuple(EventKind)},
     "traits": {"trait": tuple(Trait)},
+    "conflicts": {"kind": CONFLICT_KINDS},
 }
 """The words that the columns of a table may have."""
 
@@ -37,7 +39,7 @@ STEPS: Final = ["agent", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
 def read_tables(
     place: Place, entry: EpisodeEntry
 ) -> tuple[Tracks, tuple[AgentSpec, ...], tuple[ShownTrait, ...]]:
-    """Everything that an episode's tables hold.
+    """Everything that an episode's tables hold but its conflicts.
 
     Args:
         place: the dataset.
@@ -53,6 +55,7 @@ def read_tables(
     tables = {
         table: read_rows(place, table, entry, STEPS if table == "steps" else None)
         for table in TABLES
+        if table != "conflicts"
     }
     for table, rows in tables.items():
         _check_values(paths[table], rows, WORDS.get(table, {}))
@@ -90,6 +93,26 @@ def read_tables(
         for row in _dicts(tables["traits"])
     )
     return tracks, _agent_specs(paths["agents"], agents), shown
+
+
+def read_conflicts(place: Place, entry: EpisodeEntry) -> Conflicts:
+    """The conflicts of an episode.
+
+    Raises:
+        InputError: if the table is broken or does not fit the schema; names the file.
+    """
+    rows = read_rows(place, "conflicts", entry)
+    path = place.path / ShardName.of(entry).file("conflicts")
+    _check_values(path, rows, WORDS["conflicts"])
+    columns = {}
+    for field in CONFLICTS:
+        if pa.types.is_floating(field.type):
+            never = np.inf if field.name in ("ttc_s", "mttc_s") else np.nan
+            columns[field.name] = pc.fill_null(rows[field.name], never).to_numpy()
+        elif pa.types.is_integer(field.type):
+            columns[field.name] = pc.fill_null(rows[field.name], -1).to_numpy()
+    near_miss = np.array(rows["near_miss"].to_pylist(), dtype=bool)
+    return Conflicts(**columns, kind=_codes(rows, "kind", CONFLICT_KINDS), near_miss=near_miss)
 
 
 def _known(other: int | None) -> int:

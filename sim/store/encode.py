@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -13,9 +13,11 @@ from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
 from sim.frames import SIGNALS, EventKind, Tracks
+from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.scenario import AgentSpec
 from sim.store.schema import (
     AGENTS,
+    CONFLICTS,
     DERIVED_QUANTUM,
     EVENTS,
     HEADING_QUANTUM,
@@ -54,6 +56,7 @@ def encode(
     known: Mapping[str, pa.Array],
     agents: pa.Table,
     shown_traits: Sequence[ShownTrait],
+    met: Conflicts,
     episode: str,
 ) -> dict[TableName, pa.Table]:
     """Every table of an episode.
@@ -64,6 +67,7 @@ def encode(
         known: columns of the steps beyond those of the tracks; those left out are null.
         agents: what `agents_table` gives.
         shown_traits: the traits that were shown.
+        met: the conflicts.
         episode: its id.
 
     Raises:
@@ -101,13 +105,16 @@ def encode(
             **{name: [getattr(e, name) for e in shown_traits] for name in _OF_TRAITS},
             "other": [None if e.other < 0 else e.other for e in shown_traits],
         },
+        "conflicts": _conflicts(met),
     }
     tables = {name: _table(name, found, exact, episode) for name, found in columns.items()}
     tables["agents"] = agents.add_column(0, AGENTS.field(0), _repeated(episode, agents.num_rows))
     return tables
 
 
-_OF_TRAITS = ("agent", "trait", "begin_s", "end_s", "value")
+_OF_TRAITS: Final = ("agent", "trait", "begin_s", "end_s", "value")
+_COUNTED: Final[dict[str, str]] = {"traits": "agent", "conflicts": "kind"}
+"""A column of the tables that have no ``time_s``."""
 
 
 def written_schema(name: TableName, exact: bool) -> pa.Schema:
@@ -126,7 +133,7 @@ def written_schema(name: TableName, exact: bool) -> pa.Schema:
 
 def _table(name: TableName, columns: Mapping[str, Any], exact: bool, episode: str) -> pa.Table:
     schema = written_schema(name, exact)
-    count = len(columns["time_s" if name != "traits" else "agent"])
+    count = len(columns[_COUNTED.get(name, "time_s")])
     arrays = [_repeated(episode, count)]
     for field in list(schema)[1:]:
         values = columns.get(field.name)
@@ -138,6 +145,19 @@ def _array(values: Any, field: pa.Field) -> pa.Array:
     if isinstance(values, np.ndarray):
         values = values.astype(field.type.to_pandas_dtype(), copy=False)
     return values if isinstance(values, pa.Array) else pa.array(values, field.type)
+
+
+def _conflicts(met: Conflicts) -> dict[str, pa.Array]:
+    """The columns of conflicts: kinds as words, null for what is not known or never was."""
+    found = {name: getattr(met, name) for name in CONFLICTS.names[1:]}
+    columns = {
+        name: pa.array(values, mask=~np.isfinite(values) if values.dtype.kind == "f" else None)
+        for name, values in found.items()
+    }
+    columns["kind"] = pa.array([CONFLICT_KINDS[code] for code in met.kind.tolist()], pa.string())
+    for name in ("passed_first", "priority"):
+        columns[name] = pa.array(found[name], mask=found[name] < 0)
+    return columns
 
 
 def _repeated(episode: str, count: int) -> pa.Array:

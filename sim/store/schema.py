@@ -195,6 +195,7 @@ EVENTS: Final = pa.schema(
         _column("rule", pa.string()),  # the rule, or the cause
         pa.field("end_s", pa.float64()),  # collision: when the two last touch
         pa.field("time_to_collision_s", pa.float64()),  # near miss: the least one
+        pa.field("post_encroachment_s", pa.float64()),  # near miss: one was there so soon after
         pa.field("distance_m", pa.float64()),  # wrong way: how far
         pa.field("cut_in_headway_s", pa.float64()),  # collision after a cut-in: the gap it left
     ]
@@ -216,7 +217,32 @@ TRAITS_TABLE: Final = pa.schema(
 """Columns of ``traits``: the shown traits, found by `behaviors.traits`, in time order. The detector
 gives meaning and unit of the value. Empty for recordings."""
 
-TableName = Literal["steps", "agents", "frames", "signals", "events", "traits"]
+CONFLICTS: Final = pa.schema(
+    [
+        _OF_EPISODE,
+        _column("first", pa.int64()),  # agents, the smaller id first
+        _column("second", pa.int64()),
+        _column("kind", pa.string()),  # following merging crossing oncoming ...
+        _column("begin_s", pa.float64()),
+        _column("end_s", pa.float64()),
+        pa.field("ttc_s", pa.float64()),  # least time to collision; null: never on that course
+        pa.field("ttc_time_s", pa.float64()),  # when
+        pa.field("mttc_s", pa.float64()),  # the same with accelerations
+        pa.field("drac_mps2", pa.float64()),  # largest deceleration to avoid the crash
+        pa.field("pet_s", pa.float64()),  # post-encroachment time; null: no place in common
+        pa.field("pet_time_s", pa.float64()),  # when the later one came there
+        pa.field("gap_m", pa.float64()),  # least distance of the outlines
+        pa.field("closing_mps", pa.float64()),  # how fast it shrank then
+        pa.field("delta_v_mps", pa.float64()),  # of the lighter one, had they collided
+        pa.field("passed_first", pa.int64()),  # who was there first
+        pa.field("priority", pa.int64()),  # who had priority; null: the map does not tell
+        _column("near_miss", pa.bool_()),
+    ]
+)
+"""Columns of ``conflicts``: one row per encounter of two road users, as `sim.safety.Conflicts` has
+them, by begin and ids."""
+
+TableName = Literal["steps", "agents", "frames", "signals", "events", "traits", "conflicts"]
 
 TABLES: Final[tuple[TableName, ...]] = get_args(TableName)
 """Names of the tables, each a folder of a dataset."""
@@ -240,6 +266,7 @@ def table_schema(table: TableName, exact: bool = False) -> pa.Schema:
         "signals": SIGNALS_TABLE,
         "events": EVENTS,
         "traits": TRAITS_TABLE,
+        "conflicts": CONFLICTS,
     }[table]
 
 

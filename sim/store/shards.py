@@ -226,7 +226,7 @@ def opened(place: Place, file: str) -> Iterator[pq.ParquetFile]:
     path = place.path / file
     try:
         known = _footer(place.url, file, place.stamp(file))
-        with _source(place, file) as source:
+        with place.for_arrow(file) as source:
             yield pq.ParquetFile(source, metadata=known, page_checksum_verification=True)
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, OSError) and error.errno is not None:
@@ -238,15 +238,8 @@ def opened(place: Place, file: str) -> Iterator[pq.ParquetFile]:
 @lru_cache(maxsize=KEPT_FOOTERS)
 def _footer(url: str, file: str, stamp: Hashable) -> pq.FileMetaData:
     """A file's footer; ``stamp`` changes when the file does."""
-    with _source(place_of(url), file) as source:
+    with place_of(url).for_arrow(file) as source:
         return pq.read_metadata(source)
-
-
-def _source(place: Place, file: str) -> Any:
-    """A file for Arrow to read: its own of this machine, since its threads may outlive Python's."""
-    if not place.remote:
-        return pa.OSFile(place.full(file))
-    return place.open(file)
 
 
 def read_rows(

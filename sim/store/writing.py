@@ -25,6 +25,7 @@ from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
 from sim.road.files import ENDINGS, read_road_file
 from sim.road.maps.stored import SUFFIX, encode_road
+from sim.safety import Conflicts, conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import EPISODES, catalogue_table, write_catalogue
 from sim.store.encode import agents_table, derived, encode, rounded
@@ -135,10 +136,15 @@ class EpisodeWriter:
             raise InputError(f"frames: found agent {strangers[0]}, expected {expected}")
         shown: tuple[ShownTrait, ...] = ()
         known: dict[str, pa.Array] = {}
+        met: Conflicts | None = None
         if road is not None and tracks.time_s.size > 2:
             where = read_road_file(road)
             found = annotate(TrajectoryRows.of(tracks), where)
-            tracks, shown = tracks.changed(events=found.events), found.shown_traits
+            tracks, shown, met = (
+                tracks.changed(events=found.events),
+                found.shown_traits,
+                found.conflicts,
+            )
             known = _known(tracks, found, where)
         if since_s is not None:
             first = int(np.searchsorted(tracks.time_s, since_s + 1e-9))
@@ -146,8 +152,9 @@ class EpisodeWriter:
             known = {name: column.filter(later) for name, column in known.items()}
             shown = tuple(trait for trait in shown if trait.begin_s > since_s)
             tracks = tracks.part(np.arange(tracks.ids.size), slice(first, None))
+            met = None
         ordered = sorted(agents, key=lambda a: a.id)
-        return self.write_tracks(meta, tracks, ordered, road, shown=shown, known=known)
+        return self.write_tracks(meta, tracks, ordered, road, shown=shown, known=known, met=met)
 
     def write_recording(
         self,
@@ -201,6 +208,7 @@ class EpisodeWriter:
         drawn: Sequence[AgentSpec] | None = None,
         shown: Sequence[ShownTrait] = (),
         known: Mapping[str, pa.Array] = MappingProxyType({}),
+        met: Conflicts | None = None,
     ) -> EpisodeEntry:
         """Write tracks as one episode.
 
@@ -214,6 +222,7 @@ class EpisodeWriter:
             drawn: the agents that determine the episode; None for ``agents``.
             shown: the traits that were shown.
             known: columns of the steps beyond those of the tracks; those left out are null.
+            met: its conflicts; None to look for them.
 
         Returns:
             The catalogue's entry of the episode.
@@ -236,7 +245,10 @@ class EpisodeWriter:
             exact=exact,
             drawn=_drawn(agents),
         )
-        tables = encode(tracks, exact, known, agents_table(agents, names), shown, entry.id)
+        if met is None:
+            where = read_road_file(road) if isinstance(road, Path) else road
+            met = conflicts(tracks, where)
+        tables = encode(tracks, exact, known, agents_table(agents, names), shown, met, entry.id)
         name = ShardName.of(entry)
         if name not in self._open:
             for other in list(self._open):

@@ -17,6 +17,7 @@ import signal
 import socket
 import subprocess
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
@@ -44,7 +45,7 @@ _PR_SET_PDEATHSIG: Final = 1
 """Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
 
 
-class _Closing:
+class _Closing(ABC):
     """Something that a ``with`` block closes at its end."""
 
     def __enter__(self) -> Self:
@@ -55,9 +56,9 @@ class _Closing:
         """Close it."""
         self.close()
 
+    @abstractmethod
     def close(self) -> None:
         """End it."""
-        raise NotImplementedError
 
 
 class Branch(_Closing):

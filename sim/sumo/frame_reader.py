@@ -15,7 +15,7 @@ from sim.road import Road
 from sim.road.cells import Cells, boxes_of, cells_of
 from sim.road.net import signal_code
 from sim.scenario import AgentSpec
-from sim.sumo.vehicle_poses import STRAIGHTENING_M, vehicle_poses
+from sim.sumo.vehicle_poses import STRAIGHTENING_M, find_poses
 
 AREA_CELL_M: Final = 50.0
 """Width of the cells in which junctions are looked up, m (a large junction's)."""
@@ -25,19 +25,11 @@ TRAFFICLIGHT_TYPE_STATIC: Final = 0
 
 
 def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
-    """Where the road turns: for each junction, the box round all turns in it.
-
-    Args:
-        road: SUMO names the lanes inside a junction after it: ``:NAME_NUMBER_LANE``.
-
-    Returns:
-        (J, 4) west, south, east and north side of each box, m, and the boxes by cell, with
-        `STRAIGHTENING_M` around them.
-    """
+    """(J, 4) the box round all turns of each junction, m, and the boxes by cell, with a margin."""
     turns: dict[str, list[FloatArray]] = {}
     for link in road.connections:
         if link.direction != "straight":
-            for name in link.via:
+            for name in link.via:  # SUMO names them :JUNCTION_NUMBER_LANE
                 line = road.lanes[road.lane_index[name]].centerline
                 turns.setdefault(name.rsplit("_", 2)[0], []).append(line)
     areas = boxes_of([np.concatenate(lines) for lines in turns.values()], 0.0)
@@ -111,13 +103,11 @@ class FrameReader:
         self._touching = touching
 
     def names(self, again: bool) -> tuple[Sequence[str], Sequence[str]]:
-        """Names of the vehicles and of the pedestrians on the road after a simulation step.
-
-        They are the same two objects until an agent departs or arrives.
+        """Names of vehicles and pedestrians, the same two objects until somebody comes or goes.
 
         Args:
-            again: whether to ask SUMO in any case: SUMO's counts of departures and arrivals leave
-                out the agents that controllers removed, and those of steps that were not read.
+            again: whether to ask SUMO in any case: its counts of departures and arrivals leave out
+                the agents that controllers removed, and those of steps that were not read.
         """
         sumo = self._sumo
         changed = again or sumo.simulation_getDepartedNumber() or sumo.simulation_getArrivedNumber()
@@ -164,9 +154,11 @@ class FrameReader:
                 [angle, np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))]
             )
         front = np.fromiter(places, np.float64, 2 * n)
-        xy, heading, speed = vehicle_poses(
-            present.order, present.rows, front, np.fromiter(speeds, np.float64, n), angle,
-            self._length, self._pedestrian, *self._areas, self._axles,
+        speed = np.fromiter(speeds, np.float64, n)[present.order]
+        xy, heading = np.empty((n, 2)), np.empty(n)
+        find_poses(
+            present.order, present.rows, front, angle, self._length, self._pedestrian,
+            *self._areas, self._axles, xy, heading,
         )  # fmt: skip
         for array in (xy, heading, speed):
             array.setflags(write=False)

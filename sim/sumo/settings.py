@@ -16,7 +16,6 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -36,57 +35,20 @@ REFERENCE_MPS: Final = 13.89
 limit that the profiles were made for."""
 
 
-def _as_it_is(profile: Profile) -> dict[str, float]:
-    """Nothing differs."""
-    return {}
-
-
-def _controlled(profile: Profile) -> dict[str, float]:
-    """ACC and CACC collide at headways below a second (measured): shorter ones are stretched."""
-    return {"tau": 0.7 + 0.75 * profile.time_headway_s, "minGap": max(profile.min_gap_m, 1.5)}
-
-
-def _wiedemann_74(profile: Profile) -> dict[str, float]:
-    """Its gap is minGap + (1 + 7 security) sqrt(v) instead of minGap + tau v."""
-    wanted = profile.time_headway_s * REFERENCE_MPS**0.5
-    return {"security": min(max((wanted - 1.0) / 7.0, 0.05), 1.2), "estimation": 0.5}
-
-
-def _wiedemann_99(profile: Profile) -> dict[str, float]:
-    """``cc1`` is the time headway, ``cc8`` the acceleration from standstill."""
-    accel = profile.max_accel_mps2
-    return {"cc1": profile.time_headway_s, "cc2": 4.0, "cc8": accel, "cc9": 0.6 * accel}
-
-
-def _stretched(profile: Profile) -> dict[str, float]:
-    """Laws without safe braking of the own step: the headway must be longer than a step."""
-    return {"tau": 0.25 + 0.9 * profile.time_headway_s}
-
-
-LAWS: Final[dict[str, Callable[[Profile], dict[str, float]]]] = {
-    "Krauss": _as_it_is,
-    "KraussOrig1": _as_it_is,
-    "KraussPS": _as_it_is,
-    "Daniel1": _stretched,
-    "IDM": _as_it_is,
-    "IDMM": _as_it_is,
-    "EIDM": _as_it_is,
-    "ACC": _controlled,
-    "CACC": _controlled,
-    "W99": _wiedemann_99,
-    "Wiedemann": _wiedemann_74,
-    "BKerner": _stretched,
-}
-"""SUMO's car-following laws for road vehicles, and the numbers that each takes in other words. Left
-out are SmartSK, whose drivers collide (116 times among 76 on a straight road in two minutes), and
-PWagner2009, whose drivers stand about on a free road at steps below half a second."""
+LAWS: Final = (
+    "Krauss", "KraussOrig1", "KraussPS", "Daniel1", "IDM", "IDMM", "EIDM", "ACC", "CACC", "W99",
+    "Wiedemann", "BKerner",
+)  # fmt: skip
+"""SUMO's car-following laws for road vehicles. Left out are SmartSK, whose drivers collide (116
+times among 76 on a straight road in two minutes), and PWagner2009, whose drivers stand about on a
+free road at steps below half a second."""
 
 
 def law_attributes(law: str, profile: Profile) -> dict[str, float]:
     """The vType attributes that differ from those of Krauss's law.
 
     Args:
-        law: a key of ``LAWS``.
+        law: one of ``LAWS``.
         profile: the driver.
 
     Returns:
@@ -101,7 +63,25 @@ def law_attributes(law: str, profile: Profile) -> dict[str, float]:
         >>> law_attributes("W99", PROFILES[Behavior.TIMID])["cc1"]
         2.9
     """
-    return lookup(LAWS, law, "car-following law")(profile)
+    check_law(law)
+    headway_s, accel = profile.time_headway_s, profile.max_accel_mps2
+    match law:
+        case "Daniel1" | "BKerner":  # no safe braking of the own step: headways exceed a step
+            return {"tau": 0.25 + 0.9 * headway_s}
+        case "ACC" | "CACC":  # both collide at headways below a second (measured)
+            return {"tau": 0.7 + 0.75 * headway_s, "minGap": max(profile.min_gap_m, 1.5)}
+        case "Wiedemann":  # its gap is minGap + (1 + 7 security) sqrt(v)
+            wanted = headway_s * REFERENCE_MPS**0.5
+            return {"security": min(max((wanted - 1.0) / 7.0, 0.05), 1.2), "estimation": 0.5}
+        case "W99":  # cc1 is the time headway, cc8 the acceleration from standstill
+            return {"cc1": headway_s, "cc2": 4.0, "cc8": accel, "cc9": 0.6 * accel}
+        case _:
+            return {}
+
+
+def check_law(law: str) -> None:
+    """Refuse a law that is none of ``LAWS``; the message names the nearest."""
+    lookup(dict.fromkeys(LAWS), law, "car-following law")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +89,7 @@ class SumoSettings:
     """What is the same for all vehicles of a run.
 
     Attributes:
-        law: the car-following law, a key of ``LAWS``.
+        law: the car-following law, one of ``LAWS``.
         imperfection: sigma of Krauss's law and its relatives, 0 to 1.
         keep_right: SUMO's lcKeepRight: 0 never returns to the right lane for its own sake, 1 is
             SUMO's default.
@@ -125,7 +105,7 @@ class SumoSettings:
 
     def __post_init__(self) -> None:
         """Refuse what SUMO would silently take."""
-        lookup(LAWS, self.law, "car-following law")
+        check_law(self.law)
         for name, most in (
             ("imperfection", 1.0),
             ("keep_right", 100.0),

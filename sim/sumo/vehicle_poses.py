@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-
 from sim.compiled import in_place
 from sim.frames import BoolArray, FloatArray, IntArray
 from sim.road.cells import Cells
@@ -28,26 +26,18 @@ STRAIGHTENING_M: Final = 6.0
 """A car is still straightening up this far after a turn (a car's length and more)."""
 
 
-def vehicle_poses(
-    order: IntArray,
-    rows: IntArray,
-    front: FloatArray,
-    speed: FloatArray,
-    angle: FloatArray,
-    length: FloatArray,
-    pedestrian: BoolArray,
-    areas: FloatArray,
-    cells: Cells,
-    axles: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+@in_place()
+def find_poses(
+    order: IntArray, rows: IntArray, front: FloatArray, angle: FloatArray, length: FloatArray,
+    pedestrian: BoolArray, areas: FloatArray, cells: Cells, axles: FloatArray, xy: FloatArray,
+    heading: FloatArray,
+) -> None:  # fmt: skip
     """Centres and headings, from where the front bumpers are now and where they were before.
 
     Args:
-        order: (n,) index of each agent in ``front``, ``speed`` and ``angle``, which are in SUMO's
-            order.
+        order: (n,) index of each agent in ``front`` and ``angle``, which are in SUMO's order.
         rows: (n,) row of each agent in ``length``, ``pedestrian`` and ``axles``.
         front: (2n,) centre of each front bumper, x and y alternating, m.
-        speed: (n,) m/s.
         angle: (n,) SUMO's angle, degrees clockwise from north; used for pedestrians and for
             vehicles that have just departed.
         length: (N,) of every agent, m.
@@ -56,44 +46,21 @@ def vehicle_poses(
         cells: those of ``areas``, with at least `STRAIGHTENING_M` around them.
         axles: (N, 4) front bumper and rear axle at the last call, m; NaN for vehicles that have
             just departed. Updated in place.
-
-    Returns:
-        In the order of ``rows``: (n, 2) centres, m, (n,) headings, rad in (-pi, pi], and (n,)
-        speeds, m/s.
+        xy: (n, 2) receives the centres, m.
+        heading: (n,) receives the headings, rad in (-pi, pi].
 
     Examples:
         >>> from sim.road.cells import cells_of
         >>> axles = np.full((1, 4), np.nan)
         >>> agent, nowhere = np.zeros(1, np.int64), np.empty((0, 4))
-        >>> cells = cells_of(nowhere, agent[:0], 50.0)
+        >>> cells, xy, heading = cells_of(nowhere, agent[:0], 50.0), np.empty((1, 2)), np.empty(1)
         >>> for x, y in ((5.0, 0.0), (5.0, 1.0)):  # the front jumps sideways: so does the car
-        ...     xy, heading, _ = vehicle_poses(
-        ...         agent, agent, np.array([x, y]), np.ones(1), np.array([90.0]), np.array([4.0]),
-        ...         np.zeros(1, np.bool_), nowhere, cells, axles)
+        ...     find_poses(
+        ...         agent, agent, np.array([x, y]), np.array([90.0]), np.array([4.0]),
+        ...         np.zeros(1, np.bool_), nowhere, cells, axles, xy, heading)
         >>> xy.tolist(), heading.tolist()
         ([[3.0, 1.0]], [0.0])
     """
-    n = rows.size
-    xy, heading = np.empty((n, 2)), np.empty(n)
-    _find_poses(order, rows, front, angle, length, pedestrian, areas, cells, axles, xy, heading)
-    return xy, heading, speed[order]
-
-
-@in_place()
-def _find_poses(
-    order: IntArray,
-    rows: IntArray,
-    front: FloatArray,
-    angle: FloatArray,
-    length: FloatArray,
-    pedestrian: BoolArray,
-    areas: FloatArray,
-    cells: Cells,
-    axles: FloatArray,
-    xy: FloatArray,
-    heading: FloatArray,
-) -> None:
-    """Find the centres and headings; arguments and results as of `vehicle_poses`."""
     x0, y0, size, columns, lines, first, items = cells
     for i in range(rows.size):
         row, at = rows[i], order[i]

@@ -1,6 +1,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 
 from behaviors.labels import BEHAVIORS
 from experiments.benchmarks.behaviors import COUNTS, METRICS, DriverCounts, measure, rows_of
@@ -12,7 +13,7 @@ def test_rows_are_tidy_and_say_what_the_drivers_did():
     keys = {"engine", "scenario", "behavior", "metric", "value", "low", "high", "n"}
     assert all(row.keys() == keys for row in rows)
     found = {(r["behavior"], r["metric"]) for r in rows}
-    assert {(b.value, m) for b in BEHAVIORS for m, _, _ in METRICS} <= found
+    assert {(b.value, m) for b in BEHAVIORS for m in METRICS} <= found
     value = {(r["behavior"], r["metric"]): r["value"] for r in rows}
     assert value["timid", "headway_median_s"] > 2 * value["threatening", "headway_median_s"]
     for row in rows:
@@ -25,7 +26,8 @@ def test_ratios_are_sums_over_drivers():
     counts[:, COUNTS.index("km")] = [1.0, 3.0]
     counts[:, COUNTS.index("lane_changes")] = [4.0, 0.0]
     counts[:, COUNTS.index("headway")] = [np.nan, 2.0]
-    made = DriverCounts(np.array([0, 0], dtype=np.int8), counts, 1, 5)
+    drivers = pd.DataFrame(counts, columns=COUNTS).assign(behavior=0)
+    made = DriverCounts(drivers, 1, 5)
     value = {(r["behavior"], r["metric"]): r for r in rows_of(made, "sumo", "x")}
     assert value["impatient", "lane_changes_per_km"]["value"] == 1.0
     assert value["impatient", "headway_median_s"]["n"] == 1

@@ -16,11 +16,10 @@ from experiments.benchmarks.classification import (
     leak_probe,
 )
 from experiments.benchmarks.classified import Recordings
-from experiments.benchmarks.scores import score_rows
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
+from experiments.score.answers import Answers, score_answers
 from graphrqi.methods import METHODS
-from graphrqi.samples import Samples
 from sim.store.dataset import open_dataset
 
 KEYS = {"protocol", "scenario", "method", "window_s", "variation", "metric", "value", "low",
@@ -47,19 +46,12 @@ def data(recordings, tmp_path, monkeypatch) -> Data:
 # --- samples ------------------------------------------------------------------------------------
 
 
-def samples(codes: np.ndarray, episodes: np.ndarray) -> Samples:
-    n = codes.size
-    return Samples(
-        np.zeros((n, 1), np.float32), codes.astype(np.int8), episodes, np.arange(n) % 50,
-        np.zeros(n), np.full(n, 10.0), np.full(n, 10.0), np.ones(n, dtype=bool),
-    )  # fmt: skip
-
-
-def test_the_majority_stands_beside_every_score():
-    some = samples(np.array([0, 0, 0, 1] * 10), np.repeat(np.arange(4), 10))
-    value = {r["metric"]: r["value"] for r in score_rows(some, np.eye(6)[some.codes], 0, {})}
+def test_the_majority_of_the_training_stands_beside_every_score():
+    codes, episode = np.array([0, 0, 0, 1] * 10), np.repeat(np.arange(4), 10)
+    rows = score_answers(Answers.known(np.eye(6)[codes], codes, episode), {}, majority=1)
+    value = {r["metric"]: r["value"] for r in rows}
     assert value["weighted_accuracy"] == 1.0
-    assert value["majority_weighted_accuracy"] == 0.75
+    assert value["majority_weighted_accuracy"] == 0.25
 
 
 def test_no_episode_is_both_learned_and_scored(recordings):
@@ -76,7 +68,7 @@ def test_no_episode_is_both_learned_and_scored(recordings):
 
 def test_the_rival_and_the_ceiling_stand_beside_ours(data):
     rows = [row for part in inductive(data) for row in part]
-    assert all(set(row) == KEYS for row in rows)
+    assert all(set(row) - {"behavior"} == KEYS for row in rows)
     whole = {r["method"] for r in rows if r["variation"] == "whole track"}
     assert whole == {OURS, "majority", RIVAL, "ceiling"}
     differences = {r["variation"] for r in rows if r["metric"] == "macro_f1_difference"}

@@ -17,7 +17,7 @@ from graphrqi.model_files import load_model
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo") / "tiny"
-    run_demo(out, seed=3, episodes=3, duration_s=45.0, jobs=1, quiet=True)
+    run_demo(out, seed=3, episodes=3, duration_s=30.0, jobs=1, quiet=True)
     write_report([out], jobs=1)
     return out
 

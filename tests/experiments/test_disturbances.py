@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.data.disturbances import (
-    DISTURBANCES,
-    cut_tracks,
-    identity_switches,
-    position_noise,
-)
+from experiments.data.disturbances import DISTURBANCES, position_noise, renamed_tracks
 from sim.frames import Tracks
 
 
@@ -38,8 +33,7 @@ def convoy(n: int = 4, seconds: float = 20.0) -> Tracks:
 def test_disturbances_are_repeatable_and_leave_their_argument(name):
     tracks = convoy()
     before = tracks.xy.copy()
-    level = DISTURBANCES[name][1][-1]
-    apply = DISTURBANCES[name][0]
+    apply, level = DISTURBANCES[name], 2.5 if name == "frame rate" else 0.3
     first, again = (apply(tracks, level, np.random.default_rng(5)) for _ in range(2))
     np.testing.assert_array_equal(first.xy, again.xy)
     np.testing.assert_array_equal(tracks.xy, before)
@@ -54,23 +48,11 @@ def test_noise_has_the_deviation_asked_for():
     assert moved.std() == pytest.approx(0.3, rel=0.05)
 
 
-def test_switched_identities_follow_another_agent():
+def test_an_agent_that_is_found_again_is_a_piece_of_the_same():
     tracks = convoy(seconds=120.0)
-    switched = identity_switches(tracks, 2.0, np.random.default_rng(1))
-    jumps = np.abs(np.diff(switched.xy[..., 0], axis=1)) > 3.0
-    assert 4 <= jumps.sum() <= 40  # 4 agents, 2 minutes, 2 per agent and minute: 16 expected
-    np.testing.assert_allclose(np.sort(switched.xy[..., 0], axis=0), tracks.xy[..., 0])
-    assert (
-        identity_switches(tracks, 0.0, np.random.default_rng(1)).xy.tolist() == tracks.xy.tolist()
-    )
-
-
-def test_cut_tracks_are_pieces_of_the_whole():
-    tracks = convoy()
-    pieces = cut_tracks(tracks, 5.0, np.random.default_rng(0))
-    assert pieces.valid.sum() == tracks.valid.sum()
-    assert pieces.valid.sum(axis=1).max() <= 50
+    pieces = renamed_tracks(tracks, 2.0, np.random.default_rng(0))
+    assert len(tracks.ids) < len(pieces.ids) < 40  # 16 losses are expected
     for letter in "abcd":
         rows = [i for i, name in enumerate(pieces.names) if name.startswith(letter)]
-        assert pieces.valid[rows].sum(axis=0).tolist() == [1] * 200
+        assert pieces.valid[rows].sum(axis=0).max() == 1
         assert {int(pieces.behavior[i]) for i in rows} == {"abcd".index(letter)}

@@ -69,7 +69,7 @@ def test_the_hub_library_loads_a_folder(data: Path, tmp_path: Path) -> None:
     assert found["steps"] == steps
     assert found["episodes"] == {"catalogue": len(dataset.episodes())}
     assert found["default"][:3] == ["episode", "agent", "step"]
-    for table in ("agents", "frames", "signals", "events", "traits"):
+    for table in ("agents", "frames", "signals", "events", "traits", "conflicts"):
         counts = {s: dataset.scan(table, split=s).count_rows() for s in steps}
         assert found.get(table, {}) == {split: n for split, n in counts.items() if n}
 

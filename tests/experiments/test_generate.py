@@ -150,14 +150,14 @@ def test_a_second_run_is_refused_while_the_first_lives(tmp_path: Path) -> None:
 
 
 EPISODES = 24
-GIVEN = {"scenarios": ["straight_road"], "duration_s": 30.0, "flow": "light", "seed": 3}
+GIVEN = {"scenarios": ["straight_road"], "duration_s": 20.0, "flow": "light", "seed": 3}
 
 
 def _command(folder: Path, episodes: int = EPISODES, *more: str) -> list[str]:
     return [
         *(sys.executable, "-m", "experiments.cli", "generate", "--out", str(folder)),
         *("--scenario", "straight_road", "--episodes", str(episodes), "--jobs", "2"),
-        *("--duration-s", "30", "--flow", "light", "--seed", "3", *more),
+        *("--duration-s", "20", "--flow", "light", "--seed", "3", *more),
     ]
 
 
@@ -245,8 +245,8 @@ KILLS = 20
 
 def test_a_full_disk_is_one_clear_error_and_leaves_nothing_half_written(tmp_path: Path) -> None:
     folder = tmp_path / "data"
-    command = [*_command(folder, 1), "--quiet", "--duration-s", "300", "--flow", "dense"]
-    limited = ["bash", "-c", 'ulimit -f 200; exec "$@"', "-", *command]  # KiB per file
+    command = [*_command(folder, 1), "--quiet", "--duration-s", "100", "--flow", "dense"]
+    limited = ["bash", "-c", 'ulimit -f 60; exec "$@"', "-", *command]  # KiB per file
     run = subprocess.run(limited, capture_output=True, text=True, check=False)
     assert run.returncode == 2, run.stderr
     assert run.stderr.startswith("graphrqi: error: ")

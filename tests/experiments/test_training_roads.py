@@ -16,12 +16,12 @@ def test_roundabouts_and_towns_have_bends_and_skew_junctions(
 ) -> None:
     monkeypatch.setattr(roads, "ROUNDABOUTS", ((13.0, 1), (30.0, 2)))
     monkeypatch.setattr(roads, "ROUNDABOUT_EPISODES", 1)
-    monkeypatch.setattr(roads, "ROUNDABOUT_S", 20.0)
+    monkeypatch.setattr(roads, "ROUNDABOUT_S", 6.0)
     monkeypatch.setattr(roads, "TOWNS", 2)
-    monkeypatch.setattr(roads, "TOWN_S", 20.0)
+    monkeypatch.setattr(roads, "TOWN_S", 6.0)
     monkeypatch.setattr(roads, "MOTORWAYS", ("motorway",))
     monkeypatch.setattr(roads, "MOTORWAY_EPISODES", 1)
-    monkeypatch.setattr(roads, "MOTORWAY_S", 20.0)
+    monkeypatch.setattr(roads, "MOTORWAY_S", 6.0)
     made = roads.generate_roads(tmp_path, 5, quiet=True)
     kinds = ("roundabouts", "towns", "motorways")
     assert [folder.name for folder in made] == [f"recorded-{kind}" for kind in kinds]

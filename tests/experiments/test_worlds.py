@@ -13,14 +13,15 @@ from experiments.data.disturbances import (
     frame_rate,
     renamed_tracks,
 )
-from experiments.data.verify import find_flaws
+from experiments.data.verify import verify_dataset
 from experiments.data.windows import gather
-from experiments.generate.configuration import RANDOM_WORLD, GenerateConfig
+from experiments.generate import RANDOM_WORLD
+from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS
 from experiments.generate.worlds.sensor import Sensor
 from experiments.generate.worlds.world import draw_world
-from scenarios.networks.written import ramp_net, straight_net
+from experiments.generate.worlds.written_nets import ramp_net, straight_net
 from sim.frames import Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
@@ -59,7 +60,7 @@ def test_many_worlds_hold_every_law_family_and_discipline():
 
 def test_episodes_can_be_opened_trained_on_and_verified(dataset: Dataset):
     assert len(dataset.manifest.episodes) == CONFIG.episodes
-    assert find_flaws(dataset) == []
+    assert verify_dataset(dataset.path) == []
     for entry in dataset.manifest.episodes:
         world = draw_world(entry.seed, 15.0)
         episode = dataset.read(entry)

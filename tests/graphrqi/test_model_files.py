@@ -79,43 +79,24 @@ def replaced(name: str, made):
     return lambda arrays: arrays.__setitem__(name, np.ascontiguousarray(made(arrays[name])))
 
 
-def leaves_go_on(arrays) -> None:
-    leaf = arrays["child"] == np.arange(arrays["child"].size)
-    arrays["threshold"][leaf] = 0.0
-
-
-def shared_child(arrays) -> None:
-    inner = np.flatnonzero(arrays["child"] != np.arange(arrays["child"].size))
-    arrays["child"][inner[0]] = arrays["child"][inner[1]]
-
-
-def leads_back(arrays) -> None:
-    inner = np.flatnonzero(arrays["child"] != np.arange(arrays["child"].size))
-    arrays["child"][inner[-1]] = 0
-
-
 @pytest.mark.parametrize(
     "change",
     [
         filled("feature", 60000),
         filled("column", 10**6),
-        filled("child", 2**31),
-        filled("child", 0),
-        filled("root", 2**31),
-        filled("root", 0),
-        filled("value", np.nan),
+        filled("first", 2**31),
+        filled("first", 0),
+        filled("leaf", np.nan),
         filled("threshold", np.nan),
         filled("temperature", 0.0),
         filled("temperature", np.nan),
-        leaves_go_on,
-        shared_child,
-        leads_back,
-        replaced("child", lambda a: a[:-1]),
-        replaced("child", lambda a: a.astype(np.int64)),
+        replaced("first", lambda a: a[::-1]),
+        replaced("keep", lambda a: a[:-1]),
+        replaced("keep", lambda a: a.astype(np.int64)),
         replaced("feature", lambda a: a[:, None]),
-        replaced("value", lambda a: a.ravel()),
-        replaced("value", lambda a: a[:, :0]),
-        replaced("root", lambda a: a[:0]),
+        replaced("leaf", lambda a: a.ravel()),
+        replaced("leaf", lambda a: a[:, :0]),
+        replaced("column", lambda a: a[:0]),
         replaced("temperature", lambda a: a[:0]),
         lambda arrays: arrays.pop("column"),
     ],

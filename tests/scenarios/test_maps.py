@@ -11,10 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli.commands import app
+from experiments.generate.worlds.written_nets import straight_net
 from scenarios.networks.build import find_program
 from scenarios.networks.convert import kind_of
-from scenarios.networks.written import straight_net
-from scenarios.own.road import own_road
+from scenarios.own.own_road import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
 from sim.road.net import read_road

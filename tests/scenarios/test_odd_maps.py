@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scenarios.own.demand import EdgeGraph
-from scenarios.own.road import own_road
+from scenarios.own.flows import EdgeGraph
+from scenarios.own.own_road import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
 from sim.frames import Frame

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from behaviors import InputError
+from experiments.generate.worlds.written_nets import ramp_net
 from scenarios import SCENARIOS, get_scenario
-from scenarios.networks.grid import grid_net
-from scenarios.networks.written import ramp_net
-from scenarios.own.demand import EdgeGraph, flows_of
-from scenarios.own.file import ScenarioFile
-from scenarios.own.road import own_road
+from scenarios.networks.build import grid_net
+from scenarios.own.flows import EdgeGraph, flows_of
+from scenarios.own.own_road import own_road
+from scenarios.own.scenario_file import ScenarioFile
 from sim.engines import get_engine
 from sim.road.net import read_road
 from sim.scenario import sample_agents

@@ -10,7 +10,7 @@ from behaviors.labels import Behavior
 from scenarios import SCENARIOS, get_scenario
 from scenarios.demand import PopulationOptions, parse_flow, parse_kinds, parse_mix
 from scenarios.networks import build
-from scenarios.networks.geometry import FourWayGeometry
+from scenarios.networks.geometries import FourWayGeometry
 from sim.engines import get_engine
 from sim.frames import AgentKind
 from sim.scenario import sample_agents

@@ -144,12 +144,12 @@ def test_what_is_written_of_a_road_reads_back(tmp_path: Path, name: str) -> None
 
 def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:
     from experiments.data.exchange import export_dataset, import_recordings
-    from experiments.data.verify import find_flaws
+    from experiments.data.verify import verify_dataset
     from sim.store.dataset import open_dataset
 
     import_recordings(shared_data / "argoverse2", tmp_path / "data", quiet=True)
     dataset = open_dataset(tmp_path / "data")
-    assert find_flaws(dataset) == []
+    assert verify_dataset(dataset.path) == []
     (entry,) = dataset.episodes()
     road, tracks = dataset.road(entry), dataset.read(entry).tracks
     assert road is not None

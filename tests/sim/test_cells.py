@@ -8,6 +8,7 @@ import pytest
 from scenarios.networks.build import FOLDER, NET
 from sim.road import Road
 from sim.road.cells import near_pairs
+from sim.road.lane_graph import LaneGraph
 from sim.road.net import read_road
 
 
@@ -42,7 +43,7 @@ def test_the_lane_that_fits_best_is_found_wherever_one_is(name: str) -> None:
     near = points[rng.integers(len(points), size=300)] + rng.normal(0.0, 2.0, (300, 2))
     xy = np.concatenate([anywhere, near])
     heading = rng.uniform(-np.pi, np.pi, len(xy))
-    found = road.project(xy, heading)
+    found = LaneGraph.of(road).project(xy, heading)
     best, costs = best_of_all(road, xy, heading)
     assert costs[np.arange(len(xy)), found.lane] == pytest.approx(best, abs=1e-9)
 

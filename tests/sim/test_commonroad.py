@@ -132,6 +132,6 @@ def test_real_scenarios(place: str, shared_data: Path) -> None:
         assert isinstance(road, Road)
         assert tracks.step_s == pytest.approx(0.1)
         assert not any("step" in note for note in recording.notes)
-        at = road.project(tracks.xy[tracks.valid], tracks.heading[tracks.valid])
+        at = LaneGraph.of(road).project(tracks.xy[tracks.valid], tracks.heading[tracks.valid])
         width = np.array([lane.width_m for lane in road.lanes])[at.lane]
         assert np.mean(np.abs(at.offset) < width / 2) > 0.9

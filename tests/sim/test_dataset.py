@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from behaviors import BEHAVIORS, InputError, sample_profile
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
+from sim.safety import conflicts
 from sim.scenario import AgentSpec
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import (
@@ -163,7 +164,7 @@ def content(folder: Path) -> dict[str, bytes]:
 def test_same_content_same_bytes(tmp_path: Path) -> None:
     small(tmp_path / "a")
     small(tmp_path / "b")
-    assert len(content(tmp_path / "a")) == 7
+    assert len(content(tmp_path / "a")) == 8
     assert content(tmp_path / "a") == content(tmp_path / "b")
 
 
@@ -377,3 +378,14 @@ def test_tables_for_pandas(tmp_path: Path) -> None:
     steps = episode.tracks.to_pandas()
     assert len(steps) == 252
     np.testing.assert_array_equal(steps["x"], episode.tracks.xy[..., 0][episode.tracks.valid])
+
+
+def test_conflicts_are_those_of_the_stored_tracks(tmp_path: Path) -> None:
+    """The table of conflicts can be made again from what the dataset holds."""
+    small(tmp_path / "a")
+    dataset = open_dataset(tmp_path / "a")
+    for entry in dataset.manifest.episodes:
+        stored = dataset.conflicts(entry)
+        again = conflicts(dataset.read(entry).tracks, dataset.road(entry))
+        for field in dataclasses.fields(again):
+            np.testing.assert_array_equal(getattr(stored, field.name), getattr(again, field.name))

@@ -13,12 +13,11 @@ from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
-from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Frame, Tracks
-from sim.highway.demand import Demand
-from sim.highway.engine import network_of, read_frame, run
+from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
+from sim.highway.engine import network_of, run
 from sim.highway.motion import CLEAR_AFTER_S
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import Driver, ProfileVehicle
+from sim.highway.vehicle import ProfileVehicle
 from sim.scenario import WALK_START_M, AgentSpec, sample_agents
 
 STRAIGHT = ("east_in", "east_out")
@@ -55,13 +54,9 @@ def tracks(name: str, agents, duration_s: float, seed: int = 0, **options) -> Tr
 def put(
     road: TrafficRoad, lane, s: float, speed: float, behavior: Behavior, number: int = 0, law="IDM"
 ):
-    geometry = road.network_info.lanes[lane]
-    vehicle = ProfileVehicle(
-        road, geometry.position(s, 0.0), geometry.heading_at(s), speed,
-        driver=Driver(PROFILES[behavior], behavior, law, number), agent=number,
-        lane_index=lane, stretches=(lane[:2],),
-    )  # fmt: skip
-    road.vehicles.append(vehicle)
+    spec = driver(behavior, number)
+    vehicle = ProfileVehicle(road, spec, (lane[:2],), number, law).put(lane, s, speed)
+    road.add(vehicle)
     return vehicle
 
 
@@ -265,10 +260,9 @@ def meet_pedestrian(behavior: Behavior, seed: int = 0) -> Tracks:
 )
 def test_conservative_drivers_let_pedestrians_cross_and_reckless_ones_do_not(behavior, yields):
     seen = meet_pedestrian(behavior)
-    kinds = [event.kind for event in seen.events]
-    assert EventKind.COLLISION not in kinds
-    assert (EventKind.YIELDED in kinds) is yields
-    assert (EventKind.NOT_YIELDED in kinds) is (not yields)
+    assert EventKind.COLLISION not in [event.kind for event in seen.events]
+    slowest = np.nanmin(seen.speed[0])
+    assert bool(slowest < 3.0) is yields
 
 
 def test_pedestrians_cross_at_the_crossing_and_reach_the_other_side():
@@ -313,7 +307,7 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
 # Collisions ----------------------------------------------------------------------------------
 
 
-def test_a_collision_is_noted_with_its_cause_and_cleared():
+def test_a_collision_is_noted_and_cleared():
     road = TrafficRoad(straight_network())
     standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
     standing.stop_at, standing.stop_until = math.inf, math.inf
@@ -322,7 +316,7 @@ def test_a_collision_is_noted_with_its_cause_and_cleared():
         road.act()
         road.step(0.1)
     (event,) = [e for e in road.take_events() if e.kind is EventKind.COLLISION]
-    assert (event.agent, event.other, event.rule) == (2, 1, "did not keep the gap")
+    assert (event.agent, event.other) == (2, 1)
     assert moving.crashed
     assert standing.crashed
     for _ in range(round(10 * CLEAR_AFTER_S) + 5):
@@ -366,35 +360,3 @@ def test_all_kinds_of_vehicles_drive():
     assert seen.kind.tolist() == [a.kind.code for a in agents]
     assert np.nanmax(seen.speed[1]) < 5.6  # as fast as bicycles go
     assert not seen.events
-
-
-@pytest.mark.parametrize("name", ["four_way_intersection", "two_way_road", "motorway_ramps"])
-def test_a_copied_road_drives_on_alike_and_apart(name: str) -> None:
-    mix = {"reckless": 0.5, "threatening": 0.5}
-    scenario = SCENARIOS[name](flow="dense", mix=mix, duration_s=40.0)
-    road = TrafficRoad(network_of(scenario.road))
-    demand = Demand(road, sample_agents(scenario, 1), 1)
-    drive_on(road, demand, 25.0)
-    copied = road.copied()
-    copied_demand = demand.copied(copied)
-    first = drive_on(copied, copied_demand, 6.0)
-    then = drive_on(road, demand, 6.0)
-    assert len(then[-1].ids) > 3
-    for one, other in zip(first, then, strict=True):
-        for field in dataclasses.fields(one):
-            a, b = getattr(one, field.name), getattr(other, field.name)
-            assert np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b, field.name
-    assert not {id(v) for v in road.vehicles} & {id(v) for v in copied.vehicles}
-    lanes = {id(lane) for lane in road.network_info.lanes.values()}
-    assert {id(v.lane) for v in copied.vehicles} <= lanes
-
-
-def drive_on(road: TrafficRoad, demand: Demand, seconds: float) -> list[Frame]:
-    """The next frames of a road."""
-    frames = []
-    for _ in range(round(seconds / 0.1)):
-        demand.enter()
-        road.act()
-        road.step(0.1)
-        frames.append(read_frame(road))
-    return frames

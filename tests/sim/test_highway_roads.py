@@ -30,7 +30,7 @@ def test_a_straight_road_is_one_stretch_with_lanes_counted_from_the_left():
     road: SumoRoad = made.road
     leftmost = made.lanes["east_in<", "east_out>", 0]
     assert leftmost.length == pytest.approx(800.0)
-    assert leftmost.start[1] == -max(
+    assert leftmost.points[0, 1] == -max(
         lane.centerline[0, 1] for lane in road.lanes if lane.edge == "east_in"
     )
     strips = made.info["east_in<", "east_out>", 0].strips

@@ -7,6 +7,7 @@ from behaviors.errors import InputError
 from scenarios.networks.build import SHIPPED, net_of
 from sim.frames import Signal
 from sim.road import SignalPlan
+from sim.road.lane_graph import LaneGraph
 from sim.road.net import read_road
 
 
@@ -79,7 +80,7 @@ def test_project_finds_lane_distance_and_offset():
     road = read_road(net_of(SHIPPED["straight_road"]))
     lane = road.lanes[road.lane_index["east_in_2"]]
     x, y = lane.centerline[0] + [100.0, 0.7]
-    found = road.project(np.array([[x, y]]), np.array([0.0]))
+    found = LaneGraph.of(road).project(np.array([[x, y]]), np.array([0.0]))
     assert road.lanes[int(found.lane[0])].id == "east_in_2"
     assert found.s[0] == pytest.approx(100.0)
     assert found.offset[0] == pytest.approx(0.7)

@@ -11,8 +11,9 @@ from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.road import Connection, Crossing, Lane, Road
+from sim.road.lane_coordinates import along
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.lane_search import along, next_vehicle
+from sim.road.lane_search import next_vehicle
 
 
 def lane(name, points, edge=None, index=0, limit=10.0, internal=False, walking=False):
@@ -78,7 +79,7 @@ def test_position_inverts_project_and_goes_on_straight(junction):
     xy, heading = graph.position(lanes, s, np.array([1.0, 0.0, 0.0, 0.0]))
     assert xy[0] == pytest.approx([30.0, 1.0])
     assert xy[3] == pytest.approx([260.0, 0.0])
-    back = junction.project(xy[:3], heading[:3])
+    back = LaneGraph.of(junction).project(xy[:3], heading[:3])
     assert back.lane.tolist() == [0, 3, 3]
     assert back.s == pytest.approx(s[:3], abs=1e-9)
     assert back.offset == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
@@ -177,7 +178,7 @@ def test_lanes_are_searched_backward_too():
     length, before = np.array([100.0, 50.0]), np.array([-1, 0])
     lanes, at = np.array([0, 0, 1]), np.array([20.0, 60.0, 10.0])
     assert [
-        next_vehicle(lanes, at, 3, lane, s, False, length, before)
+        next_vehicle(lanes, at, 0, 3, lane, s, False, length, before)
         for lane, s in ((0, 60.0), (1, 10.0), (0, 20.0))
     ] == [(0, 40.0), (1, 50.0), (-1, np.inf)]
 

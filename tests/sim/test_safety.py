@@ -541,8 +541,8 @@ def test_who_has_priority():
     same = replace(road, connections=tuple(links))
     assert conflicts(tracks_of([west, south]), same).priority == -1
     lit = replace(
-        same,
-        connections=tuple(replace(link, signal=k) for k, link in enumerate(links)),
+        road,
+        connections=tuple(replace(link, signal=k) for k, link in enumerate(road.connections)),
         signal_groups=("w", "s"),
     )
     signals = np.tile([[Signal.RED.code], [Signal.GREEN.code]], TIMES.size)

@@ -15,6 +15,7 @@ from sim.episode.incidents import incidents
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
+from sim.road.lane_graph import LaneGraph
 from sim.road.net import signal_code
 from sim.scenario import AgentSpec, sample_agents
 from sim.sumo.engine import SumoError, run
@@ -83,7 +84,7 @@ def test_positions_are_box_centres_and_headings_point_along_the_road():
     assert first.ids.tolist() == [7]
     assert first.length[0] == 5.0
     assert first.heading[0] == pytest.approx(0.0)
-    lane = scenario.road.project(last.xy, last.heading)
+    lane = LaneGraph.of(scenario.road).project(last.xy, last.heading)
     assert abs(lane.offset[0]) < 1e-6
     travelled = sum(float(f.speed[0]) * 0.1 for f in seen[1:])
     assert last.xy[0, 0] - first.xy[0, 0] == pytest.approx(travelled, abs=0.01)

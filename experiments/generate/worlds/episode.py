@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.generate.configuration import RANDOM_WORLD
+from experiments.generate import RANDOM_WORLD
 from experiments.generate.worlds.world import DURATION_S, WARM_UP_S, World, draw_world
 from sim.engines import get_engine
 from sim.files import temporary_folder
@@ -52,9 +52,11 @@ def write_world(
     with temporary_folder("world") as scratch:
         net = scratch / "world.net.xml"
         net.write_text(world.road.net(), encoding="utf-8")
-        scenario = world_scenario(world, net)
+        scenario = _scenario(world, net)
         agents = world.population.drivers(sample_agents(scenario, world.seed))
-        tracks, behind = record(world, scenario, agents)
+        tracks = _recorded(world, scenario, agents)
+        by_name = {str(agent.id): agent for agent in agents}
+        behind = [by_name[name.partition("/")[0]] for name in tracks.names]
         sizes = zip(behind, tracks.ids, tracks.length, tracks.width, strict=True)
         seen = [
             dataclasses.replace(a, id=int(i), length_m=float(long), width_m=float(wide))
@@ -65,13 +67,8 @@ def write_world(
         return out.write_tracks(meta, rounded(tracks), seen, road, drawn=drawn)
 
 
-def world_scenario(world: World, net: Path) -> Scenario:
-    """The scenario of a world, with its warm-up.
-
-    Args:
-        world: which.
-        net: file that holds `WorldRoad.net`.
-    """
+def _scenario(world: World, net: Path) -> Scenario:
+    """The scenario of a world on the net of a file, with its warm-up."""
     return Scenario(
         name=f"{world.road.family}_world",
         road=read_road(net, f"{world.road.family}_world"),
@@ -84,37 +81,19 @@ def world_scenario(world: World, net: Path) -> Scenario:
     )
 
 
-def record(
-    world: World, scenario: Scenario, agents: tuple[AgentSpec, ...]
-) -> tuple[Tracks, tuple[AgentSpec, ...]]:
-    """Drive a world and see it with its sensor.
+def _recorded(world: World, scenario: Scenario, agents: tuple[AgentSpec, ...]) -> Tracks:
+    """What the sensor of a world records of its traffic, from the end of the warm-up on."""
+    frames: Iterator[Frame]
+    if world.engine == "sumo":
+        from sim.sumo.engine import run_with
 
-    Args:
-        world: which.
-        scenario: what `world_scenario` gives.
-        agents: its drivers and pedestrians.
-
-    Returns:
-        What the sensor recorded, from time 0 on, and the agent behind each track.
-    """
-    frames = run_world(world, scenario, agents)
+        frames = run_with(scenario, agents, world.seed, world.settings)
+    else:
+        frames = get_engine(world.engine)(scenario, agents, world.seed)
     seen = itertools.dropwhile(lambda frame: frame.time_s < WARM_UP_S, frames)
-    behaviors = {agent.id: agent.behavior for agent in agents}
-    clean = Tracks.from_frames(seen, behaviors)
-    rng = np.random.default_rng((world.seed, _SENSOR_STREAM))
-    tracks = world.sensor.seen(clean, rng)
-    by_name = {str(agent.id): agent for agent in agents}
-    return tracks, tuple(by_name[name.partition("/")[0]] for name in tracks.names)
+    clean = Tracks.from_frames(seen, {agent.id: agent.behavior for agent in agents})
+    return world.sensor.seen(clean, np.random.default_rng((world.seed, _SENSOR_STREAM)))
 
 
 _SENSOR_STREAM = 9
 """Number of the random stream of a world's sensor."""
-
-
-def run_world(world: World, scenario: Scenario, agents: tuple[AgentSpec, ...]) -> Iterator[Frame]:
-    """Frames of a world as they are, its warm-up included."""
-    if world.engine != "sumo":
-        return get_engine(world.engine)(scenario, agents, world.seed)
-    from sim.sumo.engine import run_with
-
-    return run_with(scenario, agents, world.seed, world.settings)

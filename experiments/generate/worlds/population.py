@@ -23,34 +23,25 @@ FloatArray = NDArray[np.float64]
 TRAF_MIX: Final = (53, 13, 52, 266, 2, 6)
 """Agents of each behaviour in the annotated TRAF videos, in the order of ``BEHAVIORS``."""
 
-SHIFTS: Final[dict[str, float]] = {
-    "speed_factor": 0.08,
-    "time_headway_s": 0.22,
-    "min_gap_m": 0.25,
-    "max_accel_mps2": 0.2,
-    "comfort_decel_mps2": 0.15,
-    "lane_change_gain": 0.5,
-    "lane_change_patience_s": 0.4,
-    "lane_change_assertiveness": 0.25,
-    "gap_acceptance_s": 0.25,
-    "startup_delay_s": 0.3,
+VARIED: Final[dict[str, tuple[float, float]]] = {
+    "speed_factor": (0.08, 1.0),
+    "time_headway_s": (0.22, -1.0),
+    "min_gap_m": (0.25, -1.0),
+    "max_accel_mps2": (0.2, 1.0),
+    "comfort_decel_mps2": (0.15, 1.0),
+    "lane_change_gain": (0.5, 1.0),
+    "lane_change_patience_s": (0.4, -1.0),
+    "lane_change_assertiveness": (0.25, 1.0),
+    "gap_acceptance_s": (0.25, -1.0),
+    "startup_delay_s": (0.3, -1.0),
 }
-"""Numbers of the profiles by which whole populations differ, and the log-normal spread between
-populations (half of all populations keep headways from .86 to 1.16 times ours)."""
+"""Numbers of the profiles by which whole populations differ: the log-normal spread between
+populations, and whether a number grows or falls with how briskly a driver drives."""
 
-TENDENCY: Final[dict[str, float]] = {
-    "speed_factor": 1.0,
-    "time_headway_s": -1.0,
-    "min_gap_m": -1.0,
-    "max_accel_mps2": 1.0,
-    "comfort_decel_mps2": 1.0,
-    "lane_change_gain": 1.0,
-    "lane_change_patience_s": -1.0,
-    "lane_change_assertiveness": 1.0,
-    "gap_acceptance_s": -1.0,
-    "startup_delay_s": -1.0,
-}
-"""Whether a number grows or falls with how briskly a driver drives, for correlated drivers."""
+MIXES: Final = {
+    "equal": 0.25, "any": 0.3, "one-sided": 0.2, "traf": 0.1, "one style": 0.08, "pure": 0.07,
+}  # fmt: skip
+"""Chance of each way of drawing the mix."""
 
 ACTS: Final = ("cut_in_rate_per_min", "stop_rate_per_min", "wrong_way_rate_per_min")
 """What drivers do on purpose; worlds differ in how often."""
@@ -62,7 +53,7 @@ class Population:
 
     Attributes:
         mix: share of each behaviour.
-        mix_kind: how it was drawn: equal, traf, pure, one style, one-sided or any.
+        mix_kind: how it was drawn, a key of `MIXES`.
         kinds: share of each kind of vehicle.
         spread: log-normal spread between drivers of one behaviour.
         correlation: share of that spread's variance that all numbers of a driver have in common.
@@ -87,14 +78,7 @@ class Population:
         }
 
     def drivers(self, agents: Sequence[AgentSpec]) -> tuple[AgentSpec, ...]:
-        """The same agents with the numbers that drivers of this world have.
-
-        Args:
-            agents: as drawn from the mix; each driver's own seed decides how it differs.
-
-        Returns:
-            As many agents, in the same order.
-        """
+        """The same agents with numbers of this world, on which each driver's own seed decides."""
         return tuple(self._driver(agent) for agent in agents)
 
     def _driver(self, agent: AgentSpec) -> AgentSpec:
@@ -102,12 +86,12 @@ class Population:
             return agent
         rng = np.random.default_rng((agent.seed, _STREAM))
         median, limits = PROFILES[agent.behavior], KIND_LIMITS[agent.kind]
-        drawn = rng.standard_normal(len(SHIFTS) + 1).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
+        drawn = rng.standard_normal(len(VARIED) + 1).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
         common, own = float(drawn[0]), drawn[1:]
         numbers: dict[str, float] = {}
-        for z, name in zip(own, SHIFTS, strict=True):
+        for z, (name, (_, tendency)) in zip(own, VARIED.items(), strict=True):
             mixed = (1 - self.correlation) ** 0.5 * z
-            mixed += self.correlation**0.5 * common * TENDENCY[name]
+            mixed += self.correlation**0.5 * common * tendency
             factor = math.exp(self.spread * mixed) * self.shifts.get(name, 1.0)
             numbers[name] = getattr(median, name) * factor
         numbers["time_headway_s"] = max(numbers["time_headway_s"], LOWEST_HEADWAY_S)
@@ -125,17 +109,12 @@ _STREAM: Final = 8
 
 def draw_population(rng: np.random.Generator) -> Population:
     """Draw who drives."""
-    kind = str(
-        rng.choice(
-            ["equal", "any", "one-sided", "traf", "one style", "pure"],
-            p=[0.25, 0.3, 0.2, 0.1, 0.08, 0.07],
-        )
-    )
+    kind = str(rng.choice(list(MIXES), p=list(MIXES.values())))
     shares = _draw_mix(kind, rng)
     shifted = rng.random() < 0.8
     shifts = {
         name: round(math.exp(deviation * rng.standard_normal()), 3) if shifted else 1.0
-        for name, deviation in SHIFTS.items()
+        for name, (deviation, _) in VARIED.items()
     }
     trucks = float(rng.choice((0.0, 0.0, 0.05, 0.15)))
     kinds = {AgentKind.CAR: 1.0 - trucks, AgentKind.TRUCK: trucks}
@@ -153,7 +132,6 @@ def draw_population(rng: np.random.Generator) -> Population:
 def _draw_mix(kind: str, rng: np.random.Generator) -> FloatArray:
     """(6,) shares in the order of ``BEHAVIORS``; they sum to 1."""
     n = len(BEHAVIORS)
-    aggressive = AGGRESSIVE
     if kind == "equal":
         shares = np.full(n, 1.0)
     elif kind == "traf":
@@ -162,7 +140,7 @@ def _draw_mix(kind: str, rng: np.random.Generator) -> FloatArray:
         shares = np.zeros(n)
         shares[rng.integers(n)] = 1.0
     elif kind == "one style":
-        shares = np.where(aggressive == (rng.random() < 0.5), rng.dirichlet(np.full(n, 2.0)), 0.0)
+        shares = np.where((rng.random() < 0.5) == AGGRESSIVE, rng.dirichlet(np.full(n, 2.0)), 0.0)
     elif kind == "one-sided":
         shares = np.full(n, 0.4 / (n - 1))
         shares[rng.integers(n)] = 0.6

@@ -9,17 +9,12 @@ import numpy as np
 
 from behaviors.elementwise import log_uniform
 from behaviors.errors import InputError
+from experiments.generate.worlds.written_nets import limited_net, ramp_net, straight_net
 from scenarios.four_way_intersection import TURNS
-from scenarios.networks.geometry import ARMS, TWO_WAY_LENGTH_M
-from scenarios.networks.written import limited_net, ramp_net, straight_net
+from scenarios.networks.geometries import ARMS, TWO_WAY_LENGTH_M
 from sim.scenario import RouteFlow
 
-FAMILIES: Final[dict[str, float]] = {
-    "straight": 0.45,
-    "junction": 0.25,
-    "ramp": 0.2,
-    "two-way": 0.1,
-}
+FAMILIES: Final = {"straight": 0.45, "junction": 0.25, "ramp": 0.2, "two-way": 0.1}
 """Chance of each family of roads."""
 
 JUNCTIONS: Final[dict[str, dict[int, str]]] = {
@@ -38,7 +33,7 @@ RAMP_SHARE: Final = (0.1, 0.35)
 """Share of the traffic that uses each ramp."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WorldRoad:
     """A road and the demand on it.
 
@@ -54,13 +49,13 @@ class WorldRoad:
     """
 
     family: str
-    control: str
+    control: str = ""
     lanes: int
     limit_mps: float
     length_m: float
     flow: float
-    pedestrians_per_h: float
-    ramp_share: float
+    pedestrians_per_h: float = 0.0
+    ramp_share: float = 0.0
 
     def net(self) -> str:
         """The text of the SUMO net.
@@ -123,19 +118,15 @@ def draw_road(rng: np.random.Generator) -> WorldRoad:
             length_m=500.0,
             flow=round((200.0 + 700.0 * level) * lanes if signals else 200.0 + 550.0 * level),
             pedestrians_per_h=float(rng.choice((0.0, 0.0, 120.0, 300.0))),
-            ramp_share=0.0,
         )
     if family == "two-way":
         lanes = int(rng.integers(1, 3))
         return WorldRoad(
             family=family,
-            control="",
             lanes=lanes,
             limit_mps=round(float(rng.uniform(30.0, 100.0)) / 3.6, 2),
             length_m=TWO_WAY_LENGTH_M,
             flow=round((250.0 + 800.0 * level) * lanes),
-            pedestrians_per_h=0.0,
-            ramp_share=0.0,
         )
     ramp = family == "ramp"
     limit = float(rng.uniform(60.0 if ramp else 20.0, 130.0)) / 3.6
@@ -146,11 +137,9 @@ def draw_road(rng: np.random.Generator) -> WorldRoad:
     present = flow / 3600.0 * length / (0.85 * limit)
     return WorldRoad(
         family=family,
-        control="",
         lanes=lanes,
         limit_mps=round(limit, 2),
         length_m=round(length),
         flow=round(flow * min(1.0, MOST_PRESENT / present)),
-        pedestrians_per_h=0.0,
         ramp_share=round(float(rng.uniform(*RAMP_SHARE)), 3) if ramp else 0.0,
     )

@@ -70,8 +70,7 @@ class Sensor:
         has_map: whether the recording comes with the map.
         has_sizes: whether sizes are measured; otherwise all are cars of 4.5 m.
         pixels_per_m: scale of an image whose scale nobody knows; 0 for metres.
-        left_hand: whether the recording is mirrored, as where people drive on the left; then it has
-            no map.
+        left_hand: whether the recording is mirrored and without a map.
         turned_rad: by how much the axes are turned; 0 with a map.
     """
 
@@ -89,18 +88,10 @@ class Sensor:
     turned_rad: float = 0.0
 
     def seen(self, tracks: Tracks, rng: np.random.Generator) -> Tracks:
-        """What the sensor records of the traffic.
+        """What the sensor records of traffic at its frame rate, with the same labels.
 
-        Headings and speeds are not measured: they follow from the positions, as in most
-        recordings (`sim.formats.common.motion.motion`).
-
-        Args:
-            tracks: where everyone was, at the sensor's frame rate.
-            rng: source of the errors.
-
-        Returns:
-            The recording, with the same labels. Names begin with the agent's id; behind a slash
-            follows the number of the track where an agent has several.
+        Headings and speeds follow from the positions, as in most recordings. Names begin with the
+        agent's id; behind a slash follows the number of the track where an agent has several.
         """
         seen = tracks
         if self.noise_m and self.noise_correlation_s:
@@ -171,15 +162,10 @@ def draw_sensor(rng: np.random.Generator) -> Sensor:
 
 
 def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
-    """Tracks as a sensor that is drawn at random sees them, in metres.
+    """Tracks at a steady frame rate as a sensor that is drawn at random sees them, in metres.
 
-    Args:
-        tracks: at a steady frame rate.
-        rng: source of the sensor and of its errors.
-
-    Returns:
-        At the sensor's frame rate or near to it, with noise, losses and turned axes. Frames between
-        those of the tracks lie on splines.
+    They have the sensor's frame rate or one near to it; frames between those of the tracks lie on
+    splines.
     """
     sensor = dataclasses.replace(draw_sensor(rng), pixels_per_m=0.0)
     every = round(sensor.step_s / tracks.step_s)

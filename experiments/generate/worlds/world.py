@@ -25,13 +25,9 @@ DURATION_S: Final = 120.0
 WARM_UP_S: Final = 40.0
 """Traffic drives this long before the sensor looks, s, so that the road is not empty."""
 
-FINEST_STEP_S: Final[dict[str, float]] = {
-    "ACC": 0.1,
-    "highway-env IDM": 0.1,
-    "highway-env Krauss": 0.1,
-}
-"""Shortest time between frames of some laws, s. At 0.04 s, drivers with ACC collide (99 times among
-108 drivers; never at 0.1 s), and highway-env takes half a minute for an episode."""
+FINEST_STEP_S: Final = dict.fromkeys(("ACC", "highway-env IDM", "highway-env Krauss"), 0.1)
+"""Shortest time between frames of some laws, s: with shorter ones drivers with ACC collide, and
+highway-env takes long."""
 
 KEEP_RIGHT: Final = (0.0, 0.0, 0.2, 0.5, 1.0, 2.0, 5.0)
 """SUMO's lcKeepRight, drawn with equal chances: from never to strongly (1 is SUMO's default)."""
@@ -99,17 +95,10 @@ class World:
 
 
 def draw_world(seed: int, duration_s: float = DURATION_S) -> World:
-    """Draw a world.
+    """Draw a world with an episode of ``duration_s``; the same seed draws the same world.
 
     Each part draws from a generator of its own, so that a change to one leaves the others as they
     were.
-
-    Args:
-        seed: any integer from 0 to 2**31 - 1; the same seed draws the same world.
-        duration_s: length of its episode, s.
-
-    Returns:
-        The world.
 
     Examples:
         >>> draw_world(1) == draw_world(1)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from graphrqi.predict.scene.paths import limits
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
-from sim.road.lane_graph import LaneGraph, project
+from sim.road.lane_graph import LaneGraph
 from sim.road.lane_search import LaneView, adjacent_vehicles, perceive
 
 FloatArray = NDArray[np.float64]
@@ -95,7 +95,7 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     column = columns[instant]
     past_xy, past_heading = history.xy[agent, column], history.heading[agent, column]
     past_length = history.length[agent]
-    found = project(road, past_xy, past_heading)
+    found = graph.project(past_xy, past_heading)
     view = perceive(
         past_xy, past_heading, past_length, np.ones(agent.size, np.bool_), found.lane, found.s,
         found.offset, np.arange(agent.size), begins, graph,

@@ -18,7 +18,7 @@ from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import PathTable
 from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, Tracks
-from sim.road import Road, lane_search
+from sim.road import Road, lane_coordinates
 from sim.road.cells import Cells, boxes_of, cells_of
 from sim.road.lane_graph import LaneGraph
 
@@ -286,11 +286,11 @@ def _block_crossings(
         for k in range(first[cell], first[cell + 1]):
             c = items[k]
             line = points[point_first[c] : point_first[c + 1]]
-            u, across, total = lane_search.along_at(line, x, y)
+            u, across, total = lane_coordinates.along_at(line, x, y)
             beside = abs(across) <= crossings.width[c] / 2 + BESIDE_CROSSING_M
             if not (beside and -BEYOND_CROSSING_M < u < total + BEYOND_CROSSING_M):
                 continue
-            ahead, _, _ = lane_search.along_at(
+            ahead, _, _ = lane_coordinates.along_at(
                 line, x + math.cos(heading[p]), y + math.sin(heading[p])
             )
             pace = (ahead - u) * speed[p]

@@ -133,14 +133,11 @@ def fit(
     """
     import torch
 
-    from graphrqi.portable_torch import adamw
+    from graphrqi.portable_torch import Descent
 
-    optimizer = adamw(module.parameters(), LEARNING_RATE, WEIGHT_DECAY)
     training = draw(0)
     steps = max(1, len(training.features) // BATCH) * epochs
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, max_lr=LEARNING_RATE, total_steps=steps + 1, pct_start=0.1
-    )
+    descent = Descent(module, steps + 1, LEARNING_RATE, WEIGHT_DECAY, 0.1, 5.0)
     generator = torch.Generator().manual_seed(seed)
     best, kept = float("inf"), {k: v.clone() for k, v in module.state_dict().items()}
     for epoch in range(epochs):
@@ -151,12 +148,8 @@ def fit(
         order = torch.randperm(len(features), generator=generator)
         whole = max(1, len(order) // BATCH) * BATCH
         for batch in torch.split(order[:whole], BATCH):
-            loss = displacement_loss(module(features[batch]), anchors[batch], truth[batch])
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(module.parameters(), 5.0)
-            optimizer.step()
-            schedule.step()
+            guesses = module(features[batch])
+            descent.step(displacement_loss(guesses, anchors[batch], truth[batch]))
         ade = validation_ade(module, validation)
         on_epoch(epoch, ade)
         if ade < best:

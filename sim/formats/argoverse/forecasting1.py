@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, assemble
-from sim.formats.common.tables import read_csv
+from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
+from sim.formats.common.tables import read_table
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, Tracks
 from sim.input_files import stem
@@ -53,14 +53,14 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    table = read_csv(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
+    table = read_table(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
     agent, names = table.names("track_id")
     time_s = table.numbers("timestamp")
-    xy = np.stack([table.numbers("x"), table.numbers("y")], axis=1)
     labels = _labels_beside(path, names)
-    rows = Rows.of(agent, names, time_s - time_s.min(), xy, behavior=labels)
+    xy = table.stacked("x", "y")
+    rows = Rows(agent, names, time_s - time_s.min(), xy, behavior=labels)
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
-    yield Recording(stem(path), assemble(path, rows), notes)
+    yield recorded(path, stem(path), rows, notes)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
@@ -68,7 +68,7 @@ def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | Non
     labels = path.with_suffix(LABELS_SUFFIX)
     if not labels.is_file():
         return None
-    table = read_csv(labels, [], ["track_id", "behavior"])
+    table = read_table(labels, [], ["track_id", "behavior"], empty=["behavior"])
     return behavior_codes(labels, names, table.words("track_id"), table.words("behavior"))
 
 

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from sim.files import whole_folder
-from sim.formats.common.recording import Recording, Rows, assemble
-from sim.formats.common.tables import read_parquet
+from sim.formats.common.recording import Recording, Rows, recorded
+from sim.formats.common.tables import read_table
 from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.input_files import stem
@@ -110,7 +110,7 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names file and column.
     """
-    table = read_parquet(path, _NUMBERS, ("track_id", "object_type"))
+    table = read_table(path, _NUMBERS, ("track_id", "object_type"))
     types, type_words = table.codes("object_type")
     road_agent = np.isin(type_words, list(OBJECT_TYPES))[types]
     left_out = sorted({type_words[code] for code in np.unique(types)} - set(OBJECT_TYPES))
@@ -118,13 +118,13 @@ def read(path: Path) -> Iterator[Recording]:
     agent, names = agents.names("track_id")
     _, first = np.unique(agent, return_index=True)
     name = stem(path).removeprefix("scenario_")
-    rows = Rows.of(
+    rows = Rows(
         agent,
         names,
         agents.numbers("timestep") / 10.0,
-        np.stack([agents.numbers("position_x"), agents.numbers("position_y")], axis=1),
-        agents.numbers("heading"),
-        np.hypot(agents.numbers("velocity_x"), agents.numbers("velocity_y")),
+        agents.stacked("position_x", "position_y"),
+        agents.measured("heading"),
+        np.hypot(agents.measured("velocity_x"), agents.measured("velocity_y")),
         [OBJECT_TYPES[type_words[code]] for code in types[road_agent][first]],
         behavior=_labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
     )
@@ -135,14 +135,14 @@ def read(path: Path) -> Iterator[Recording]:
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    yield Recording(name, assemble(path, rows), tuple(notes), road)
+    yield recorded(path, name, rows, notes, road, own_road=True)
 
 
 def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
     """Behaviours from the file beside a scenario; None without one."""
     if not path.is_file():
         return None
-    table = read_parquet(path, (), ("track_id", "behavior"), empty=("behavior",))
+    table = read_table(path, (), ("track_id", "behavior"), empty=("behavior",))
     return behavior_codes(path, names, table.words("track_id"), table.words("behavior"))
 
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble
-from sim.formats.common.tables import Table, read_feather
+from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.tables import Table, read_table
 from sim.frames import AgentKind
 from sim.input_files import beside
 from sim.road.maps.argoverse2 import read_map
@@ -85,7 +85,7 @@ def read(path: Path) -> Iterator[Recording]:
             and column.
     """
     numbers = ("timestamp_ns", *_TURN, *_PLACE, "length_m", "width_m")
-    boxes = read_feather(path, numbers, ("track_uuid", "category"))
+    boxes = read_table(path, numbers, ("track_uuid", "category"))
     poses = beside(path, POSES)
     if poses is None:
         raise InputError(
@@ -106,12 +106,12 @@ def read(path: Path) -> Iterator[Recording]:
             "recording car's"
         )
     _, first = np.unique(agent, return_index=True)
-    xy = np.einsum("nij,nj->ni", turn[at, :2], _columns(agents, _PLACE)) + place[at, :2]
+    xy = np.einsum("nij,nj->ni", turn[at, :2], agents.stacked(*_PLACE)) + place[at, :2]
     ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(agents)[:, :, 0])
     ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
     heading = np.concatenate([ahead, turn[:, :2, 0]])
-    sizes = _columns(agents, ("length_m", "width_m"))[first]
-    rows = Rows.of(
+    sizes = first_sizes(agent, agents.stacked("length_m", "width_m"))
+    rows = Rows(
         np.append(agent, np.full(sweeps.size, len(names))),
         (*names, EGO_NAME),
         np.append(time_s[at], time_s),
@@ -136,7 +136,7 @@ def read(path: Path) -> Iterator[Recording]:
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
     name = path.absolute().parent.name
-    yield Recording(name, assemble(path, rows), tuple(notes), road)
+    yield recorded(path, name, rows, notes, road, own_road=True)
 
 
 def _maps_of(path: Path) -> list[Path]:
@@ -145,14 +145,9 @@ def _maps_of(path: Path) -> list[Path]:
     return [*home.glob("map/log_map_archive_*.json"), *home.glob("log_map_archive_*.json")]
 
 
-def _columns(table: Table, names: tuple[str, ...]) -> FloatArray:
-    """(rows, len(names)) numbers."""
-    return np.stack([table.numbers(name) for name in names], axis=1)
-
-
 def _rotations(table: Table) -> FloatArray:
     """(rows, 3, 3) rotations of a table's unit quaternions."""
-    quaternion = _columns(table, _TURN)
+    quaternion = table.stacked(*_TURN)
     length = np.sqrt((quaternion**2).sum(axis=1))
     bad = np.flatnonzero(~(np.abs(length - 1) <= UNIT_TOLERANCE))
     if bad.size:
@@ -171,7 +166,7 @@ def _rotations(table: Table) -> FloatArray:
 
 def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """(sweeps, 3, 3) rotation and (sweeps, 3) place of the recording car at each sweep, m."""
-    poses = read_feather(path, ("timestamp_ns", *_TURN, *_PLACE), ())
+    poses = read_table(path, ("timestamp_ns", *_TURN, *_PLACE), ())
     stamp = poses.whole("timestamp_ns")
     order = np.argsort(stamp, kind="stable")
     first, last = (np.searchsorted(stamp[order], sweeps, side=side) for side in ("left", "right"))
@@ -187,4 +182,4 @@ def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatA
             f"{path}: column timestamp_ns: found {sweeps[twice[0]]} twice, expected it once"
         )
     used = order[first]
-    return _rotations(poses)[used], _columns(poses, _PLACE)[used]
+    return _rotations(poses)[used], poses.stacked(*_PLACE)[used]

@@ -7,7 +7,7 @@ by steps, lanes with their successors, crosswalks, and what each lane's light sh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, assemble
+from sim.formats.common.recording import Recording, Rows, recorded
 from sim.frames import AgentKind, Signal
 from sim.road.maps.waymo import WaymoLane, waymo_road
 
@@ -28,7 +28,24 @@ STATES: Final = (
 """What lights show, by the format's number: unknown; stop, caution and go as arrows, then as discs;
 flashing stop and caution."""
 
-ROWS: Final = ("x", "y", "heading", "speed", "length", "width")
+
+@dataclass(frozen=True)
+class SceneAgent:
+    """An agent of a scenario.
+
+    Attributes:
+        name: its own name.
+        kind: what it is.
+        steps: (k,) the steps at which it is seen.
+        values: (k, 6) x, y, heading, speed, length and width at these steps.
+        behavior: code into ``BEHAVIORS``; -1 where it has none.
+    """
+
+    name: str
+    kind: AgentKind
+    steps: NDArray[np.int64]
+    values: FloatArray
+    behavior: int = -1
 
 
 @dataclass
@@ -39,29 +56,21 @@ class DrivingScene:
         path: its file.
         name: its own name.
         time_s: (T,) of the steps, s.
-        names: of the agents.
-        kinds: of the agents.
-        steps: of each agent, the steps at which it is seen.
-        values: of each agent and of these steps: x, y, heading, speed, length and width.
+        agents: that are road-agents.
         lanes: of the map.
         crosswalks: (P, 2) outline of each, m, by id.
         lights: what the lights show at each step: index into `STATES` by lane.
         left_out: how many objects are no road-agents.
-        behavior: codes into ``BEHAVIORS`` of the agents (-1: none); [] where nobody has one.
     """
 
     path: Path
     name: str
     time_s: FloatArray
-    names: list[str]
-    kinds: list[AgentKind]
-    steps: list[list[int]]
-    values: list[list[tuple[float, ...]]]
-    lanes: list[WaymoLane]
-    crosswalks: dict[str, FloatArray]
-    lights: list[dict[int, int]]
+    agents: list[SceneAgent] = field(default_factory=list)
+    lanes: list[WaymoLane] = field(default_factory=list)
+    crosswalks: dict[str, FloatArray] = field(default_factory=dict)
+    lights: list[dict[int, int]] = field(default_factory=list)
     left_out: int = 0
-    behavior: list[int] = field(default_factory=list)
 
 
 def recording_of(scene: DrivingScene) -> Recording:
@@ -70,49 +79,52 @@ def recording_of(scene: DrivingScene) -> Recording:
     Raises:
         InputError: if its times do not increase, or an id is twice.
     """
-    path = scene.path
-    if not scene.time_s.size:
+    path, time_s = scene.path, scene.time_s
+    if not time_s.size:
         raise InputError(f"{path}: found no timestamps, expected some")
-    if not (np.diff(scene.time_s) > 0).all() or not (np.abs(scene.time_s) < 1e9).all():
+    if not (np.diff(time_s) > 0).all() or not (np.abs(time_s) < 1e9).all():
         raise InputError(f"{path}: timestamps_seconds: found times that do not increase")
-    seen = [i for i, steps in enumerate(scene.steps) if steps]
-    counts = [len(scene.steps[i]) for i in seen]
-    step = np.array([s for i in seen for s in scene.steps[i]], dtype=np.int64)
-    table = np.array([row for i in seen for row in scene.values[i]], dtype=np.float64)
-    table = table.reshape(-1, len(ROWS))
-    sizes = np.array(
-        [np.median([row[4:] for row in scene.values[i]], axis=0) for i in seen]
-    ).reshape(-1, 2)
-    names = [scene.names[i] for i in seen]
+    seen = [agent for agent in scene.agents if len(agent.steps)]
+    names = [agent.name for agent in seen]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: tracks: found an id twice, expected each once")
-    behavior = np.array(scene.behavior, dtype=np.int8)[seen] if scene.behavior else None
-    lights = sorted({lane for shown in scene.lights for lane in shown})
-    tracks = assemble(
+    table = np.concatenate([np.empty((0, 6)), *(agent.values for agent in seen)])
+    steps = np.concatenate([np.empty(0, dtype=np.int64), *(agent.steps for agent in seen)])
+    behavior = np.array([agent.behavior for agent in seen], dtype=np.int8)
+    recording = recorded(
         path,
-        Rows.of(
-            np.repeat(np.arange(len(seen)), counts),
+        scene.name,
+        Rows(
+            np.repeat(np.arange(len(seen)), [len(agent.steps) for agent in seen]),
             names,
-            scene.time_s[step] - scene.time_s[0],
+            time_s[steps] - time_s[0],
             table[:, :2],
             table[:, 2],
             table[:, 3],
-            [scene.kinds[i] for i in seen],
-            sizes,
-            behavior=behavior,
-            empty_s=tuple((scene.time_s - scene.time_s[0]).tolist()),
+            [agent.kind for agent in seen],
+            np.array([_size(agent.values[:, 4:]) for agent in seen]).reshape(-1, 2),
+            behavior=behavior if (behavior >= 0).any() else None,
+            empty_s=(time_s - time_s[0]).tolist(),
         ),
     )
+    lights = sorted({lane for shown in scene.lights for lane in shown})
     road = waymo_road(path, scene.name, scene.lanes, scene.crosswalks, lights)
     notes = ["vehicles are taken for cars, whatever they are"]
     if scene.left_out:
         notes.append(f"left out, because they are not road-agents: {scene.left_out} objects")
+    tracks = recording.tracks
     if road is not None:
         tracks = tracks.changed(signals=_signals(scene, lights))
         notes.append("widths of lanes are told from neighbours, or assumed to be 3.5 m")
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
-    return Recording(scene.name, tracks, tuple(notes), road)
+    return replace(recording, tracks=tracks, notes=tuple(notes), road=road, own_road=True)
+
+
+def _size(sides: FloatArray) -> FloatArray:
+    """(2,) the median length and width of the steps that have both; of none, the first ones."""
+    known = (sides > 0).all(axis=1)
+    return np.asarray(np.median(sides[known], axis=0) if known.any() else sides[0])
 
 
 def _signals(scene: DrivingScene, lights: Sequence[int]) -> NDArray[np.int8]:

@@ -1,7 +1,8 @@
-"""A recording from elsewhere: rows of any format become `Tracks`, or one clear error.
+"""A recording from elsewhere: rows of any format become a `Recording`, or one clear error.
 
 Every reader gives rows (agent, time, centre, heading, speed, size, kind) in our conventions. What
-all readers share is here: order, duplicates, limits, and headings that follow from the motion.
+all readers share is here: order, rows that repeat, agents whose numbers are broken, limits, and
+headings and speeds that follow from the motion.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import Style
 from behaviors.row_index import RowIndex
+from sim.formats.common.doubts import Stated, doubts_of, inside_vehicles
 from sim.formats.common.label_file import DriverLabel, relabelled
 from sim.formats.common.motion import row_motion
 from sim.frames import MAX_MAGNITUDE, AgentKind, Tracks
@@ -36,6 +38,13 @@ CAR_WIDTH_M: Final = 1.8
 CARS_ASSUMED: Final = "kinds and sizes are not in this format: cars of 4.5 m are assumed"
 """The note of recordings of formats that have positions only."""
 
+MAX_REPEATED: Final = 0.02
+"""Share of rows that may repeat an agent at one time with other numbers (a tracker that splits
+vehicles makes some .5 %): the first counts. With more, ids or times are wrong."""
+
+MAX_BROKEN: Final = 0.5
+"""Share of agents or rows that may be left out because their numbers are broken."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -50,6 +59,8 @@ class Recording:
         origin: latitude and longitude of (0, 0), degrees; None where not known.
         styles: by name, of the drivers of whom the style is known but not the behaviour.
         file: the file that it was read from, from the folder on that was read; "" where not known.
+        doubts: what contradicts itself, or looked like data and was left out, one sentence each.
+        own_road: whether the road belongs to the recording by its id, or is in the same file.
     """
 
     name: str
@@ -59,6 +70,8 @@ class Recording:
     origin: tuple[float, float] | None = None
     styles: Mapping[str, Style] = field(default_factory=dict)
     file: str = ""
+    doubts: tuple[str, ...] = ()
+    own_road: bool = False
 
     def labelled(self, labels: Sequence[DriverLabel | None]) -> Recording:
         """The same recording with labels.
@@ -73,7 +86,7 @@ class Recording:
         return replace(self, tracks=self.tracks.with_behavior(behavior), styles=styles)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Rows:
     """What a reader found: one entry per agent and time, in any order of rows.
 
@@ -81,73 +94,33 @@ class Rows:
         agent: (m,) index of the agent in ``names``.
         names: the source's own ids.
         time_s: (m,) s.
-        x: (m,) of the vehicle's centre, m.
-        y: (m,) of the vehicle's centre, m.
-        heading: (m,) rad; NaN where `assemble` takes it from the motion.
-        speed: (m,) m/s; NaN where `assemble` takes it from the motion.
-        length: (len(names),) m.
-        width: (len(names),) m.
-        kind: (len(names),) codes into ``sim.frames.KINDS``.
+        xy: (m, 2) of the agent's centre, m; NaN where it is not known: such rows are left out.
+        heading: (m,) rad; None, or NaN, where it is taken from the motion.
+        speed: (m,) m/s; None, or NaN, where it is taken from the motion.
+        kinds: (len(names),) None for cars.
+        sizes: (len(names), 2) lengths and widths, m; those that are not positive, and None, are the
+            ones usual for the kind.
         rest_heading: heading of agents that never move, rad.
         behavior: (len(names),) codes into ``BEHAVIORS`` (-1: none), or None.
         empty_s: times at which nobody was seen, s, in any order.
-        ahead_lengths: how far x and y are ahead of the centre, in lengths of the vehicle: 0.5 where
-            they are its front and the heading is taken from the motion.
+        ahead_lengths: how far positions are ahead of the centre, in lengths of the vehicle: 0.5
+            where they are its front.
+        in_metres: whether positions and sizes are metres; else nothing is doubted.
     """
 
     agent: NDArray[np.int64]
-    names: tuple[str, ...]
+    names: Sequence[str]
     time_s: FloatArray
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-    length: FloatArray
-    width: FloatArray
-    kind: NDArray[np.int8]
+    xy: FloatArray
+    heading: FloatArray | None = None
+    speed: FloatArray | None = None
+    kinds: Sequence[AgentKind] | None = None
+    sizes: FloatArray | None = None
     rest_heading: float = 0.0
     behavior: NDArray[np.int8] | None = None
-    empty_s: tuple[float, ...] = ()
+    empty_s: Sequence[float] = ()
     ahead_lengths: float = 0.0
-
-    @classmethod
-    def of(
-        cls,
-        agent: NDArray[np.int64],
-        names: Sequence[str],
-        time_s: FloatArray,
-        xy: FloatArray,
-        heading: FloatArray | None = None,
-        speed: FloatArray | None = None,
-        kinds: Sequence[AgentKind] | None = None,
-        sizes: FloatArray | None = None,
-        **more: Any,
-    ) -> Rows:
-        """Rows of a format that may lack something.
-
-        Args:
-            agent: as in `Rows`.
-            names: the source's own ids.
-            time_s: (m,) s.
-            xy: (m, 2) m.
-            heading: (m,) rad; None to take it from the motion.
-            speed: (m,) m/s; None to take it from the motion.
-            kinds: (len(names),) None for cars.
-            sizes: (len(names), 2) lengths and widths, m; of those that are 0, and where there are
-                none, the ones that are usual for the kind are taken.
-            more: further attributes of `Rows`.
-        """
-        unknown = np.full(agent.size, np.nan)
-        kinds = [AgentKind.CAR] * len(names) if kinds is None else kinds
-        usual = np.array([default_size(kind) for kind in kinds]).reshape(-1, 2)
-        if sizes is not None:
-            unsized = (sizes == 0).any(axis=1, keepdims=True)
-            usual = np.where(unsized, usual, sizes)
-        return cls(
-            agent, tuple(names), time_s, xy[:, 0], xy[:, 1],
-            unknown if heading is None else heading, unknown if speed is None else speed,
-            usual[:, 0], usual[:, 1], np.array([k.code for k in kinds], dtype=np.int8), **more,
-        )  # fmt: skip
+    in_metres: bool = True
 
 
 def default_size(kind: AgentKind) -> tuple[float, float]:
@@ -158,90 +131,195 @@ def default_size(kind: AgentKind) -> tuple[float, float]:
     return length, width
 
 
-def _check(path: Path, rows: Rows) -> None:
-    """Refuse numbers that no position, time, heading, speed or size can have."""
-    if rows.agent.size == 0:
-        raise InputError(f"{path}: found no rows, expected at least one")
-    for name in ("time_s", "x", "y", "heading", "speed", "length", "width"):
-        values = getattr(rows, name)
-        if name in ("length", "width"):
-            bad, expected = ~((values > 0) & (values <= MAX_SIDE)), f"0 to {MAX_SIDE:g}"
-        else:
-            bad, expected = ~(np.abs(values) <= MAX_MAGNITUDE), f"a number up to {MAX_MAGNITUDE:g}"
-        if name in ("heading", "speed"):
-            bad &= ~np.isnan(values)
-        if bad.any():
-            at = int(np.flatnonzero(bad)[0])
-            who = rows.names[at if name in ("length", "width") else rows.agent[at]]
-            raise InputError(
-                f"{path}: {name} of {who:.60}: found {values[at]:g}, expected {expected}"
-            )
+def first_sizes(agent: NDArray[np.int64], sides: FloatArray) -> FloatArray:
+    """(n, 2) the first length and width of each agent that are positive, else its first ones.
+
+    Args:
+        agent: (m,) of each row; all of 0 to n - 1 occur.
+        sides: (m, 2) of each row, m.
+    """
+    found = sides[np.unique(agent, return_index=True)[1]]
+    known = np.flatnonzero((sides > 0).all(axis=1))
+    who, first = np.unique(agent[known], return_index=True)
+    found[who] = sides[known[first]]
+    return found
 
 
-def assemble(path: Path, rows: Rows) -> Tracks:
-    """Sort rows by agent and time.
+def recorded(
+    path: Path,
+    name: str,
+    rows: Rows,
+    notes: Sequence[str] = (),
+    road: Path | Road | None = None,
+    origin: tuple[float, float] | None = None,
+    own_road: bool = False,
+) -> Recording:
+    """A recording of rows.
 
     Args:
         path: the file that they come from, for messages.
+        name: of the recording.
         rows: what was read.
+        notes: what had to be assumed.
+        road: that came with it.
+        origin: latitude and longitude of (0, 0), degrees.
+        own_road: whether the road belongs to it by its id.
 
     Returns:
-        Tracks; ids are 0, 1, 2, ... in the order of ``rows.names``, numbers before words.
+        The recording; ids are 0, 1, 2, ... in the order of ``rows.names``, numbers before words.
+        Rows that repeat, riders in vehicles and agents with broken numbers are left out, and
+        counted among the doubts.
 
     Raises:
-        InputError: if there are no rows, an agent is twice at one time, or a number is out of
-            range.
+        InputError: if there are no rows, or more are broken or repeated than may be left out.
     """
-    _check(path, rows)
-    time_s = _times(rows)
-    n, t = len(rows.names), time_s.size
-    order = np.array(sorted(range(n), key=lambda i: _natural(rows.names[i])))
-    rank = np.empty(n, dtype=np.int64)
-    rank[order] = np.arange(n)
-    cell = rank[rows.agent] * t + np.searchsorted(time_s, rows.time_s)
-    sorting = np.argsort(cell, kind="stable")
-    cell = cell[sorting]
-    again = np.flatnonzero(cell[1:] == cell[:-1])
-    if again.size:
-        twice = int(cell[again[0]])
-        name = rows.names[order[twice // t]]
-        raise InputError(f"{path}: found agent {name} twice at time {time_s[twice % t]:g} s")
-    agent, step = np.divmod(cell, t)
-    xy = np.stack([rows.x[sorting], rows.y[sorting]], axis=1)
-    heading, speed = _heading_and_speed(rows, sorting, agent, xy)
-    if rows.ahead_lengths:
-        ahead_m = rows.ahead_lengths * rows.length[order][agent]
-        xy[:, 0] -= ahead_m * np.cos(heading)
-        xy[:, 1] -= ahead_m * np.sin(heading)
-
-    return Tracks.of_rows(
-        TrackRows(RowIndex.of_rows(agent, step, n, t), xy, heading, speed),
-        ids=np.arange(n),
-        names=tuple(rows.names[i] for i in order),
-        kind=rows.kind[order],
-        length=rows.length[order],
-        width=rows.width[order],
-        time_s=time_s,
-        signals=np.empty((0, t), dtype=np.int8),
-        behavior=None if rows.behavior is None else rows.behavior[order],
+    doubts: list[str] = []
+    rows, sizes = _sound(path, rows, doubts)
+    tracks, stated = _sorted(path, rows, sizes, doubts)
+    if rows.in_metres:
+        doubts += doubts_of(tracks, stated)
+        inside = inside_vehicles(tracks)
+        if inside.any():
+            riders = np.unique(tracks.as_rows().index.agent[inside]).size
+            doubts.append(f"{riders} riders are left out while they are inside a vehicle")
+            tracks = _without(tracks, inside)
+    return Recording(
+        name, tracks, tuple(notes), road, origin, doubts=tuple(doubts), own_road=own_road
     )
 
 
-def _times(rows: Rows) -> FloatArray:
-    return np.unique(np.append(rows.time_s, rows.empty_s))
+def _sound(path: Path, rows: Rows, doubts: list[str]) -> tuple[Rows, FloatArray]:
+    """Rows without those that no recording can have, and (n, 2) the size of each agent, m."""
+    n = len(rows.names)
+    kinds = [AgentKind.CAR] * n if rows.kinds is None else rows.kinds
+    usual = np.array([default_size(kind) for kind in kinds]).reshape(-1, 2)
+    sizes = usual if rows.sizes is None else np.where(np.isnan(rows.sizes), 0.0, rows.sizes)
+    odd = ~((sizes >= 0) & (sizes <= MAX_SIDE)).all(axis=1)
+    if odd.any():
+        who = int(np.flatnonzero(odd)[0])
+        found = f"found {sizes[who, 0]:g} by {sizes[who, 1]:g}, expected 0 to {MAX_SIDE:g}"
+        if odd.sum() > MAX_BROKEN * n:
+            raise InputError(f"{path}: length and width of {rows.names[who]:.60}: {found}")
+        doubts.append(f"{odd.sum()} of {n} agents have the size usual for their kind: {found}")
+    sizes = np.where((odd | (sizes == 0).any(axis=1))[:, None], usual, sizes)
+
+    columns = {"time_s": rows.time_s, "x": rows.xy[:, 0], "y": rows.xy[:, 1]}
+    columns |= {k: v for k in ("heading", "speed") if (v := getattr(rows, k)) is not None}
+    lost = np.isnan(rows.xy).any(axis=1) | np.isnan(rows.time_s)
+    beyond = np.zeros(rows.agent.size, dtype=bool)
+    found = ""
+    for what, values in columns.items():
+        bad = np.abs(values) > MAX_MAGNITUDE
+        if bad.any() and not found:
+            row = int(np.flatnonzero(bad)[0])
+            found = (
+                f"{what} of {rows.names[rows.agent[row]]:.60}: found {values[row]:g}, expected a "
+                f"number up to {MAX_MAGNITUDE:g}"
+            )
+        beyond |= bad
+    broken = np.bincount(rows.agent[beyond], minlength=n) > 0
+    if not rows.agent.size or lost.all():
+        raise InputError(f"{path}: found no rows, expected at least one")
+    if broken.sum() > MAX_BROKEN * n:
+        cause = ", as if nanoseconds had been taken for seconds" if "time_s" in found else ""
+        raise InputError(f"{path}: {found}{cause}")
+    if broken.any():
+        doubts.append(f"{broken.sum()} of {n} agents are left out: {found}")
+    kept = ~lost & ~broken[rows.agent]
+    if not kept.any():
+        raise InputError(f"{path}: {found or 'found no position, expected some'}")
+    if lost.any():
+        doubts.append(f"{lost.sum()} of {lost.size} rows are left out: they have no position")
+    if kept.all():
+        return rows, sizes
+    return _kept(rows, kept), sizes
 
 
-def _heading_and_speed(
-    rows: Rows, sorting: NDArray[np.int64], agent: NDArray[np.int64], xy: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Heading in (-pi, pi] and speed of the sorted rows, from the motion where not given."""
-    heading, speed = rows.heading[sorting], rows.speed[sorting]
-    if np.isnan(speed).any() or np.isnan(heading).any():
-        moved_heading, moved_speed = row_motion(agent, xy, rows.time_s[sorting], rows.rest_heading)
-        speed = np.where(np.isnan(speed), moved_speed, speed)
-        heading = np.where(np.isnan(heading), moved_heading, heading)
+def _kept(rows: Rows, kept: NDArray[np.bool_]) -> Rows:
+    """Some of the rows."""
+    given = {k: v[kept] for k in ("heading", "speed") if (v := getattr(rows, k)) is not None}
+    return replace(
+        rows, agent=rows.agent[kept], time_s=rows.time_s[kept], xy=rows.xy[kept], **given
+    )
+
+
+def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tuple[Tracks, Stated]:
+    """Rows by agent and time, and what of them the file states."""
+    time_s = np.unique(np.append(rows.time_s, rows.empty_s))
+    present = np.unique(rows.agent)
+    names = [rows.names[i] for i in present]
+    order = np.array(sorted(range(present.size), key=lambda i: _natural(names[i])))
+    rank = np.full(len(rows.names), -1)
+    rank[present[order]] = np.arange(present.size)
+    n, t = present.size, time_s.size
+    cell = rank[rows.agent] * t + np.searchsorted(time_s, rows.time_s)
+    sorting = np.argsort(cell, kind="stable")
+    heading, speed = (
+        np.full(cell.size, np.nan) if values is None else values[sorting]
+        for values in (rows.heading, rows.speed)
+    )
+    cell, xy = cell[sorting], rows.xy[sorting]
+    again = np.flatnonzero(cell[1:] == cell[:-1]) + 1
+    if again.size:
+        values = np.column_stack([xy, heading, speed])
+        same = ((values[again] == values[again - 1]) | np.isnan(values[again])).all(axis=1)
+        other = int((~same).sum())
+        if other > MAX_REPEATED * cell.size:
+            twice = int(cell[again[np.flatnonzero(~same)[0]]])
+            name = names[order[twice // t]]
+            raise InputError(
+                f"{path}: found agent {name} twice at time {time_s[twice % t]:g} s with other "
+                "numbers, expected it once"
+            )
+        if same.any():
+            doubts.append(f"{same.sum()} rows are left out that are there twice, exactly the same")
+        if other:
+            doubts.append(f"{other} rows left out that have an agent twice at one time")
+        once = np.delete(np.arange(cell.size), again)
+        cell, sorting, xy = cell[once], sorting[once], xy[once]
+        heading, speed = heading[once], speed[once]
+    agent, step = np.divmod(cell, t)
+    stated = Stated(heading, speed, rows.sizes is not None)
+    if np.isnan(heading).any() or np.isnan(speed).any():
+        moved = row_motion(agent, xy, rows.time_s[sorting], rows.rest_heading)
+        heading = np.where(np.isnan(heading), moved[0], heading)
+        speed = np.where(np.isnan(speed), moved[1], speed)
     turned = (heading > np.pi) | (heading <= -np.pi)  # angles in range keep their last digit
-    return np.where(turned, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading), speed
+    heading = np.where(turned, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
+    sizes, chosen = sizes[present][order], present[order]
+    if rows.ahead_lengths:
+        ahead_m = rows.ahead_lengths * sizes[agent, 0]
+        xy = xy - ahead_m[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    kinds = [AgentKind.CAR] * len(rows.names) if rows.kinds is None else rows.kinds
+    tracks = Tracks.of_rows(
+        TrackRows(RowIndex.of_rows(agent, step, n, t), xy, heading, speed),
+        ids=np.arange(n),
+        names=tuple(names[i] for i in order),
+        kind=np.array([kinds[i].code for i in chosen], dtype=np.int8),
+        length=sizes[:, 0],
+        width=sizes[:, 1],
+        time_s=time_s,
+        signals=np.empty((0, t), dtype=np.int8),
+        behavior=None if rows.behavior is None else rows.behavior[chosen],
+    )
+    return tracks, stated
+
+
+def _without(tracks: Tracks, dropped: NDArray[np.bool_]) -> Tracks:
+    """The tracks without some rows, and without agents that have no others."""
+    seen = tracks.as_rows()
+    kept = np.flatnonzero(~dropped)
+    agents, agent = np.unique(seen.index.agent[kept], return_inverse=True)
+    index = RowIndex.of_rows(agent, seen.index.step[kept], agents.size, tracks.time_s.size)
+    return tracks.changed(
+        TrackRows(index, seen.xy[kept], seen.heading[kept], seen.speed[kept]),
+        ids=np.arange(agents.size),
+        names=tuple(tracks.names[i] for i in agents),
+        kind=tracks.kind[agents],
+        length=tracks.length[agents],
+        width=tracks.width[agents],
+        behavior=None if tracks.behavior is None else tracks.behavior[agents],
+    )
 
 
 def _natural(name: str) -> tuple[int, int, str]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import codecs
+import csv
+import gzip
 import re
 import warnings
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,16 +26,125 @@ from sim.units import in_si
 
 FloatArray = NDArray[np.float64]
 
-HEADER_BYTES: Final = 65536
-"""Longest first line of a CSV file (the longest known has 300)."""
+HEAD_BYTES: Final = 65536
+"""Beginning of a file by which its format and its dialect are recognised."""
 
 CHUNK_BYTES: Final = 2**22
 """How much of a file is looked at at once."""
 
+PARQUET, FEATHER = b"PAR1", (b"ARROW1", b"FEA1")
+"""How such tables begin."""
+
+DELIMITERS: Final = ",;\t|"
+EMPTY: Final = ("", "NA", "null", "None")
+"""What stands in a field of a CSV file that has no value."""
+
+_ENCODINGS: Final = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_SEPARATOR_LINE: Final = re.compile(r'"?sep=(.)"?\r?\n', re.IGNORECASE)
+_DECIMAL_COMMA: Final = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*")
+_DECIMAL_POINT: Final = re.compile(r"\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*")
 _NO_NUMBER: Final = re.compile(
     r"In CSV column #(\d+): (?:Row #(\d+): )?CSV conversion error to double: invalid value (.*)"
 )
 """What Arrow says of a field that is no number."""
+
+
+def head_of(path: Path) -> bytes:
+    """The beginning of a file as UTF-8 without a byte order mark; b"" where it cannot be unpacked.
+
+    Args:
+        path: the file; text in UTF-16 is decoded, everything else stays as it is.
+    """
+    try:
+        with opened(path) as file:
+            head = file.read(HEAD_BYTES)
+    except (EOFError, zlib.error, gzip.BadGzipFile):
+        return b""
+    encoding = _encoding(head)
+    if encoding.startswith("utf-16"):
+        return head.decode(encoding, "ignore").encode()
+    return head.removeprefix(codecs.BOM_UTF8)
+
+
+def _encoding(head: bytes) -> str:
+    """The encoding of a text: UTF-16 by its mark or its zeros, UTF-8, or Latin-1."""
+    for mark, name in _ENCODINGS:
+        if head.startswith(mark):
+            return name
+    if len(head) > 8 and not head[0:64:2].strip(b"\0"):
+        return "utf-16-be"
+    if len(head) > 8 and not head[1:64:2].strip(b"\0"):
+        return "utf-16-le"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a CSV file is written.
+
+    Attributes:
+        encoding: of its text.
+        delimiter: between fields.
+        decimal: the sign before decimals.
+        skipped: lines before the first row, the header among them.
+        header: names of the columns, in lower case.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    skipped: int
+    header: tuple[str, ...]
+
+
+def dialect_of(path: Path) -> Dialect:
+    """How a CSV file is written, told from its beginning.
+
+    Raises:
+        InputError: if its first line has no end.
+    """
+    with opened(path) as file:
+        encoding = _encoding(file.read(HEAD_BYTES))
+    text = head_of(path).decode("utf-8" if encoding.startswith("utf-16") else encoding, "ignore")
+    stated = _SEPARATOR_LINE.match(text)
+    lines = text[stated.end() if stated else 0 :].splitlines()
+    first = lines[0] if lines else ""
+    if len(text) >= HEAD_BYTES // 2 and len(lines) < 2:
+        raise InputError(f"{path}: line 1: found no end within {HEAD_BYTES} bytes")
+    delimiter = stated[1] if stated else max(DELIMITERS, key=first.count)
+    fields = [field for row in csv.reader(lines[1:200], delimiter=delimiter) for field in row]
+    commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
+    points = any(_DECIMAL_POINT.fullmatch(field) for field in fields)
+    header = tuple(name.strip().strip('"').strip().lower() for name in first.split(delimiter))
+    return Dialect(
+        encoding, delimiter, "," if commas and not points else ".", 2 if stated else 1, header
+    )
+
+
+def column_names(path: Path, head: bytes | None = None) -> tuple[str, ...]:
+    """Names of a table's columns in lower case; () where the file is no table.
+
+    Args:
+        path: a CSV, Parquet or Feather file.
+        head: its beginning, if it is known.
+    """
+    head = head_of(path) if head is None else head
+    try:
+        if head.startswith(PARQUET):
+            with opened(path) as file:
+                return tuple(
+                    n.lower() for n in pyarrow.parquet.ParquetFile(file).schema_arrow.names
+                )
+        if head.startswith(FEATHER):
+            table = pyarrow.feather.read_table(pa.BufferReader(read_bytes(path)), memory_map=False)
+            return tuple(name.lower() for name in table.column_names)
+        return () if b"\0" in head[:4096] else dialect_of(path).header
+    except (pa.ArrowException, OSError, InputError, ValueError):
+        return ()  # whoever reads it says why
 
 
 @dataclass(frozen=True)
@@ -41,7 +153,7 @@ class Table:
 
     Attributes:
         path: the file.
-        columns: one column per name: float64, or dictionaries of strings.
+        columns: one column per name: numbers, or dictionaries of strings.
     """
 
     path: Path
@@ -65,13 +177,39 @@ class Table:
         Raises:
             InputError: naming the column and the row of the first that is not finite.
         """
-        values = self.columns.column(name).to_numpy().astype(np.float64)
+        return self._finite(name, unit, 0.0)
+
+    def measured(self, name: str, unit: str = "") -> FloatArray:
+        """(m,) a column of numbers in SI units, NaN where a field is empty or not finite.
+
+        Args:
+            name: of the column; all is NaN where the file does not have it.
+            unit: that the column is in.
+
+        Raises:
+            InputError: if more than half of the fields of a column that is not `empty` are NaN.
+        """
+        if name not in self:
+            return np.full(len(self), np.nan)
+        return self._finite(name, unit, 0.5)
+
+    def stacked(self, *names: str, unit: str = "") -> FloatArray:
+        """(m, len(names)) columns as `measured` has them, side by side."""
+        return np.stack([self.measured(name, unit) for name in names], axis=1)
+
+    def _finite(self, name: str, unit: str, share: float) -> FloatArray:
+        column = self.columns.column(name)
+        values = column.to_numpy().astype(np.float64)
         bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
+        allowed = (self.columns.schema.field(name).metadata or {}).get(b"empty") and share > 0
+        if bad.size > share * values.size and not allowed:
+            row = int(bad[0])
+            found = "an empty field" if not column[row].is_valid else f"{values[row]}"
             raise InputError(
-                f"{self.path}: column {name}, row {int(bad[0]) + 2}: found {values[bad[0]]}, "
-                "expected a finite number"
+                f"{self.path}: column {name}, row {row + 2}: found {found}, expected a finite "
+                "number"
             )
+        values[bad] = np.nan
         return in_si(values, unit)
 
     def whole(self, name: str) -> NDArray[np.int64]:
@@ -80,7 +218,8 @@ class Table:
         Raises:
             InputError: if it has others.
         """
-        values = self.columns.column(name).to_numpy()
+        column = self.columns.column(name)
+        values = column.to_numpy() if column.null_count == 0 else self.numbers(name)
         bad = np.flatnonzero(values != np.rint(values))
         if bad.size or not (np.abs(values) < 2**63).all():
             found = values[bad[0]] if bad.size else "one of more than 63 bits"
@@ -145,66 +284,114 @@ class Table:
         return Table(self.path, self.columns.take(pa.array(rows)))
 
 
-def read_header(path: Path) -> list[str]:
-    """Names in the first line of a CSV file, in lower case.
-
-    Raises:
-        InputError: if the line is too long or not UTF-8.
-    """
-    with opened(path) as file:
-        line = file.readline(HEADER_BYTES + 1).removeprefix(codecs.BOM_UTF8)
-    if len(line) > HEADER_BYTES:
-        raise InputError(f"{path}: line 1: found no end within {HEADER_BYTES} bytes")
-    try:
-        text = line.decode()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: line 1: found bytes that are not UTF-8") from None
-    first = (text.splitlines() or [""])[0].lower()
-    return [name.strip().strip('"') for name in first.split(",")]
-
-
-def read_csv(
-    path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Sequence[str] = ()
+def read_table(
+    path: Path,
+    numbers: Sequence[str],
+    words: Sequence[str] = (),
+    optional: Sequence[str] = (),
+    empty: Sequence[str] = (),
 ) -> Table:
-    """Read some columns of a CSV file with a header; upper and lower case do not matter.
+    """Read some columns of a table; upper and lower case of their names do not matter.
 
     Args:
-        path: the file, gzipped where its name ends in ``.gz``.
+        path: a Parquet file, a Feather file, or a CSV file with a header: fields separated by
+            comma, semicolon, tab or bar, decimals by point or comma, in UTF-8 or UTF-16; gzipped
+            where its name ends in ``.gz``.
         numbers: names, in lower case, of columns of numbers.
-        words: names of columns of text.
+        words: names of columns of text; numbers in them become text.
         optional: those of ``numbers`` and ``words`` that may be missing.
+        empty: those that may have empty fields.
 
     Raises:
         InputError: naming the file and the column or row that is wrong.
     """
-    header = read_header(path)
+    head = head_of(path)
+    if head.startswith((PARQUET, *FEATHER)):
+        with broken_as_one_line(path, "a table"):
+            table = _stored(path, head, numbers, words, optional)
+    else:
+        table = _read_csv(path, numbers, words, optional)
+    if not table.num_rows:
+        raise InputError(f"{path}: found no rows, expected at least one")
+    for name in set(words) & set(table.column_names) - set(empty):
+        if table.column(name).null_count:
+            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
+    marked = [
+        pa.field(f.name, f.type, metadata={"empty": "yes"}) if f.name in empty else f
+        for f in table.schema
+    ]
+    return Table(path, table.cast(pa.schema(marked)))
+
+
+def _stored(
+    path: Path, head: bytes, numbers: Sequence[str], words: Sequence[str], optional: Sequence[str]
+) -> pa.Table:
+    """Columns of a Parquet or Feather file as numbers and dictionaries of texts."""
+    if head.startswith(PARQUET):
+        with opened(path) as file:
+            # texts stay dictionaries: a small file can repeat a long text for millions of rows
+            names = pyarrow.parquet.ParquetFile(file).schema_arrow.names
+            texts = [name for name in names if name.lower() in words]
+            stored = pyarrow.parquet.ParquetFile(file, read_dictionary=texts)
+            kept = [name for name in names if name.lower() in (*numbers, *words)]
+            _each_once(path, [n.lower() for n in names], [*numbers, *words], optional)
+            table = stored.read(kept, use_threads=False)
+    else:
+        source = pa.BufferReader(read_bytes(path))
+        table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
+    lower = table.rename_columns([name.lower() for name in table.column_names])
+    wanted = _each_once(path, lower.column_names, [*numbers, *words], optional)
+    columns = {}
+    for name in wanted:
+        column = lower.column(name)
+        if name in words:
+            if not pa.types.is_dictionary(column.type):
+                column = column.cast(pa.string()).dictionary_encode()
+            column = column.cast(pa.dictionary(column.type.index_type, pa.string()))
+        elif not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
+            raise InputError(f"{path}: column {name}: found {column.type!s:.60}, expected numbers")
+        columns[name] = column
+    return pa.table(columns)
+
+
+def _read_csv(
+    path: Path, numbers: Sequence[str], words: Sequence[str], optional: Sequence[str]
+) -> pa.Table:
+    """Columns of a CSV file as numbers and dictionaries of texts."""
+    dialect = dialect_of(path)
     types = dict.fromkeys(numbers, pa.float64())
     types |= dict.fromkeys(words, pa.dictionary(pa.int32(), pa.string()))
-    wanted = _each_once(path, header, list(types), optional)
+    wanted = _each_once(path, dialect.header, list(types), optional)
     # columns that are not read may have any name, even the same name twice
-    names = [name if name in wanted else f"#{i}" for i, name in enumerate(header)]
-    _check_quotes(path)
+    names = [name if name in wanted else f"#{i}" for i, name in enumerate(dialect.header)]
+    _check_quotes(path, dialect.encoding)
     try:
         with opened(path) as file:
-            table = pyarrow.csv.read_csv(
+            return pyarrow.csv.read_csv(
                 file,
-                pyarrow.csv.ReadOptions(column_names=names, skip_rows=1, use_threads=False),
-                convert_options=pyarrow.csv.ConvertOptions(
-                    column_types=types, include_columns=wanted, null_values=[]
+                pyarrow.csv.ReadOptions(
+                    column_names=names, skip_rows=dialect.skipped, use_threads=False,
+                    encoding=dialect.encoding,
                 ),
-            )
-    except pa.ArrowException as error:
+                pyarrow.csv.ParseOptions(delimiter=dialect.delimiter),
+                pyarrow.csv.ConvertOptions(
+                    column_types=types, include_columns=wanted, null_values=EMPTY,
+                    decimal_point=dialect.decimal,
+                ),
+            )  # fmt: skip
+    except (pa.ArrowException, UnicodeError) as error:
         said = " ".join(str(error).split())
         bad = _NO_NUMBER.search(said)
         if bad is not None:
             row = f", row {bad[2]}" if bad[2] else ""
             said = f"column {names[int(bad[1])]}{row}: found {bad[3]:.60}, expected a number"
         raise InputError(f"{path}: {said:.300}") from None
-    return _filled(path, table)
 
 
-def _check_quotes(path: Path) -> None:
+def _check_quotes(path: Path, encoding: str) -> None:
     """Refuse a quotation mark that is not closed in its line: lines would be read as one field."""
+    if encoding.startswith("utf-16"):
+        return
     with opened(path) as file:
         if not any(b'"' in chunk for chunk in iter(lambda: file.read(CHUNK_BYTES), b"")):
             return
@@ -235,47 +422,9 @@ def read_text(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Table
             rows = np.loadtxt(file, comments=None, usecols=places, ndmin=2)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
-    columns = {name: rows[:, i] for i, name in enumerate(wanted)}
-    return _filled(path, pa.table(columns))
-
-
-def read_parquet(
-    path: Path, numbers: Sequence[str], words: Sequence[str], empty: Sequence[str] = ()
-) -> Table:
-    """Read some columns of a Parquet file.
-
-    Args:
-        path: the file.
-        numbers: names of columns of numbers.
-        words: names of columns of text; numbers in them become text.
-        empty: those that may have empty fields.
-
-    Raises:
-        InputError: naming the file and the column that is wrong.
-    """
-    with broken_as_one_line(path, "a Parquet table"), opened(path) as file:
-        # texts stay dictionaries: a small file can repeat a long text for millions of rows
-        stored = pyarrow.parquet.ParquetFile(file, read_dictionary=list(words))
-        wanted = _each_once(path, stored.schema_arrow.names, [*numbers, *words])
-        return _typed(path, stored.read(wanted, use_threads=False), numbers, words, empty)
-
-
-def read_feather(path: Path, numbers: Sequence[str], words: Sequence[str]) -> Table:
-    """Read some columns of a Feather file.
-
-    Args:
-        path: the file, gzipped where its name ends in ``.gz``.
-        numbers: names of columns of numbers.
-        words: names of columns of text.
-
-    Raises:
-        InputError: naming the file and the column that is wrong.
-    """
-    source = pa.BufferReader(read_bytes(path))
-    with broken_as_one_line(path, "a Feather table"):
-        table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
-    wanted = _each_once(path, table.column_names, [*numbers, *words])
-    return _typed(path, table.select(wanted), numbers, words, ())
+    if not len(rows):
+        raise InputError(f"{path}: found no rows, expected at least one")
+    return Table(path, pa.table({name: rows[:, i] for i, name in enumerate(wanted)}))
 
 
 def _each_once(
@@ -287,31 +436,7 @@ def _each_once(
         if count > 1:
             raise InputError(f"{path}: found column {name} {count} times, expected once")
         if count == 0 and name not in optional:
-            raise InputError(f"{path}: found {','.join(names)!r:.120}, expected a column {name}")
+            raise InputError(
+                f"{path}: found the columns {', '.join(names)!r:.160}, expected a column {name}"
+            )
     return [name for name in wanted if name in names]
-
-
-def _typed(
-    path: Path, table: pa.Table, numbers: Sequence[str], words: Sequence[str], empty: Sequence[str]
-) -> Table:
-    """Columns as numbers, whole ones to the last digit, and dictionaries of texts."""
-    columns = {name: table.column(name) for name in numbers}
-    for name, column in columns.items():
-        if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
-            raise InputError(f"{path}: column {name}: found {column.type!s:.60}, expected numbers")
-    for name in words:
-        column = table.column(name)
-        if not pa.types.is_dictionary(column.type):
-            column = column.cast(pa.string()).dictionary_encode()
-        columns[name] = column.cast(pa.dictionary(column.type.index_type, pa.string()))
-    return _filled(path, pa.table(columns), empty)
-
-
-def _filled(path: Path, table: pa.Table, empty: Sequence[str] = ()) -> Table:
-    """A table with rows, and without empty fields."""
-    if not table.num_rows:
-        raise InputError(f"{path}: found no rows, expected at least one")
-    for name in table.column_names:
-        if table.column(name).null_count and name not in empty:
-            raise InputError(f"{path}: column {name}: found an empty field, expected a value")
-    return Table(path, table)

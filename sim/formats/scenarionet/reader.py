@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.formats.common.driving_scene import STATES, DrivingScene, recording_of
+from sim.formats.common.driving_scene import STATES, DrivingScene, SceneAgent, recording_of
 from sim.formats.common.recording import Recording
 from sim.frames import AgentKind, Signal
 from sim.input_files import read_bytes, stem
@@ -40,6 +40,9 @@ PLAIN: Final = frozenset(
     }
 )  # fmt: skip
 """Names that pickled plain data need; every other name stands for `Unknown`."""
+
+DICTIONARIES: Final = frozenset({"ScenarioDescription", "Dict", "EasyDict", "Config"})
+"""Classes that are dictionaries with a name."""
 
 PERIOD_S: Final = 0.1
 """Time between two steps where the file does not say it, s (ScenarioNet's own rate)."""
@@ -94,6 +97,10 @@ class Unknown:
         """Take any state."""
 
 
+class Named(dict[Any, Any]):
+    """Stands for ScenarioNet's own class of dictionaries."""
+
+
 class PlainUnpickler(pickle.Unpickler):
     """Unpickles plain data and numpy's arrays; nothing else in a pickle is imported or called.
 
@@ -107,6 +114,8 @@ class PlainUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         """The function of a name that plain data need, else `Unknown`."""
         module = "builtins" if module == "__builtin__" else module
+        if name in DICTIONARIES:
+            return Named
         return super().find_class(module, name) if f"{module}.{name}" in PLAIN else Unknown
 
 
@@ -117,7 +126,7 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     if found.get("length", steps) != steps:
         raise InputError(f"{path}: length: found {found['length']!r:.40}, expected {steps} states")
     times = metadata.get("ts", metadata.get("timestep"))
-    stated = np.arange(steps) * PERIOD_S if times is None else _numbers(times, 1)
+    stated = np.arange(steps) * PERIOD_S if times is None else _column(times, steps)
     if stated.shape != (steps,):
         raise InputError(f"{path}: ts: found {stated.size} times, expected {steps}")
     time_s: FloatArray = stated.astype(np.float64)
@@ -125,15 +134,13 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
         # Single precision tells a step of .1 s to a ten-millionth only, and late times worse.
         time_s = np.round(time_s, 4)
     name = _word(found.get("id")) or _word(metadata.get("scenario_id")) or stem(path)
-    scene = DrivingScene(path, name, time_s, [], [], [], [], [], {}, [{} for _ in range(steps)])
+    scene = DrivingScene(path, name, time_s, lights=[{} for _ in range(steps)])
     for label, track in tracks.items():
         kind = KINDS.get(_word(_dictionary(track)["type"]))
         if kind is None:
             scene.left_out += 1
             continue
         _add_agent(scene, _word(label), kind, track)
-    if all(code < 0 for code in scene.behavior):
-        scene.behavior = []
     numbers = _add_map(scene, _dictionary(found.get("map_features", {})))
     _add_lights(scene, _dictionary(found.get("dynamic_map_states", {})), numbers)
     return scene
@@ -142,29 +149,36 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
 def _add_agent(scene: DrivingScene, name: str, kind: AgentKind, track: Mapping[str, Any]) -> None:
     """Take in where an agent was."""
     state, steps = _dictionary(track["state"]), scene.time_s.size
-    valid = _numbers(state["valid"], 1).astype(bool)
+    size = state.get("size", state.get("dimension"))
+    sides = None if size is None else _numbers(size, None)
+    if sides is not None:
+        sides = np.broadcast_to(sides, (steps, sides.shape[-1]))
     place, velocity = _numbers(state["position"], 2), _numbers(state["velocity"], 2)
-    heading = _numbers(state["heading"], 1)
-    columns = [place[:, 0], place[:, 1], heading, np.hypot(velocity[:, 0], velocity[:, 1])]
-    columns += [_side(state[side], steps) for side in ("length", "width")]
-    if any(column.shape != (steps,) for column in (valid, *columns)):
+    columns = [
+        _column(state["valid"], steps).astype(bool),
+        place[:, 0],
+        place[:, 1],
+        _column(state["heading"], steps),
+        np.hypot(velocity[:, 0], velocity[:, 1]),
+    ]
+    for k, side in enumerate(("length", "width")):
+        given = state[side] if side in state or sides is None else sides[:, k]
+        columns.append(_column(given, steps))
+    if any(column.shape != (steps,) for column in columns):
         raise InputError(f"{scene.path}: tracks: {name}: found states that are not {steps}")
-    seen = np.flatnonzero(valid)
-    scene.names.append(name)
-    scene.kinds.append(kind)
-    scene.steps.append(seen.tolist())
-    table = np.stack(columns, axis=1)[seen].astype(np.float64)
-    scene.values.append([tuple(row) for row in table.tolist()])
+    seen = np.flatnonzero(columns[0])
+    table = np.stack(columns[1:], axis=1)[seen].astype(np.float64)
     behavior = _dictionary(track.get("metadata", {})).get("behavior")
-    scene.behavior.append(BEHAVIOR_CODES.get(_word(behavior), -1))
+    code = BEHAVIOR_CODES.get(_word(behavior), -1)
+    scene.agents.append(SceneAgent(name, kind, seen, table, code))
 
 
-def _side(values: Any, steps: int) -> FloatArray:
-    """A length or width of each step; some converters write one for all, or a column."""
-    found = np.asarray(values, dtype=np.float64)
+def _column(values: Any, steps: int) -> NDArray[Any]:
+    """A number of each step; some converters write one for all, or a column of a table."""
+    found = _numbers(values, None)
     if found.ndim == 2 and found.shape[1] == 1:
         found = found[:, 0]
-    return np.full(steps, float(found)) if found.ndim == 0 else found
+    return np.full(steps, found) if found.ndim == 0 else found
 
 
 def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]:
@@ -255,15 +269,16 @@ def _word(value: Any) -> str:
 
 def _dictionary(value: Any) -> Mapping[Any, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"found {type(value).__name__}, expected a dictionary")
+        raise InputError(f"found {str(value)[:40]!r}, expected a dictionary of named values")
     return value
 
 
-def _numbers(values: Any, sides: int) -> NDArray[Any]:
-    """An array of numbers with so many sides."""
+def _numbers(values: Any, sides: int | None) -> NDArray[Any]:
+    """An array of numbers with so many sides; None for any."""
     found = np.asarray(values)
-    if found.dtype.kind not in "biuf" or found.ndim != sides:
-        raise InputError(f"found {found.dtype} values of shape {found.shape}, expected numbers")
+    if found.dtype.kind not in "biuf" or (sides is not None and found.ndim != sides):
+        kind = f"{found.ndim} sides" if found.dtype.kind in "biuf" else "words"
+        raise InputError(f"found values with {kind}, expected numbers with {sides or 1}")
     return found
 
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,14 +23,16 @@ import numpy as np
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from behaviors.errors import InputError
-from sim.formats.common.driving_scene import DrivingScene, recording_of
+from sim.formats.common.driving_scene import DrivingScene, SceneAgent, recording_of
 from sim.formats.common.recording import Recording
 from sim.formats.waymo.messages import ENUMS, scenario_class
 from sim.formats.waymo.tfrecord import read_records
 from sim.frames import AgentKind
 from sim.input_files import plain_name, read_bytes, stem
+from sim.invalid_fields import first_wrong_field
 from sim.road.maps.waymo import WaymoLane, with_neighbours
 
 FloatArray = NDArray[np.float64]
@@ -65,27 +68,35 @@ def read(path: Path) -> Iterator[Recording]:
         return
     message = scenario_class()
     for number, record in enumerate(read_records(path), 1):
+        if _EXAMPLE.match(record):
+            raise InputError(
+                f"{path}: record {number}: found features of a tf.Example, expected a Waymo "
+                "scenario: those are in the dataset's folder scenario, not tf_example"
+            )
         try:
             scenario = message.FromString(record)
-        except DecodeError as error:
+        except DecodeError:
             raise InputError(
-                f"{path}: record {number}: {error}, expected a Waymo scenario"
+                f"{path}: record {number}: found another message, expected a Waymo scenario"
             ) from None
         yield recording_of(_from_message(path, scenario, number))
+
+
+_EXAMPLE: Final = re.compile(
+    rb"\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n[\x01-\x7f][\w/.-]{3}",
+    re.DOTALL,
+)
+"""A tf.Example: features, the first of them, and the beginning of its name."""
 
 
 # --- messages -----------------------------------------------------------------------------------
 
 
 def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
+    """A scenario in Waymo's own message."""
     where = f"{path}: record {number}"
-    scene = DrivingScene(
-        path,
-        scenario.scenario_id[:100] or f"{stem(path)}-{number}",
-        np.array(scenario.timestamps_seconds, dtype=np.float64),
-        [], [], [], [], [], {}, [],
-    )  # fmt: skip
-    hypot = math.hypot
+    name = scenario.scenario_id[:100] or f"{stem(path)}-{number}"
+    scene = DrivingScene(path, name, np.array(scenario.timestamps_seconds, dtype=np.float64))
     for track in scenario.tracks:
         kind = KINDS.get(track.object_type)
         if kind is None:
@@ -97,16 +108,14 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
                 f"{where}: track {track.id}: found {len(states)} states, expected one for each of "
                 f"the {scene.time_s.size} times"
             )
-        scene.names.append(str(track.id))
-        scene.kinds.append(kind)
-        steps, values = list[int](), list[tuple[float, ...]]()
-        for t, s in enumerate(states):
-            if s.valid:
-                steps.append(t)
-                speed = hypot(s.velocity_x, s.velocity_y)
-                values.append((s.center_x, s.center_y, s.heading, speed, s.length, s.width))
-        scene.steps.append(steps)
-        scene.values.append(values)
+        steps = np.array([t for t, s in enumerate(states) if s.valid], dtype=np.int64)
+        values = [
+            (s.center_x, s.center_y, s.heading, math.hypot(s.velocity_x, s.velocity_y), s.length,
+             s.width)
+            for s in states if s.valid
+        ]  # fmt: skip
+        table = np.array(values, dtype=np.float64).reshape(-1, 6)
+        scene.agents.append(SceneAgent(str(track.id), kind, steps, table))
     stops = {lane for f in scenario.map_features if f.HasField("stop_sign")
              for lane in f.stop_sign.lane}  # fmt: skip
     for feature in scenario.map_features:
@@ -138,57 +147,111 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
 # --- JSON ---------------------------------------------------------------------------------------
 
 
+class _Part(BaseModel):
+    """A part of Nocturne's JSON; what else is in it is not read."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class _Point(_Part):
+    x: float
+    y: float
+
+
+class _Object(_Part):
+    id: int | None = None
+    type: str
+    position: list[_Point]
+    heading: list[float]
+    velocity: list[_Point]
+    valid: list[bool]
+    length: float | list[float]
+    width: float | list[float]
+
+
+class _Line(_Part):
+    id: int | None = None
+    type: str
+    geometry: list[_Point] | _Point = []
+
+
+class _Light(_Part):
+    state: list[Any]
+    time_index: list[int]
+
+
+class _Nocturne(_Part):
+    name: str | None = None
+    scenario_id: str | None = None
+    objects: list[_Object]
+    roads: list[_Line] | None = None
+    tl_states: dict[int, _Light] | None = None
+
+
 def _from_json(path: Path) -> DrivingScene:
     """A scenario in either kind of JSON."""
-    found = json.loads(read_bytes(path))
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: found {type(found).__name__}, expected an object of a scenario")
+    try:
+        found = json.loads(read_bytes(path))
+    except ValueError as error:
+        raise InputError(f"{path}: found broken JSON ({error!s:.100})") from None
+    if not isinstance(found, dict) or not {"objects", "tracks", "timestampsSeconds",
+                                           "timestamps_seconds"} & set(found):  # fmt: skip
+        keys = f"the keys {', '.join(map(str, found))}" if isinstance(found, dict) else "a list"
+        raise InputError(
+            f"{path}: found JSON with {keys if found else 'nothing'!s:.120}, expected a scenario: "
+            "objects or tracks"
+        )
     if "objects" in found:
-        return _from_nocturne(path, found)
-    message = json_format.ParseDict(found, scenario_class()(), ignore_unknown_fields=True)
+        try:
+            return _from_nocturne(path, _Nocturne.model_validate(found))
+        except ValidationError as error:
+            raise InputError(f"{path}: {first_wrong_field(error)}") from None
+    try:
+        message = json_format.ParseDict(found, scenario_class()(), ignore_unknown_fields=True)
+    except json_format.ParseError as error:
+        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
     if not message.scenario_id:
         message.scenario_id = stem(path)
     return _from_message(path, message, 1)
 
 
-def _xy(points: Sequence[Mapping[str, Any]]) -> FloatArray:
+def _xy(points: Sequence[_Point]) -> FloatArray:
     """(P, 2) the points of a line, m."""
-    return np.array([(float(p["x"]), float(p["y"])) for p in points]).reshape(-1, 2)
+    return np.array([(p.x, p.y) for p in points], dtype=np.float64).reshape(-1, 2)
 
 
-def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
-    objects = found["objects"]
-    steps = max((len(one["position"]) for one in objects), default=0)
-    name = str(found.get("scenario_id") or found.get("name") or stem(path))[:100]
-    times = np.arange(steps, dtype=np.float64) * PERIOD_S
-    scene = DrivingScene(path, name.removesuffix(".json"), times, [], [], [], [], [], {}, [])
-    headings, courses = list[float](), list[float]()
-    for index, one in enumerate(objects):
-        kind = WORDS.get(str(one["type"]).lower().removeprefix("type_"))
+def _from_nocturne(path: Path, found: _Nocturne) -> DrivingScene:
+    """A scenario of Nocturne or GPUDrive."""
+    steps = max((len(one.position) for one in found.objects), default=0)
+    name = (found.scenario_id or found.name or stem(path))[:100].removesuffix(".json")
+    scene = DrivingScene(path, name, np.arange(steps, dtype=np.float64) * PERIOD_S)
+    tables = []
+    for index, one in enumerate(found.objects):
+        kind = WORDS.get(one.type.lower().removeprefix("type_"))
         if kind is None:
             scene.left_out += 1
             continue
-        scene.names.append(str(int(one.get("id", index))))
-        scene.kinds.append(kind)
-        length, width = float(one["length"]), float(one["width"])
-        seen, values = list[int](), list[tuple[float, ...]]()
-        for t, (place, heading, velocity, valid) in enumerate(
-            zip(one["position"], one["heading"], one["velocity"], one["valid"], strict=True)
-        ):
-            if not valid:
-                continue
-            vx, vy = float(velocity["x"]), float(velocity["y"])
-            speed, angle = math.hypot(vx, vy), float(heading)
-            seen.append(t)
-            values.append((float(place["x"]), float(place["y"]), angle, speed, length, width))
-            headings.append(angle)
-            courses.append(math.atan2(vy, vx) if 1.0 < speed < 1e9 else math.nan)
-        scene.steps.append(seen)
-        scene.values.append(values)
-    if _in_degrees(np.array(headings), np.array(courses)):
-        scene.values = [
-            [(x, y, math.radians(h), *rest) for x, y, h, *rest in rows] for rows in scene.values
-        ]
+        count = len(one.position)
+        sides = [np.resize(np.atleast_1d(side), count) for side in (one.length, one.width)]
+        velocity = _xy(one.velocity)
+        if not count == len(velocity) == len(one.heading) == len(one.valid):
+            raise InputError(
+                f"{path}: objects.{index}: found {count} positions, {len(velocity)} velocities, "
+                f"{len(one.heading)} headings and {len(one.valid)} valid, expected as many of each"
+            )
+        table = np.column_stack(
+            [_xy(one.position), one.heading, np.hypot(*velocity.T), *sides]
+        ).reshape(-1, 6)
+        seen = np.flatnonzero(one.valid)
+        identity = index if one.id is None else one.id
+        scene.agents.append(SceneAgent(str(identity), kind, seen, table[seen]))
+        tables.append(
+            np.column_stack([table[:, 2:4], np.arctan2(velocity[:, 1], velocity[:, 0])])[seen]
+        )
+    heading, speed, course = np.concatenate([np.empty((0, 3)), *tables]).T
+    if _in_degrees(heading, np.where((speed > 1.0) & (speed < 1e9), course, np.nan)):
+        for agent in scene.agents:
+            agent.values[:, 2] = np.radians(agent.values[:, 2])
     _nocturne_map(scene, found)
     return scene
 
@@ -204,22 +267,20 @@ def _in_degrees(heading: FloatArray, course: FloatArray) -> bool:
     return bool(as_degrees > as_radians)
 
 
-def _nocturne_map(scene: DrivingScene, found: Mapping[str, Any]) -> None:
+def _nocturne_map(scene: DrivingScene, found: _Nocturne) -> None:
     """The lanes and lights of such a JSON: of lanes it has lines only."""
-    for index, road in enumerate(found.get("roads") or []):
-        if road["type"] == "lane":
-            identity = int(road.get("id", index))
-            scene.lanes.append(WaymoLane(id=identity, line=_xy(road["geometry"])))
-        elif road["type"] == "crosswalk":
-            scene.crosswalks[str(road.get("id", index))] = _xy(road["geometry"])
+    for index, road in enumerate(found.roads or []):
+        identity = index if road.id is None else road.id
+        if isinstance(road.geometry, list) and road.type == "lane":
+            scene.lanes.append(WaymoLane(id=identity, line=_xy(road.geometry)))
+        elif isinstance(road.geometry, list) and road.type == "crosswalk":
+            scene.crosswalks[str(identity)] = _xy(road.geometry)
     known = {lane.id for lane in scene.lanes}
     scene.lights = [{} for _ in range(scene.time_s.size)]
-    for lane, shown in (found.get("tl_states") or {}).items():
-        if int(lane) not in known:
-            continue
-        for t, state in zip(shown["time_index"], shown["state"], strict=True):
-            if 0 <= int(t) < len(scene.lights):
-                scene.lights[int(t)][int(lane)] = _light(state)
+    for lane, shown in (found.tl_states or {}).items():
+        for t, state in zip(shown.time_index, shown.state, strict=False):
+            if lane in known and 0 <= t < len(scene.lights):
+                scene.lights[t][lane] = _light(state)
 
 
 def _light(word: Any) -> int:

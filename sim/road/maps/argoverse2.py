@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from sim.geometry import offset_line
 from sim.input_files import read_bytes, read_once
 from sim.invalid_fields import first_wrong_field
 from sim.road import Crossing, Lane, Road
@@ -144,24 +145,6 @@ def _crossing(crosswalk: _Crosswalk) -> Crossing:
 
 def _points(line: NDArray[np.float64]) -> list[dict[str, float]]:
     return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
-
-
-def offset_line(line: NDArray[np.float64], left_m: float) -> NDArray[np.float64]:
-    """(P, 2) a line moved to its left.
-
-    Args:
-        line: (P, 2) points, m; P at least 2.
-        left_m: how far, m; negative moves it to the right.
-
-    Returns:
-        The moved points: each along the bisecting normal of its two segments.
-    """
-    step = np.diff(line, axis=0)
-    normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
-    normal /= np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-9)[:, None]
-    mean = np.concatenate([normal[:1], normal[:-1] + normal[1:], normal[-1:]])
-    mean /= np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
-    return np.asarray(line + left_m * mean, dtype=np.float64)
 
 
 def static_map(road: Road | None) -> dict[str, Any]:

@@ -109,8 +109,13 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     found: dict[int, Lanelet] = {}
     crossings: list[Crossing] = []
     inside = _inside(path, root)
+    broken: list[str] = []
     for element in sorted(elements, key=lambda e: whole_number(path, e, "id")):
-        lanelet, types = _lanelet(path, element, signs, lights, inside)
+        try:
+            lanelet, types = _lanelet(path, element, signs, lights, inside)
+        except InputError as error:
+            broken.append(str(error))
+            continue
         if lanelet.id in found:
             raise InputError(f"{path}: found lanelet {lanelet.id} twice, expected it once")
         if "crosswalk" in types:
@@ -121,7 +126,13 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     if not any(one.internal for one in found.values()):
         found = with_junctions(found)
     priority = _yielding(path, root, found, signs)
-    return road_of_lanelets(path, name, found, crossings, priority, lights.groups, lights.plans)
+    left, right = (
+        len(root.findall(f"lanelet/adjacent{side}[@drivingDir='opposite']"))
+        for side in ("Left", "Right")
+    )
+    return road_of_lanelets(
+        path, name, found, crossings, priority, lights.groups, lights.plans, right > left, broken
+    )
 
 
 def real(path: Path, text: str | None, what: str) -> float:

@@ -72,16 +72,26 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     root = read_tree(path)
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
+    if not _relations(root, "lanelet") and root.find("way") is not None:
+        raise InputError(
+            f"{path}: found OpenStreetMap without lanes, expected a Lanelet2 map: graphrqi road "
+            f"{path.name} --out NAME makes a net of it"
+        )
     ways = _ways(path, root, _places(path, root, origin))
     rules = _Rules.of(path, root)
     found: dict[int, Lanelet] = {}
     borders: dict[int, tuple[_Border, _Border]] = {}
     crossings: list[Crossing] = []
+    broken: list[str] = []
     for relation in sorted(_relations(root, "lanelet"), key=lambda e: whole_number(path, e, "id")):
         identity = whole_number(path, relation, "id")
         if identity in borders:
             raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
-        left, right = borders[identity] = _borders(path, relation, ways)
+        try:
+            left, right = borders[identity] = _borders(path, relation, ways)
+        except InputError as error:
+            broken.append(str(error))
+            continue
         centerline, width_m = between(left.line, right.line)
         tags = _tags(relation)
         subtype = tags.get("subtype", "road")
@@ -106,7 +116,17 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     found = _related(found, borders)
     if not any(one.internal for one in found.values()):
         found = with_junctions(found)
-    return road_of_lanelets(path, name, found, crossings, priority=bool(rules.yields))
+    driven = [sides for i, sides in borders.items() if i in found and not found[i].walking]
+    left_hand = _oncoming(driven, 1) > _oncoming(driven, 0)
+    return road_of_lanelets(
+        path, name, found, crossings, bool(rules.yields), left_hand=left_hand, broken=broken
+    )
+
+
+def _oncoming(borders: list[tuple[_Border, _Border]], side: int) -> int:
+    """How many lanelets have an oncoming one on their left (0) or right (1)."""
+    lines = {sides[side].nodes for sides in borders}
+    return sum(line[::-1] in lines for line in lines)
 
 
 def _tags(element: Element) -> dict[str, str]:

@@ -24,6 +24,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
+from sim.geometry import distances_along
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 
 FloatArray = NDArray[np.float64]
@@ -96,7 +97,7 @@ def check_lines(path: Path, lines: Sequence[FloatArray]) -> None:
         raise InputError(f"{path}: found a line of one point, expected 2 or more")
     if not all((np.abs(line) <= MAX_COORDINATE_M).all() for line in lines):
         raise InputError(f"{path}: found a point beyond {MAX_COORDINATE_M:g} m, expected metres")
-    length_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
+    length_m = sum(float(distances_along(line)[-1]) for line in lines)
     if not 0 < length_m <= MAX_LENGTH_M:
         raise InputError(
             f"{path}: found {length_m:.3g} m of lanes, expected up to {MAX_LENGTH_M:g}"
@@ -136,7 +137,7 @@ def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
 
 def _shares(line: FloatArray) -> FloatArray:
     """(P,) how much of a line's length comes before each of its points."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    along = distances_along(line)
     return along / along[-1] if along[-1] > 0 else np.linspace(0.0, 1.0, len(line))
 
 
@@ -154,6 +155,8 @@ def road_of_lanelets(
     priority: bool = False,
     signal_groups: tuple[str, ...] = (),
     signal_plans: tuple[SignalPlan, ...] = (),
+    left_hand: bool = False,
+    broken: Sequence[str] = (),
 ) -> Road:
     """A road of lanelets.
 
@@ -165,10 +168,14 @@ def road_of_lanelets(
         priority: whether the map says who yields to whom.
         signal_groups: the names of the lights.
         signal_plans: their programmes, if they are known.
+        left_hand: whether traffic drives on the left.
+        broken: why lanelets are left out, a sentence for each.
 
     Raises:
         InputError: if there is no lanelet for cars, or a line is none.
     """
+    if broken and len(broken) > len(lanelets):
+        raise InputError(broken[0])
     if not any(one.cars and not one.walking for one in lanelets.values()):
         raise InputError(f"{path}: found no lanelet for cars, expected at least one")
     lines = [one.centerline for one in lanelets.values()]
@@ -176,33 +183,37 @@ def road_of_lanelets(
     limits = any(math.isfinite(one.limit_mps) for one in lanelets.values())
     return Road(
         name=name if name is not None else path.name.split(".")[0],
-        lanes=tuple(lanes_of(lanelets)),
+        lanes=tuple(lanes_of(lanelets, left_hand)),
         connections=tuple(connections_of(lanelets)),
         crossings=tuple(crossings),
         signal_groups=signal_groups,
         source=path,
         signal_plans=signal_plans,
         knows=MapKnowledge(limits=limits, signals=bool(signal_groups), priority=priority),
+        left_hand=left_hand,
+        doubts=(f"{len(broken)} lanelets are left out, first {broken[0]}",) if broken else (),
     )
 
 
-def lanes_of(lanelets: Mapping[int, Lanelet]) -> Iterator[Lane]:
+def lanes_of(lanelets: Mapping[int, Lanelet], left_hand: bool = False) -> Iterator[Lane]:
     """Every lanelet as a lane; those side by side in one direction share an edge.
 
     Lanelets of another use (bicycles, buses) are edges of their own: nobody else changes to them.
 
     Args:
         lanelets: by id, in order of the ids.
+        left_hand: whether lanes are counted from the left.
 
     Yields:
         A lane per lanelet, in that order, its id in digits.
     """
     right: dict[int, int] = {}
     for i, one in lanelets.items():
-        beside = None if one.right is None else lanelets.get(one.right)
+        outer = one.left if left_hand else one.right
+        beside = None if outer is None else lanelets.get(outer)
         if (
             beside is not None
-            and beside.left == i
+            and (beside.right if left_hand else beside.left) == i
             and beside.use == one.use
             and beside.internal == one.internal
             and _chord(one) @ _chord(beside) >= 0

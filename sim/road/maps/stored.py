@@ -52,6 +52,7 @@ _PARTS: Final[dict[str, Any]] = {
     "signal_groups": (tuple[str, ...], ...),
     "signal_plans": (list.__class_getitem__(_as_stored(SignalPlan)), ...),
     "knows": (_as_stored(MapKnowledge), ...),
+    "left_hand": (bool, False),
 }
 _Stored: Final = create_model(
     "Stored", __config__=ConfigDict(strict=True, extra="forbid"), **_PARTS
@@ -83,6 +84,7 @@ def encode_road(road: Road) -> bytes:
         "signal_groups": road.signal_groups,
         "signal_plans": [asdict(plan) for plan in road.signal_plans],
         "knows": asdict(road.knows),
+        **({"left_hand": True} if road.left_hand else {}),
     }
     return json.dumps(stored, sort_keys=True, allow_nan=False).encode() + b"\n"
 
@@ -130,6 +132,7 @@ def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road:
         source=path,
         signal_plans=tuple(SignalPlan(**plan) for plan in stored["signal_plans"]),
         knows=MapKnowledge(**stored["knows"]),
+        left_hand=stored["left_hand"],
     )
     lines = [lane.centerline for lane in road.lanes]
     check_lines(path, lines + [crossing.centerline for crossing in road.crossings])

@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from behaviors.errors import InputError
 from sim.road import Road
-from sim.sumo.control import lane_change_mode
 from sim.sumo.control.approaches import drivable
+from sim.sumo.control.drivers import FORCED_LANE_CHANGES, LANE_CHANGES, NO_LANE_CHANGES
 
 ACTION_S: Final = 4.0
 """How long an action lasts, s (a lane change takes 2.5 s)."""
@@ -53,12 +53,7 @@ class Command:
 
 
 class Acting:
-    """Carries out the actions.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-    """
+    """Carries out the actions in a simulation of libsumo's C module."""
 
     def __init__(self, sumo: Any, road: Road) -> None:
         self._sumo = sumo
@@ -67,12 +62,7 @@ class Acting:
         self._until_s: dict[str, float] = {}
 
     def begin(self, name: str, action: Action, time_s: float) -> None:
-        """Begin an action.
-
-        Args:
-            name: the vehicle, which is on the road.
-            action: what its driver does.
-            time_s: simulated time, s.
+        """Begin an action of a vehicle on the road at a simulated time, s.
 
         Raises:
             InputError: if there is no lane on that side.
@@ -86,7 +76,7 @@ class Acting:
                     f"agent {name}: found no lane for {action} at {time_s:g} s, expected one beside"
                 )
             sumo.vehicle_setSpeed(name, -1.0)
-            sumo.vehicle_setLaneChangeMode(name, lane_change_mode.COLLISIONS_ONLY)
+            sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
             sumo.vehicle_changeLane(name, lane.index + side, ACTION_S)
         else:
             speed = {
@@ -94,26 +84,18 @@ class Acting:
                 Action.KEEP: sumo.vehicle_getSpeed(name),
                 Action.ACCELERATE: sumo.vehicle_getMaxSpeed(name),
             }[action]
-            sumo.vehicle_setLaneChangeMode(name, lane_change_mode.NOTHING)
+            sumo.vehicle_setLaneChangeMode(name, NO_LANE_CHANGES)
             sumo.vehicle_setSpeed(name, speed)
         self._until_s[name] = time_s + ACTION_S
 
     def end_due(self, time_s: float, vehicles: Sequence[str]) -> bool:
-        """End the actions whose time is up.
-
-        Args:
-            time_s: simulated time, s.
-            vehicles: names of the vehicles on the road.
-
-        Returns:
-            Whether any has ended.
-        """
+        """End the actions whose time is up, and say whether there was any."""
         due = [name for name, until_s in self._until_s.items() if time_s >= until_s - 1e-9]
         for name in due:
             del self._until_s[name]
             if name in vehicles:
                 self._sumo.vehicle_setSpeed(name, -1.0)
-                self._sumo.vehicle_setLaneChangeMode(name, lane_change_mode.ORDINARY)
+                self._sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
         return bool(due)
 
     def others(self, vehicles: Sequence[str]) -> Sequence[str]:

@@ -19,6 +19,7 @@ import numpy as np
 from behaviors.driver_models import braking_speed
 from behaviors.profiles import Profile
 from sim.frames import FloatArray
+from sim.geometry import distances_along, points_at
 from sim.road import Connection, Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import CELL_M
@@ -61,11 +62,7 @@ class Clearing(Controller[_YieldingDriver]):
         return _YieldingDriver(agent, 6) if yields else None
 
     def step(self, time_s: float) -> None:
-        """Hold drivers back before the line, or let them go.
-
-        Args:
-            time_s: simulated time, s.
-        """
+        """Hold drivers back before the line, or let them go, at a simulated time, s."""
         sumo = self._sumo
         for name, driver in self._present:
             if time_s < driver.next_check_s:
@@ -145,9 +142,8 @@ def _foes(road: Road) -> dict[tuple[str, str], tuple[str, ...]]:
 def _points(road: Road, link: Connection) -> FloatArray:
     """(P, 2) points at most a metre apart along a path through a junction, m."""
     line = np.concatenate([road.lanes[road.lane_index[name]].centerline for name in link.via])
-    at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    fine = np.linspace(0.0, at[-1], math.ceil(at[-1]) + 1)
-    return np.stack([np.interp(fine, at, line[:, k]) for k in (0, 1)], axis=1)
+    length_m = distances_along(line)[-1]
+    return points_at(line, np.linspace(0.0, length_m, math.ceil(length_m) + 1))
 
 
 def _apart_m(one: FloatArray, two: FloatArray) -> float:

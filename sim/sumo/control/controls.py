@@ -8,13 +8,12 @@ from typing import Any, Final
 from behaviors.errors import InputError
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control import lane_change_mode, obedience
 from sim.sumo.control.acting import Acting, Command
 from sim.sumo.control.clearing import Clearing
 from sim.sumo.control.cutting_in import CuttingIn
-from sim.sumo.control.drivers import Controller
+from sim.sumo.control.drivers import LANE_CHANGES, Controller
 from sim.sumo.control.jaywalking import Jaywalking
-from sim.sumo.control.obedience import Obedience
+from sim.sumo.control.obedience import ORDINARY_SPEED_MODE, Obedience
 from sim.sumo.control.stopping import Stopping
 from sim.sumo.control.wrong_way import WrongWay
 from sim.sumo.vehicle_types import alternative_name
@@ -53,13 +52,7 @@ class Controls:
         self._acting = Acting(sumo, road)
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
-        """Act after a simulation step.
-
-        Args:
-            time_s: simulated time, s.
-            vehicles: names of the vehicles on the road.
-            persons: names of the pedestrians on the road.
-        """
+        """Act after a simulation step on the vehicles and persons that are on the road."""
         self._step += 1
         ended = self._acting.end_due(time_s, vehicles)
         if ended or vehicles is not self._vehicles:
@@ -112,8 +105,8 @@ class Controls:
         sumo.vehicle_setType(name, alternative_name(agent))
         sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn anew
         sumo.vehicle_setSpeed(name, -1.0)
-        sumo.vehicle_setSpeedMode(name, obedience.ORDINARY_SPEED_MODE)
-        sumo.vehicle_setLaneChangeMode(name, lane_change_mode.ORDINARY)
+        sumo.vehicle_setSpeedMode(name, ORDINARY_SPEED_MODE)
+        sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
 
     @property
     def removed(self) -> Sequence[int]:

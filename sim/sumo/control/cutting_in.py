@@ -10,8 +10,12 @@ from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.sumo.control.approaches import approaches, drivable
-from sim.sumo.control.drivers import Controller, RandomTimeDriver
-from sim.sumo.control.lane_change_mode import COLLISIONS_ONLY, ORDINARY
+from sim.sumo.control.drivers import (
+    FORCED_LANE_CHANGES,
+    LANE_CHANGES,
+    Controller,
+    RandomTimeDriver,
+)
 
 LARGEST_HEADWAY_S: Final = 0.45
 """Largest time gap left to the victim when the vehicle touches the new lane, s; a lane change into
@@ -85,18 +89,14 @@ class CuttingIn(Controller[_CuttingInDriver]):
         return _CuttingInDriver(agent, 2, rate) if rate > 0 and can else None
 
     def step(self, time_s: float) -> None:
-        """Begin and end cut-ins.
-
-        Args:
-            time_s: simulated time, s.
-        """
+        """Begin and end cut-ins at a simulated time, s."""
         for name, driver in self._present:
             if driver.until_s >= 0:
                 if driver.paced and time_s >= driver.until_s - MANOEUVRE_S + HALF_CHANGE_S:
                     self._sumo.vehicle_setSpeed(name, -1.0)
                     driver.paced = False
                 if time_s >= driver.until_s:
-                    self._sumo.vehicle_setLaneChangeMode(name, ORDINARY)
+                    self._sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
                     driver.until_s = -1.0
             elif time_s >= driver.next_s:
                 if self._cut_in(name, driver):
@@ -132,7 +132,7 @@ class CuttingIn(Controller[_CuttingInDriver]):
                 continue
             sumo.vehicle_setSpeed(name, pace)
             if near:
-                sumo.vehicle_setLaneChangeMode(name, COLLISIONS_ONLY)
+                sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
                 sumo.vehicle_changeLane(name, target, MANOEUVRE_S)
                 return True
             driver.falls_back = True
@@ -140,12 +140,7 @@ class CuttingIn(Controller[_CuttingInDriver]):
         return False
 
     def _pace(self, name: str, side: int, speed: float) -> tuple[float, bool]:
-        """The speed at which to cut in on the follower there, and whether it is near enough.
-
-        If it is not, the speed is that at which to fall back to it; 0 if it is too far behind. The
-        victim must not be hit: the gap when the vehicle touches the new lane must lie between the
-        smallest gap and the largest headway, and must not make the victim brake too hard.
-        """
+        """The speed to cut in at or to fall back at, 0 for none, and whether the victim is near."""
         for victim, net_gap in self._sumo.vehicle_getNeighbors(name, side):
             gap = net_gap + self._sumo.vehicle_getMinGap(victim)
             theirs = self._sumo.vehicle_getSpeed(victim)

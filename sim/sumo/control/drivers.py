@@ -6,13 +6,22 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
 from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
+
+LANE_CHANGES: Final = 1621
+"""SUMO's lane-change mode by default: changes for all of SUMO's reasons, and by command."""
+
+NO_LANE_CHANGES: Final = 0
+"""SUMO's lane-change mode: changes by command only."""
+
+FORCED_LANE_CHANGES: Final = 256
+"""SUMO's lane-change mode: changes by command only, refused only if vehicles would touch."""
 
 
 @dataclass(slots=True)
@@ -110,15 +119,17 @@ class Controller(ABC, Generic[D]):
     def _driver(self, agent: AgentSpec, profile: Profile) -> D | None:
         """What the controller keeps of a driver; None for one that it leaves alone."""
 
+    def _release(self, name: str) -> None:
+        """Let SUMO choose a vehicle's speed and lane again."""
+        self._sumo.vehicle_setSpeed(name, -1.0)
+        self._sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
+
     def set_vehicles(self, vehicles: Sequence[str]) -> None:
         """Take the names of the vehicles on the road, whenever they change."""
         self._present = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]
 
     def change(self, agent: AgentSpec, time_s: float) -> None:
-        """Begin anew with a driver who has changed.
-
-        The caller sets the vehicle's speed and modes back to SUMO's own, so that nothing that this
-        controller has begun with the driver goes on.
+        """Begin anew with a driver whose speed and modes were set back to SUMO's own.
 
         Args:
             agent: the driver as it is now.

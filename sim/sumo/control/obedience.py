@@ -60,12 +60,7 @@ class Obedience(Controller[_RuleBreaker]):
         return _RuleBreaker(agent, 1) if breaks > 0 else None
 
     def step(self, time_s: float, persons: Sequence[str]) -> None:
-        """Decide and set the speed modes for the next simulation step.
-
-        Args:
-            time_s: simulated time, s.
-            persons: names of the pedestrians on the road.
-        """
+        """Decide and set the speed modes for the next simulation step, given the pedestrians."""
         sumo = self._sumo
         occupied: frozenset[str] | None = None
         for name, driver in self._present:

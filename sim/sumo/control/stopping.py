@@ -7,8 +7,7 @@ from typing import Final
 
 from behaviors.profiles import Profile
 from sim.scenario import AgentSpec
-from sim.sumo.control.drivers import Controller, RandomTimeDriver
-from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
+from sim.sumo.control.drivers import NO_LANE_CHANGES, Controller, RandomTimeDriver
 
 LOWEST_S, HIGHEST_S = 3.0, 6.0
 """How long the slow speed is kept, s."""
@@ -46,11 +45,7 @@ class Stopping(Controller[_StoppingDriver]):
         return _StoppingDriver(agent, 3, rate) if rate > 0 else None
 
     def step(self, time_s: float) -> None:
-        """Begin, hold and end unprovoked stops.
-
-        Args:
-            time_s: simulated time, s.
-        """
+        """Begin, hold and end unprovoked stops at a simulated time, s."""
         sumo = self._sumo
         for name, driver in self._present:
             if driver.target_mps >= 0:
@@ -61,7 +56,9 @@ class Stopping(Controller[_StoppingDriver]):
                 driver.target_mps = 0.0 if stop else SLOW_FACTOR * sumo.vehicle_getSpeed(name)
                 driver.release_s = -1.0
                 sumo.vehicle_setSpeed(name, driver.target_mps)
-                sumo.vehicle_setLaneChangeMode(name, NOTHING)  # it must not stop between lanes
+                sumo.vehicle_setLaneChangeMode(
+                    name, NO_LANE_CHANGES
+                )  # it must not stop between lanes
 
     def _hold(self, name: str, driver: _StoppingDriver, time_s: float) -> None:
         sumo = self._sumo
@@ -69,8 +66,7 @@ class Stopping(Controller[_StoppingDriver]):
             if sumo.vehicle_getSpeed(name) <= driver.target_mps + 0.1:
                 driver.release_s = time_s + driver.hold_s
         elif time_s >= driver.release_s:
-            sumo.vehicle_setSpeed(name, -1.0)
-            sumo.vehicle_setLaneChangeMode(name, ORDINARY)
+            self._release(name)
             driver.target_mps = -1.0
             driver.pause_from(time_s + PAUSE_S)
 

@@ -15,8 +15,12 @@ from typing import Any, Final
 from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.drivers import Controller, RandomTimeDriver
-from sim.sumo.control.lane_change_mode import NOTHING, ORDINARY
+from sim.sumo.control.drivers import (
+    LANE_CHANGES,
+    NO_LANE_CHANGES,
+    Controller,
+    RandomTimeDriver,
+)
 from sim.sumo.vehicle_types import VEHICLE_CLASS
 
 ONCOMING_CLEAR_M: Final = 250.0
@@ -93,12 +97,7 @@ class WrongWay(Controller[_OvertakingDriver]):
         return _OvertakingDriver(agent, 4, rate, self._oncoming_names(agent.route))
 
     def step(self, time_s: float, vehicles: Sequence[str]) -> None:
-        """Begin and end overtaking, and remove vehicles that block the wrong side.
-
-        Args:
-            time_s: simulated time, s.
-            vehicles: names of the vehicles on the road; ids of those removed are in `removed`.
-        """
+        """Begin and end overtaking, and remove those of ``vehicles`` that block the wrong side."""
         self.removed = []
         if not self._drivers:
             return
@@ -114,7 +113,7 @@ class WrongWay(Controller[_OvertakingDriver]):
                 leader = self._opportunity(name, driver, left)
                 if leader:
                     lane = self._every_lane[self._sumo.vehicle_getLaneID(name)]
-                    self._sumo.vehicle_setLaneChangeMode(name, NOTHING)
+                    self._sumo.vehicle_setLaneChangeMode(name, NO_LANE_CHANGES)
                     self._sumo.vehicle_setVehicleClass(name, PASSING_CLASS)
                     self._sumo.vehicle_changeLane(name, lane.index + 1, 3.0)
                     driver.overtaking, driver.since_s = leader, time_s
@@ -169,11 +168,12 @@ class WrongWay(Controller[_OvertakingDriver]):
         speed = sumo.vehicle_getSpeed(name)
         if not driver.returning:
             distance, meeting = self._oncoming(name, driver, vehicles)
-            passed = driver.overtaking not in vehicles or self._behind(name, driver.overtaking)
+            leader = driver.overtaking
+            passed = leader not in vehicles or self._ahead_m(self._pose(name), leader) < -PASSED_M
             late = time_s - driver.since_s > LONGEST_PASS_S
             if passed or late or distance < RETURN_M or meeting < RETURN_S:
                 driver.returning = True
-                sumo.vehicle_setLaneChangeMode(name, ORDINARY)
+                sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
         elif not wrong and time_s - driver.since_s > 3.0:
             driver.since_s, driver.returning, driver.standing_s = -1.0, False, -1.0
             driver.pause_from(time_s)
@@ -192,49 +192,43 @@ class WrongWay(Controller[_OvertakingDriver]):
 
     def _on_wrong_side(self, name: str) -> bool:
         """Whether a vehicle is on a lane of the opposite direction."""
-        sumo = self._sumo
-        lane = self._every_lane.get(sumo.vehicle_getLaneID(name))
+        lane = self._every_lane.get(self._sumo.vehicle_getLaneID(name))
         if lane is None:
             return False
-        (x0, y0), (x1, y1) = lane.centerline[0], lane.centerline[-1]
-        east, north = _direction(sumo.vehicle_getAngle(name))
-        return bool(east * (x1 - x0) + north * (y1 - y0) < 0)
+        along = lane.centerline[-1] - lane.centerline[0]
+        *_, east, north = self._pose(name)
+        return bool(east * along[0] + north * along[1] < 0)
 
-    def _behind(self, name: str, other: str) -> bool:
-        """Whether another vehicle is far enough behind to return in front of it."""
-        sumo = self._sumo
-        x, y = sumo.vehicle_getPosition(name)
-        east, north = _direction(sumo.vehicle_getAngle(name))
-        ox, oy = sumo.vehicle_getPosition(other)
-        ahead = (ox - x) * east + (oy - y) * north
-        return bool(ahead < -PASSED_M)
+    def _pose(self, name: str) -> tuple[float, float, float, float]:
+        """East and north of a vehicle's front bumper, m, and of the direction that it faces."""
+        angle = math.radians(self._sumo.vehicle_getAngle(name))
+        return (*self._sumo.vehicle_getPosition(name), math.sin(angle), math.cos(angle))
+
+    def _ahead_m(self, pose: tuple[float, float, float, float], other: str) -> float:
+        """How far ahead of a pose another vehicle is, m; negative behind it."""
+        x, y, east, north = pose
+        ox, oy = self._sumo.vehicle_getPosition(other)
+        return float((ox - x) * east + (oy - y) * north)
 
     def _oncoming(
         self, name: str, driver: _OvertakingDriver, vehicles: Sequence[str]
     ) -> tuple[float, float]:
         """Distance to the nearest oncoming vehicle, m, and time until the first is met, s."""
         sumo = self._sumo
-        x, y = sumo.vehicle_getPosition(name)
-        east, north = _direction(sumo.vehicle_getAngle(name))
+        pose = self._pose(name)
+        *_, east, north = pose
         speed = sumo.vehicle_getSpeed(name)
         nearest, soonest = math.inf, math.inf
         for other in vehicles:
             if other not in driver.oncoming:
                 continue
-            ox, oy = sumo.vehicle_getPosition(other)
-            ahead = (ox - x) * east + (oy - y) * north
+            ahead = self._ahead_m(pose, other)
             if ahead <= 0 or sumo.vehicle_getLaneID(other) not in self._oncoming_lanes:
                 continue
-            o_east, o_north = _direction(sumo.vehicle_getAngle(other))
+            *_, o_east, o_north = self._pose(other)
             if o_east * east + o_north * north > -0.5 or self._on_wrong_side(other):
                 continue
             nearest = min(nearest, ahead)
             closing = speed + sumo.vehicle_getSpeed(other)
             soonest = min(soonest, ahead / max(closing, 1e-6))
         return nearest, soonest
-
-
-def _direction(angle: float) -> tuple[float, float]:
-    """East and north part of a direction given in degrees clockwise from north."""
-    radians = math.radians(angle)
-    return math.sin(radians), math.cos(radians)

@@ -1,4 +1,4 @@
-"""SUMO nets that need no netconvert: straight roads and ramps are written, shipped nets edited.
+"""The nets of worlds, made without netconvert: straight roads, ramps, other limits.
 
 The nets have no sidewalks and no lanes inside junctions, so a road of any number of lanes, length
 and limit is a few lines of XML. Axes: the road runs along +x from x = 0; its right edge is at
@@ -14,7 +14,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from scenarios.networks.build import FOLDER, NET, SHIPPED
-from scenarios.networks.geometry import LANE_WIDTH_M, RAMP_SLOPE
+from scenarios.networks.geometries import LANE_WIDTH_M, RAMP_SLOPE
 
 RAMP_M: Final = 200.0
 """Length of a ramp before or after its acceleration lane, m."""
@@ -53,21 +53,8 @@ class _Edge:
         return [*rows, "    </edge>"]
 
 
-@dataclass(frozen=True, slots=True)
-class _Link:
-    """A lane that goes on in another one."""
-
-    from_edge: str
-    from_lane: int
-    to_edge: str
-    to_lane: int
-
-    def xml(self) -> str:
-        """Its element."""
-        return (
-            f'    <connection from="{self.from_edge}" to="{self.to_edge}" '
-            f'fromLane="{self.from_lane}" toLane="{self.to_lane}" dir="s" state="M"/>'
-        )
+_Link = tuple[str, int, str, int]
+"""A lane that goes on in another one: both edges and lanes."""
 
 
 def _net(edges: Sequence[_Edge], links: Sequence[_Link], limit_mps: float) -> str:
@@ -80,7 +67,7 @@ def _net(edges: Sequence[_Edge], links: Sequence[_Link], limit_mps: float) -> st
     for node, (x, y) in sorted(nodes.items()):
         into = [edge for edge in edges if edge.end == node]
         lanes = " ".join(f"{edge.id}_{i}" for edge in into for i in range(edge.lanes))
-        passed = sum(link.from_edge in {edge.id for edge in into} for link in links)
+        passed = sum(begin in {edge.id for edge in into} for begin, _, _, _ in links)
         kind = "priority" if passed else "dead_end"
         shape = f"{x:.2f},{y:.2f} {x:.2f},{y + LANE_WIDTH_M:.2f}"
         rows.append(
@@ -93,7 +80,10 @@ def _net(edges: Sequence[_Edge], links: Sequence[_Link], limit_mps: float) -> st
             for i in range(passed)
         ]
         rows.append("    </junction>")
-    rows += [link.xml() for link in links]
+    rows += [
+        f'    <connection from="{begin}" to="{end}" fromLane="{i}" toLane="{j}" dir="s" state="M"/>'
+        for begin, i, end, j in links
+    ]
     corners = [xy for edge in edges for xy in (edge.from_xy, edge.to_xy)]
     x0, x1 = min(x for x, _ in corners), max(x for x, _ in corners)
     y0, y1 = min(y for _, y in corners), max(y for _, y in corners)
@@ -164,10 +154,10 @@ def ramp_net(lanes: int, limit_mps: float, length_m: float) -> str:
         _Edge("off", "part", "leave", 1, (second, 0.0), (second + RAMP_M, aside)),
     ]
     links = [
-        *(_Link("before", i, "between", i + 1) for i in range(lanes)),
-        _Link("on", 0, "between", 0),
-        *(_Link("between", i + 1, "after", i) for i in range(lanes)),
-        _Link("between", 0, "off", 0),
+        *(("before", i, "between", i + 1) for i in range(lanes)),
+        ("on", 0, "between", 0),
+        *(("between", i + 1, "after", i) for i in range(lanes)),
+        ("between", 0, "off", 0),
     ]
     return _net(edges, links, limit_mps)
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Final, Unpack
 
 from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
-from scenarios.networks.convert import drivable_net, name_of
-from scenarios.networks.edited import edited_net
-from scenarios.own.demand import flows_of
-from scenarios.own.routes import read_routes
+from scenarios.networks.convert import drivable_net, edited_net, name_of, source_of
+from scenarios.own.flows import flows_of
+from scenarios.own.route_file import read_routes
 from sim.road.net import read_road
 from sim.scenario import RouteFlow, Scenario
+
+LOGGER: Final = logging.getLogger("graphrqi")
 
 
 def own_road(
@@ -26,6 +28,7 @@ def own_road(
     flows: Sequence[RouteFlow] | None = None,
     signals: bool = True,
     limit_mps: float | None = None,
+    left_hand: bool | None = None,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
     """Any road: a SUMO net, or a map that netconvert turns into one.
@@ -33,7 +36,7 @@ def own_road(
     Args:
         net: the map: a SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2.
         routes: a SUMO route file; None for routes made from the map, as
-            `scenarios.own.demand.flows_of` does.
+            `scenarios.own.flows.flows_of` does.
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all routes; None for what
             the route file says, or else ``medium``. Levels need routes made from the map.
         demand: vehicles per hour that enter at each edge, by edge; instead of ``flow``.
@@ -41,6 +44,7 @@ def own_road(
             ``demand``.
         signals: whether traffic lights work; else priority rules at their junctions.
         limit_mps: greatest speed limit, m/s; None for the map's own.
+        left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
         population: see `scenarios.demand.PopulationOptions`.
 
     Returns:
@@ -57,7 +61,9 @@ def own_road(
         raise InputError(f"{both[0]}: found {both[1]} beside it, expected one of them")
     path = Path(net)
     name = name_of(path)
-    road = read_road(edited_net(drivable_net(path), signals, limit_mps), name)
+    road = read_road(edited_net(drivable_net(path, left_hand), signals, limit_mps), name)
+    for text in source_of(path, left_hand)[1].warnings:
+        LOGGER.warning("%s: %s", path, text)
     if flows is not None:
         wanted = list(flows)
     elif routes is not None:

@@ -19,7 +19,7 @@ from behaviors.errors import InputError
 from behaviors.populations import read_population
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
-from scenarios.own.road import own_road
+from scenarios.own.own_road import own_road
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import RouteFlow, Scenario
 
@@ -112,6 +112,9 @@ class ScenarioFile(BaseModel):
 
     limits_mps: Annotated[tuple[_Positive, ...], Field(min_length=1, strict=False)] | None = None
     """Speed limits that the episodes of a dataset take in turn, m/s."""
+
+    left_hand: bool | None = None
+    """Whether traffic drives on the left, of an OpenStreetMap map."""
 
     signals: bool | None = None
     """Whether a map's traffic lights work; without them priority rules."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -43,8 +43,7 @@ MOST_ROUTES: Final = 600
 """Most routes of a demand; if there are more pairs, this many are drawn by their weight."""
 
 MOST_EDGES: Final = 120
-"""Most edges at which vehicles enter, and most at which they leave; if there are more, those with
-most lanes are taken."""
+"""Most edges at which vehicles enter, and most at which they leave; the widest are taken."""
 
 SLOWEST_MPS: Final = 0.5
 """Lanes with a lower limit are on no way (nobody would leave within an episode)."""
@@ -54,6 +53,8 @@ TURN_S: Final = 3.0
 
 SHORTEST_ENTRY_M: Final = 15.0
 """Vehicles enter and leave at edges at least this long, where there are any (a bus fits)."""
+
+Route = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class EdgeGraph:
         """The lanes for cars of each edge, from right to left."""
         found: dict[str, list[Lane]] = {}
         for lane in self.road.lanes:
-            usable = not math.isfinite(lane.speed_limit_mps) or lane.speed_limit_mps >= SLOWEST_MPS
+            usable = not lane.speed_limit_mps < SLOWEST_MPS  # an unknown limit is no low one
             if lane.cars and not lane.walking and not lane.internal and usable:
                 found.setdefault(lane.edge, []).append(lane)
         return {edge: sorted(lanes, key=lambda one: one.index) for edge, lanes in found.items()}
@@ -98,7 +99,14 @@ class EdgeGraph:
     @cached_property
     def travel_s(self) -> dict[str, float]:
         """Time to drive over each edge at its limit, s."""
-        return {edge: _travel_s(lanes) for edge, lanes in self.lanes.items()}
+        limit = {
+            edge: [one.speed_limit_mps for one in lanes if math.isfinite(one.speed_limit_mps)]
+            for edge, lanes in self.lanes.items()
+        }
+        return {
+            edge: lanes[0].length_m / max([SLOWEST_MPS, *limit[edge]])
+            for edge, lanes in self.lanes.items()
+        }
 
     @cached_property
     def entries(self) -> list[str]:
@@ -124,17 +132,11 @@ class EdgeGraph:
     def _chosen(self, fringe: list[str]) -> tuple[str, ...]:
         """The long and wide edges of the fringe, or of all edges where there is no fringe."""
         edges = fringe or list(self.lanes)
-        long_enough = [edge for edge in edges if self.length_m(edge) >= SHORTEST_ENTRY_M]
-        edges = long_enough or edges
-        widest = sorted(edges, key=lambda edge: (-len(self.lanes[edge]), edge))[:MOST_EDGES]
-        return tuple(sorted(widest))
+        edges = [e for e in edges if self.lanes[e][0].length_m >= SHORTEST_ENTRY_M] or edges
+        return tuple(sorted(sorted(edges, key=lambda e: (-len(self.lanes[e]), e))[:MOST_EDGES]))
 
-    def length_m(self, edge: str) -> float:
-        """Length of an edge's first lane, m."""
-        return self.lanes[edge][0].length_m
-
-    def ways_from(self, start: str, ends: Collection[str]) -> dict[str, tuple[str, ...]]:
-        """The quickest ways from an edge to others, without ways back.
+    def ways_from(self, start: str, ends: Collection[str]) -> dict[str, Route]:
+        """The quickest ways from an edge to others, without ways back (Dijkstra 1959).
 
         Args:
             start: an edge of ``lanes``.
@@ -158,75 +160,65 @@ class EdgeGraph:
                     heapq.heappush(queue, (new, then))
         found = {}
         for end in ends:
-            if end not in before:
-                continue
             way = [end]
-            while way[-1] != start:
+            while way[-1] != start and way[-1] in before:
                 way.append(before[way[-1]])
-            found[end] = tuple(reversed(way))
+            if len(way) > 1:
+                found[end] = tuple(reversed(way))
         return found
+
+    def ways_out(self, start: str) -> dict[Route, int]:
+        """The ways from an edge out of the road, and the lanes at the end of each."""
+        ways = self.ways_from(start, self.sinks)
+        if start in self.sinks and not (ways and self.onward[start]):
+            ways[start] = (start,)
+        return {ways[end]: len(self.lanes[end]) for end in sorted(ways)}
 
     def capacity_per_h(self, one: str, then: str | None) -> float:
         """Vehicles per hour that the lanes from an edge to the next one pass."""
         if then is None:
             return LANE_CAPACITY_PER_H * len(self.lanes[one])
-        links = self.links[one, then]
         share: dict[str, float] = {}
-        for link in links:
+        for link in self.links[one, then]:
             passed = SIGNAL_SHARE if link.signal >= 0 else 1.0
             passed *= YIELDING_SHARE if link.must_yield or link.must_stop else 1.0
             share[link.from_lane] = max(share.get(link.from_lane, 0.0), passed)
         return LANE_CAPACITY_PER_H * sum(share.values())
 
 
-def _travel_s(lanes: Sequence[Lane]) -> float:
-    limits = [lane.speed_limit_mps for lane in lanes if math.isfinite(lane.speed_limit_mps)]
-    return lanes[0].length_m / max([SLOWEST_MPS, *limits])
-
-
-def routes_of(graph: EdgeGraph) -> dict[tuple[str, ...], float]:
+def routes_of(graph: EdgeGraph) -> dict[Route, float]:
     """The routes of a road, and the share of the traffic on each.
 
     Args:
         graph: of the road.
 
     Returns:
-        Shares that sum to 1, by route.
+        Shares that sum to 1, by route; at most `MOST_ROUTES`, drawn by their weight.
 
     Raises:
         InputError: if no way leads from any edge to another, and no edge both begins and ends.
     """
-    sources, sinks = graph.sources, set(graph.sinks)
-    found: dict[tuple[str, ...], float] = {}
-    for start in sources:
-        weight = len(graph.lanes[start])
-        ways = graph.ways_from(start, graph.sinks)
-        if start in sinks and not graph.onward[start]:
-            ways[start] = (start,)
-        total = sum(len(graph.lanes[end]) for end in ways)
-        for end in sorted(ways):
-            found[ways[end]] = weight * len(graph.lanes[end]) / total
+    found: dict[Route, float] = {}
+    for start in graph.sources:
+        ways = graph.ways_out(start)
+        total = sum(ways.values())
+        found |= {way: len(graph.lanes[start]) * n / total for way, n in ways.items()}
     if not found:
         raise InputError(
             f"road {graph.road.name!r:.60}: found no edge from which another one can be reached, "
             "expected at least one"
         )
-    return _thinned(found)
-
-
-def _thinned(routes: Mapping[tuple[str, ...], float]) -> dict[tuple[str, ...], float]:
-    """At most `MOST_ROUTES` routes, drawn by their weight; shares sum to 1."""
-    ways, weights = list(routes), np.array(list(routes.values()))
+    routes, weights = list(found), np.array(list(found.values()))
     weights = weights / weights.sum()
-    if len(ways) > MOST_ROUTES:
+    if len(routes) > MOST_ROUTES:
         # Gumbel's trick: the largest keys are a draw without replacement
         keys = np.log(weights) + np.random.default_rng(0).gumbel(size=weights.size)
         kept = np.sort(np.argsort(-keys, kind="stable")[:MOST_ROUTES])
-        ways, weights = [ways[i] for i in kept], np.full(kept.size, 1.0 / kept.size)
-    return dict(zip(ways, weights.tolist(), strict=True))
+        routes, weights = [routes[i] for i in kept], np.full(kept.size, 1.0 / kept.size)
+    return dict(zip(routes, weights.tolist(), strict=True))
 
 
-def capacity_per_h(graph: EdgeGraph, routes: Mapping[tuple[str, ...], float]) -> float:
+def capacity_per_h(graph: EdgeGraph, routes: Mapping[Route, float]) -> float:
     """Vehicles per hour over all routes at which the busiest lane is as busy as it can be.
 
     Junctions count by what they pass: the loads of ways that keep each other waiting add up.
@@ -237,14 +229,13 @@ def capacity_per_h(graph: EdgeGraph, routes: Mapping[tuple[str, ...], float]) ->
     """
     load: dict[tuple[str, str | None], float] = {}
     for way, share in routes.items():
-        for one, then in itertools.pairwise([*way, None]):
-            assert one is not None
+        for one, then in itertools.zip_longest(way, way[1:]):
             load[one, then] = load.get((one, then), 0.0) + share
     of_edge: dict[str, float] = {}
     busiest = 0.0
     for (one, then), share in load.items():
-        needed = share / graph.capacity_per_h(one, then)
         of_edge[one] = of_edge.get(one, 0.0) + share
+        needed = share / graph.capacity_per_h(one, then)
         busiest = max(busiest, needed, of_edge[one] / graph.capacity_per_h(one, None))
     return min(1.0 / busiest, MAX_PER_HOUR)
 
@@ -269,25 +260,21 @@ def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) 
         return list(_demanded(graph, demand))
     routes = routes_of(graph)
     capacity = capacity_per_h(graph, routes)
-    levels = {name: share * capacity for name, share in LEVELS.items()}
-    vehicles = parse_flow(flow, levels)
+    vehicles = parse_flow(flow, {name: share * capacity for name, share in LEVELS.items()})
     return [RouteFlow(way, vehicles * share) for way, share in routes.items()]
 
 
 def _demanded(graph: EdgeGraph, demand: Mapping[str, float]) -> Iterable[RouteFlow]:
-    """A flow for each route from the edges of a demand, by the lanes of its last edge."""
-    sinks = set(graph.sinks)
+    """A flow for each route from the edges of a demand."""
     for start, per_hour in demand.items():
         if start not in graph.lanes:
             raise InputError(
                 f"demand: found edge {start!r:.60}, expected an edge for cars of road "
                 f"{graph.road.name!r:.60}"
             )
-        ways = graph.ways_from(start, graph.sinks)
-        if start in sinks:
-            ways[start] = (start,)
+        ways = graph.ways_out(start)
         if not ways:
             raise InputError(f"demand: found edge {start!r:.60}, from which no way leads out")
-        total = sum(len(graph.lanes[end]) for end in ways)
-        for end in sorted(ways):
-            yield RouteFlow(ways[end], per_hour * len(graph.lanes[end]) / total)
+        total = sum(ways.values())
+        for way, lanes in ways.items():
+            yield RouteFlow(way, per_hour * lanes / total)

@@ -1,0 +1,253 @@
+"""The one table of what contradicts itself in a recording, and of the likeliest causes.
+
+Files are passed on in other units than their formats have, with other angles, or with sides
+exchanged. Nothing is guessed: what was found is said, beside the cause that explains it best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.frames import PEDESTRIAN, AgentKind, Tracks
+from sim.scenario import DIMENSIONS_M
+
+FloatArray = NDArray[np.float64]
+
+STEPS_S: Final = (0.002, 20.0)
+"""Times between two positions of an agent that recordings have, s."""
+
+TIMES: Final = {
+    1e-3: "milliseconds had been taken for seconds, or microseconds for milliseconds",
+    1e-6: "microseconds had been taken for seconds",
+    1e-9: "nanoseconds had been taken for seconds",
+    1e3: "seconds had been taken for milliseconds, or milliseconds for microseconds",
+    1e6: "seconds had been taken for microseconds",
+    1e9: "seconds had been taken for nanoseconds",
+}
+"""Causes of steps that no recording has, by the factor that makes them usual."""
+
+DEGREE_M: Final = 111_195.0
+"""Length of a degree of latitude, m."""
+
+PLACES: Final = {
+    1e3: "kilometres had been taken for metres",
+    DEGREE_M: "degrees of longitude and latitude had been taken for metres",
+    0.01: "centimetres had been taken for metres",
+    0.001: "millimetres had been taken for metres",
+}
+"""Causes of speeds that no traffic has, by the factor that makes them usual."""
+
+SPEEDS_MPS: Final = (0.15, 90.0)
+"""Speeds that the faster agents of recordings have at least and at most, m/s."""
+
+USUAL_MPS: Final = (1.0, 70.0)
+"""Speeds of traffic once the cause is undone, m/s."""
+
+SIZES: Final = {
+    0.3048: "metres had been taken for feet",
+    1 / 0.3048: "feet had been taken for metres",
+    100.0: "centimetres had been taken for metres",
+    1000.0: "millimetres had been taken for metres",
+    0.001: "kilometres had been taken for metres",
+}
+"""Causes of sizes that no vehicles have, over those that are usual."""
+
+NEAR: Final = 1.35
+"""How near to a cause's factor sizes have to come, as a factor."""
+
+WIDER: Final = 1.3
+"""A vehicle that is wider than long by this factor has its sides exchanged."""
+
+HEADINGS: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {
+    "radians had been taken for degrees": np.degrees,
+    "degrees had been taken for radians": np.radians,
+    "they were counted clockwise from north": lambda angle: np.pi / 2 - angle,
+    "they were counted from north": lambda angle: np.pi / 2 + angle,
+    "they were counted clockwise": np.negative,
+    "they pointed backwards": lambda angle: angle + np.pi,
+}
+"""Causes of headings that contradict the motion, and what undoes them."""
+
+CONTRADICTS, AGREES = 0.7, 0.9
+"""Mean cosine between an agent's headings and its motion: below the first they contradict each
+other, above the second they agree."""
+
+CONTRADICTING: Final = 0.3
+"""Share of the moving agents that must contradict before headings are doubted."""
+
+MOVING_MPS, MOVED_M, LEAST_STEPS, LEAST_M = 2.0, 0.15, 5, 5.0
+"""Speed and step above which motion has a direction; how many such steps of an agent, and how many
+metres, make it known."""
+
+RIDING_MPS, RIDING_ROWS = 3.0, 3
+"""A pedestrian who is inside a vehicle at such a speed, at so many times, rides in it."""
+
+TURN_RAD: Final = 2.1 * np.pi
+"""Larger angles than this are no radians, or count turns."""
+
+VEHICLES: Final = (AgentKind.CAR.code, AgentKind.BUS.code, AgentKind.TRUCK.code)
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a file states of the rows of tracks.
+
+    Attributes:
+        heading: (m,) rad as read; NaN where it is taken from the motion.
+        speed: (m,) m/s as read; NaN where it is taken from the motion.
+        sizes: whether the file has sizes.
+    """
+
+    heading: FloatArray
+    speed: FloatArray
+    sizes: bool
+
+
+def doubts_of(tracks: Tracks, stated: Stated) -> list[str]:
+    """What contradicts itself in a recording, a sentence each.
+
+    Args:
+        tracks: in metres, as the format's units say.
+        stated: what of them the file states.
+
+    Returns:
+        The doubts; [] where everything fits.
+    """
+    steps = _Steps.of(tracks)
+    found = [*_times(steps), *_places(tracks, steps)]
+    if stated.sizes:
+        found += _sizes(tracks)
+    return found + _headings(tracks, steps, stated.heading)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The steps of agents from one time to the next at which they are seen."""
+
+    row: NDArray[np.int64]
+    agent: NDArray[np.int64]
+    time_s: FloatArray
+    moved: FloatArray
+    way: FloatArray
+
+    @classmethod
+    def of(cls, tracks: Tracks) -> _Steps:
+        rows = tracks.as_rows()
+        agent, step = rows.index.agent, rows.index.step
+        at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+        moved = rows.xy[at + 1] - rows.xy[at]
+        time_s = tracks.time_s[step[at + 1]] - tracks.time_s[step[at]]
+        return cls(at, agent[at], time_s, moved, np.hypot(moved[:, 0], moved[:, 1]))
+
+
+def _times(steps: _Steps) -> list[str]:
+    """Steps that no recording has."""
+    if not steps.row.size:
+        return []
+    usual = float(np.median(steps.time_s))
+    low, high = STEPS_S
+    if low <= usual <= high:
+        return []
+    cause = next((text for by, text in TIMES.items() if low <= usual * by <= high / 10), None)
+    return [f"found steps of {usual:.3g} s" + (f", as if {cause}" if cause else "")]
+
+
+def _places(tracks: Tracks, steps: _Steps) -> list[str]:
+    """Speeds that no traffic has, of agents that go somewhere."""
+    n = len(tracks.names)
+    count = np.bincount(steps.agent, minlength=n)
+    path = np.bincount(steps.agent, steps.way, n)
+    lasted = np.bincount(steps.agent, steps.time_s, n)
+    net = np.hypot(*(np.bincount(steps.agent, steps.moved[:, k], n) for k in (0, 1)))
+    goes = (count >= LEAST_STEPS) & (path > 0) & (net > 0.5 * path) & (lasted > 0)
+    if not goes.any() or goes.sum() < 0.5 * np.count_nonzero((count >= LEAST_STEPS) & (path > 0)):
+        return []
+    fast = float(np.quantile(path[goes] / lasted[goes], 0.8))
+    low, high = SPEEDS_MPS
+    if low <= fast <= high:
+        return []
+    xy = tracks.as_rows().xy
+    extent = float(np.ptp(xy, axis=0).max())
+    in_degrees = bool((np.abs(xy) <= (180.0, 90.0)).all())
+    for by, cause in PLACES.items():
+        fits = USUAL_MPS[0] <= fast * by <= USUAL_MPS[1] and (by < 1 or extent < 5.0)
+        if fits and (by != DEGREE_M or in_degrees):
+            return [f"found agents that go {fast:.2g} m/s, as if {cause}"]
+    return []
+
+
+def _sizes(tracks: Tracks) -> list[str]:
+    """Sizes that no vehicles have, and sides that are exchanged."""
+    found = []
+    usual = np.array([DIMENSIONS_M[kind][:2] for kind in AgentKind])
+    codes = [kind.code for kind in AgentKind]
+    table = usual[np.argsort(codes)][tracks.kind]
+    some = np.isin(tracks.kind, VEHICLES)
+    some = some if some.any() else np.ones(some.size, dtype=bool)
+    over = np.sqrt(tracks.length * tracks.width / table.prod(axis=1))[some]
+    ratio = float(np.median(over))
+    for by, cause in SIZES.items():
+        if 1 / NEAR < ratio / by < NEAR:
+            length = float(np.median(tracks.length[some]))
+            found.append(f"found vehicles that are {length:.3g} m long, as if {cause}")
+    wider = int(np.sum((tracks.kind != PEDESTRIAN) & (tracks.width > WIDER * tracks.length)))
+    if wider:
+        found.append(
+            f"found {wider} of {int((tracks.kind != PEDESTRIAN).sum())} vehicles wider than long, "
+            "as if lengths and widths had been exchanged"
+        )
+    return found
+
+
+def _headings(tracks: Tracks, steps: _Steps, heading: FloatArray) -> list[str]:
+    """Headings that contradict where agents go."""
+    speed = steps.way / np.maximum(steps.time_s, 1e-9)
+    used = (speed > MOVING_MPS) & (steps.way > MOVED_M) & np.isfinite(heading[steps.row])
+    used &= tracks.kind[steps.agent] != PEDESTRIAN
+    n, who = len(tracks.names), steps.agent[used]
+    course = np.arctan2(steps.moved[used, 1], steps.moved[used, 0])
+    told = heading[steps.row[used]]
+    count = np.bincount(who, minlength=n)
+    known = (count >= LEAST_STEPS) & (np.bincount(who, steps.way[used], n) >= LEAST_M)
+
+    def agreement(angle: FloatArray) -> FloatArray:
+        return np.bincount(who, np.cos(angle - course), n)[known] / count[known]
+
+    agrees = agreement(told)
+    against = int((agrees < CONTRADICTS).sum())
+    turns = bool((np.abs(told) > TURN_RAD).any()) and agrees.mean() < AGREES
+    if not turns and (not against or against <= CONTRADICTING * agrees.size):
+        return []
+    causes = {text: float(agreement(undo(told)).mean()) for text, undo in HEADINGS.items()}
+    best = max(causes, key=lambda text: causes[text])
+    as_if = f", as if {best}" if causes[best] > AGREES else ""
+    return [f"headings of {against} of {agrees.size} moving agents contradict the motion{as_if}"]
+
+
+def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
+    """(m,) rows of pedestrians who ride in a vehicle, while they are within its outline."""
+    rows = tracks.as_rows()
+    agent, step = rows.index.agent, rows.index.step
+    inside = np.zeros(agent.size, dtype=bool)
+    walks = (tracks.kind == PEDESTRIAN)[agent]
+    fast = np.bincount(agent[walks & (rows.speed > RIDING_MPS)], minlength=len(tracks.names))
+    theirs = np.flatnonzero(walks & (fast >= RIDING_ROWS)[agent])
+    drives = np.flatnonzero(np.isin(tracks.kind, VEHICLES)[agent])
+    drives = drives[np.argsort(step[drives], kind="stable")]
+    begin, end = (np.searchsorted(step[drives], step[theirs], side=s) for s in ("left", "right"))
+    for row, first, last in zip(theirs.tolist(), begin.tolist(), end.tolist(), strict=True):
+        others = drives[first:last]
+        away = rows.xy[row] - rows.xy[others]
+        cos, sin = np.cos(rows.heading[others]), np.sin(rows.heading[others])
+        along = np.abs(cos * away[:, 0] + sin * away[:, 1])
+        across = np.abs(cos * away[:, 1] - sin * away[:, 0])
+        owner = agent[others]
+        within = (along <= tracks.length[owner] / 2 + 0.5) & (across <= tracks.width[owner] / 2)
+        inside[row] = bool(within.any())
+    riding = np.bincount(agent[inside & (rows.speed > RIDING_MPS)], minlength=len(tracks.names))
+    return inside & (riding >= RIDING_ROWS)[agent]

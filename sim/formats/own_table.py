@@ -1,0 +1,118 @@
+"""A table of one's own: any CSV, Parquet or Feather file whose columns are named by the user."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.tables import read_table
+from sim.frames import AgentKind
+from sim.input_files import stem
+from sim.units import PARTS, in_si
+
+NUMBERS: Final = ("t", "x", "y", "heading", "speed", "vx", "vy", "length", "width")
+WORDS: Final = ("id", "kind")
+NEEDED: Final = ("id", "t", "x", "y")
+"""What columns may be, and must be."""
+
+METRES: Final = {"m": "", "km": "km", "ft": "ft"}
+SPEEDS: Final = {"m/s": "", "km/h": "km/h", "mph": "mph", "ft/s": "ft/s"}
+UNITS: Final[dict[str, dict[str, str]]] = {
+    "t": {"s": "", **{unit: unit for unit in PARTS}},
+    "heading": {"rad": "", "deg": "deg"},
+    **dict.fromkeys(("x", "y", "length", "width"), METRES),
+    **dict.fromkeys(("speed", "vx", "vy"), SPEEDS),
+}
+"""The units that each column may have, as `sim.units.in_si` takes them; the first is its usual."""
+
+
+def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
+    """Refuse columns that are not known or missing, and units that a column cannot have.
+
+    Args:
+        columns: name in the file of each of ``NUMBERS`` and ``WORDS``.
+        units: of some of ``NUMBERS``.
+
+    Raises:
+        InputError: naming the first that is wrong.
+    """
+    for key in columns:
+        if key not in (*NUMBERS, *WORDS):
+            known = ", ".join((*WORDS, *NUMBERS))
+            raise InputError(f"columns: found {key[:60]!r}, expected one of {known}")
+    for key in NEEDED:
+        if key not in columns:
+            raise InputError(f"columns: found no {key}, expected {key}=NAME as in the file")
+    for key, unit in units.items():
+        if key not in columns or key in WORDS:
+            raise InputError(f"units: found {key[:60]!r}, expected one of the numbers in columns")
+        if unit not in UNITS[key]:
+            known = ", ".join(UNITS[key])
+            raise InputError(f"units: {key}: found {unit[:60]!r}, expected one of {known}")
+
+
+def read(
+    path: Path, columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
+) -> Iterator[Recording]:
+    """Read one table; headings, speeds and sizes that it does not have are told or assumed.
+
+    Args:
+        path: the file.
+        columns: as `check_columns` takes them; by default ``id``, ``t``, ``x`` and ``y``.
+        units: of the columns; SI units, and radians from +x, where they say nothing.
+
+    Yields:
+        One recording; its times begin at 0.
+
+    Raises:
+        InputError: if a column is missing or has something else; the message names it.
+    """
+    columns = dict(zip(NEEDED, NEEDED, strict=True)) if columns is None else columns
+    units = {} if units is None else units
+    check_columns(columns, units)
+    lower = {key: name.strip().lower() for key, name in columns.items()}
+    numbers = [lower[key] for key in NUMBERS if key in lower]
+    words = [lower[key] for key in WORDS if key in lower]
+    optional = {lower[key] for key in (*NUMBERS, *WORDS) if key in lower} - {
+        lower[key] for key in NEEDED
+    }
+    table = read_table(path, numbers, words, empty=list(optional))
+
+    def column(key: str) -> np.ndarray:
+        """A column in SI units; NaN where the file does not have it."""
+        unit = UNITS[key][units.get(key, next(iter(UNITS[key])))]
+        return in_si(table.measured(lower.get(key, "")), unit)
+
+    agent, names = table.names(lower["id"])
+    speed = column("speed") if "speed" in lower else np.hypot(column("vx"), column("vy"))
+    time_s = column("t")
+    sides = np.nan_to_num(np.stack([column("length"), column("width")], axis=1))
+    kinds = None
+    if "kind" in lower:
+        kinds = [_kind(path, lower["kind"], word) for word in table.only(lower["kind"], agent)]
+    rows = Rows(
+        agent, names, time_s - np.nanmin(time_s), np.stack([column("x"), column("y")], axis=1),
+        column("heading"), speed, kinds,
+        first_sizes(agent, sides) if {"length", "width"} <= set(lower) else None,
+    )  # fmt: skip
+    missing = [key for key in ("heading", "speed", "kind", "length") if key not in lower]
+    notes = [f"not in the table, taken from the motion or assumed: {', '.join(missing)}"]
+    yield recorded(path, stem(path), rows, notes if missing else ())
+
+
+def _kind(path: Path, column: str, word: str | None) -> AgentKind:
+    """The kind that a word names."""
+    lower = str(word).strip().lower()
+    same = {"cyclist": "bicycle", "bike": "bicycle", "walker": "pedestrian", "vehicle": "car",
+            "van": "car", "motorbike": "motorcycle", "person": "pedestrian"}  # fmt: skip
+    lower = same.get(lower, lower)
+    if lower not in set(AgentKind):
+        raise InputError(
+            f"{path}: column {column}: found {word!r:.60}, expected one of {', '.join(AgentKind)}"
+        )
+    return AgentKind(lower)

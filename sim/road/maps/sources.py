@@ -1,0 +1,310 @@
+"""OpenStreetMap and OpenDRIVE files as netconvert understands them: limits and the side of traffic.
+
+netconvert reads one plain number as a limit. Maps have lists, zones, limits implied by a country,
+units, and (OpenDRIVE) limits of whole roads. They are written out here as numbers; where a road has
+none, netconvert assumes one by the road's kind, and a warning says so.
+
+References:
+    OpenStreetMap wiki, Key:maxspeed. ASAM OpenDRIVE 1.7, sections 8.3 and 9.5 (speed), 8 (rule).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from sim.units import in_si
+
+FREE_MPS: Final = 130 / 3.6
+"""What a road without a limit gets, m/s (the speed that Germany recommends there)."""
+
+WALK_MPS: Final = 7 / 3.6
+"""Walking speed, m/s, as courts have it."""
+
+UNITS: Final = {
+    "": "km/h", "km/h": "km/h", "kmh": "km/h", "kph": "km/h", "kmph": "km/h", "mph": "mph",
+    "mi/h": "mph", "m/s": "", "mps": "", "knots": "knots",
+}  # fmt: skip
+"""Units of limits as they are written, as `sim.units.in_si` takes them."""
+
+IMPLIED_KMH: Final = {
+    "urban": 50, "rural": 90, "trunk": 100, "motorway": 130, "expressway": 100,
+    "living_street": 10, "bicycle_road": 30, "school": 30, "zone": 30,
+}  # fmt: skip
+"""Limits of kinds of places where a country says no other, km/h."""
+
+OF_COUNTRY_KMH: Final[dict[str, dict[str, float]]] = {
+    "de": {"rural": 100, "living_street": 7}, "at": {"rural": 100}, "fr": {"rural": 80},
+    "ch": {"rural": 80, "motorway": 120, "living_street": 20}, "nl": {"rural": 80, "motorway": 100},
+    "be": {"rural": 70, "motorway": 120}, "es": {"motorway": 120}, "pt": {"motorway": 120},
+    "ru": {"urban": 60, "motorway": 110, "living_street": 20},
+    "ua": {"living_street": 20}, "pl": {"motorway": 140, "living_street": 20},
+    "it": {"trunk": 110}, "se": {"rural": 70, "motorway": 110},
+    "no": {"rural": 80, "motorway": 110},
+    "gb": {
+        "urban": 48.28, "rural": 96.56, "motorway": 112.65, "nsl_single": 96.56,
+        "nsl_dual": 112.65, "nsl_restricted": 48.28,
+    },
+    "ie": {"rural": 80, "motorway": 120},
+}  # fmt: skip
+"""Limits that countries have otherwise, km/h."""
+
+FREE_WORDS: Final = frozenset({"none", "unlimited", "no limit", "no_limit"})
+
+_NUMBER: Final = re.compile(r"(?:[a-z]{2}:)?(?:zone:?)?\s*([0-9]{1,3}(?:[.,][0-9]+)?)\s*([a-z/]*)")
+_PLACE: Final = re.compile(r"([a-z]{2})(?:-[a-z]+)?:(?:[a-z]{3}:)?([a-z_]+)(?::?([0-9]{1,3}))?")
+
+
+def limit_of(text: str) -> float | None:
+    """A limit as OpenStreetMap writes it, m/s; None where it says none that can be known.
+
+    Of several, the lowest. Limits at some times only, and signs that change, are unknown.
+
+    Args:
+        text: the value of ``maxspeed`` or a tag like it.
+
+    Examples:
+        >>> [round(limit_of(text) * 3.6) for text in ("50;30", "DE:zone:20", "30 mph;20 mph")]
+        [30, 20, 32]
+        >>> limit_of("signals") is None
+        True
+    """
+    found = [_single(part.strip().lower()) for part in re.split(r"[;|,/](?!h\b|s\b)", text)]
+    known = [one for one in found if one is not None]
+    return min(known, default=None)
+
+
+def _single(text: str) -> float | None:
+    """One limit, m/s."""
+    if text in FREE_WORDS:
+        return FREE_MPS
+    if text == "walk" or text.endswith(":walk"):
+        return WALK_MPS
+    number = _NUMBER.fullmatch(text)
+    if number and number[2] in UNITS:
+        value = float(number[1].replace(",", "."))
+        limit = value * 0.514444 if number[2] == "knots" else in_si(value, UNITS[number[2]])
+        return limit if limit > 0 else None
+    place = _PLACE.fullmatch(text)
+    if place and place[3]:
+        return in_si(float(place[3]), "mph" if place[1] == "gb" else "km/h")
+    if place:
+        kmh = OF_COUNTRY_KMH.get(place[1], {}).get(place[2], IMPLIED_KMH.get(place[2]))
+        return None if kmh is None else kmh / 3.6
+    return None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A map as netconvert takes it.
+
+    Attributes:
+        content: the file.
+        left_hand: whether traffic drives on the left.
+        warnings: what was assumed, a sentence each.
+        unlimited: roads whose limit is not in the map.
+        roads: roads for cars.
+    """
+
+    content: bytes
+    left_hand: bool = False
+    warnings: tuple[str, ...] = ()
+    unlimited: int = 0
+    roads: int = 0
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """All warnings, those of limits that are assumed among them."""
+        if not self.unlimited:
+            return self.warnings
+        text = f"limits of {self.unlimited} of {self.roads} roads are not in the map: assumed"
+        return (*self.warnings, text)
+
+
+def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = None) -> Source:
+    """A map as netconvert takes it.
+
+    Args:
+        path: its file, for messages.
+        kind: "openstreetmap" or "opendrive"; other kinds stay as they are.
+        content: what it holds.
+        left_hand: whether traffic drives on the left; None for what the map says.
+
+    Raises:
+        InputError: if the file is no XML.
+    """
+    if kind not in ("openstreetmap", "opendrive"):
+        return Source(content, bool(left_hand))
+    try:
+        root = ET.fromstring(content)
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{path}: {' '.join(str(error).split())}, expected XML") from None
+    return _street_map(root, left_hand) if kind == "openstreetmap" else _drive(root, left_hand)
+
+
+def _as_bytes(root: ET.Element) -> bytes:
+    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+# --- OpenStreetMap ------------------------------------------------------------------------------
+
+DRIVEN: Final = frozenset(
+    f"{name}{end}"
+    for name in ("motorway", "trunk", "primary", "secondary", "tertiary", "unclassified",
+                 "residential", "living_street", "service", "road")
+    for end in ("", "_link")
+)  # fmt: skip
+"""Values of ``highway`` that cars drive on."""
+
+LEFT: Final = (
+    (49.9, 61.0, -11.0, 1.40), (51.2, 53.0, 1.39, 1.80), (30.0, 45.6, 129.4, 146.0),
+    (24.0, 29.0, 123.0, 131.0), (-44.0, -10.0, 112.0, 154.0), (-48.0, -34.0, 166.0, 179.0),
+    (6.0, 28.0, 68.5, 89.0), (28.0, 35.0, 70.0, 78.5), (22.0, 26.5, 88.0, 92.5),
+    (24.0, 36.0, 62.0, 74.0), (6.0, 16.0, 99.0, 101.5), (1.0, 6.4, 99.8, 104.5),
+    (-9.0, 5.0, 95.0, 119.0), (22.15, 22.55, 113.85, 114.4), (-35.0, -18.0, 16.0, 36.0),
+    (-26.0, -9.0, 30.5, 41.0), (-11.0, 4.0, 30.0, 41.5), (35.7, 36.1, 14.1, 14.6),
+    (34.5, 35.7, 32.2, 34.6), (17.6, 18.6, -78.5, -76.1),
+)  # fmt: skip
+"""South, north, west and east of regions where traffic drives on the left, degrees: the British
+Isles, Japan, Australia, New Zealand, South Asia, South-East Asia, southern and eastern Africa."""
+
+
+def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
+    """OpenStreetMap with plain limits."""
+    warnings, unlimited, roads, sides = list[str](), 0, 0, set[str]()
+    for way in root.iterfind("way"):
+        tags = {tag.get("k", ""): tag for tag in way.iterfind("tag")}
+        said = {key: tag.get("v", "") for key, tag in tags.items()}
+        sides.add(said.get("driving_side", ""))
+        if said.get("highway") not in DRIVEN:
+            continue
+        roads += 1
+        implied = (said.get(k) for k in ("maxspeed", "source:maxspeed", "maxspeed:type",
+                                         "zone:maxspeed", "zone:traffic"))  # fmt: skip
+        ways = ("maxspeed:forward", "maxspeed:backward")
+        either = [limit_of(said[key]) for key in ways if key in said]
+        limit = next((found for text in implied if text and (found := limit_of(text))), None)
+        limit = limit or min((one for one in either if one), default=None)
+        for key in ("maxspeed", *ways):
+            if key in tags:
+                way.remove(tags[key])
+            own = limit_of(said[key]) if key in said else None
+            value = limit if key == "maxspeed" else own
+            if value:
+                ET.SubElement(way, "tag", k=key, v=f"{value * 3.6:.6g}")
+        unlimited += limit is None
+    nodes = [(float(n.get("lat", "nan")), float(n.get("lon", "nan"))) for n in root.iter("node")]
+    if left_hand is None:
+        left_hand = "left" in sides
+        if not left_hand and nodes and drives_left(*np.nanmedian(nodes, axis=0).tolist()):
+            warnings.append(
+                "found a place where traffic drives on the left, taken as driving on the right: "
+                "--left-hand mirrors it"
+            )
+    return Source(_as_bytes(root), left_hand, tuple(warnings), unlimited, roads)
+
+
+def drives_left(latitude: float, longitude: float) -> bool:
+    """Whether traffic drives on the left at a place, as far as `LEFT` tells.
+
+    Examples:
+        >>> drives_left(51.5, -0.12), drives_left(52.5, 13.4), drives_left(48.86, 2.35)
+        (True, False, False)
+    """
+    return any(s <= latitude <= n and w <= longitude <= e for s, n, w, e in LEFT)
+
+
+# --- OpenDRIVE ----------------------------------------------------------------------------------
+
+
+def _drive(root: ET.Element, left_hand: bool | None) -> Source:
+    """OpenDRIVE with a limit at each lane."""
+    warnings, unlimited, roads = list[str](), 0, 0
+    length_m = {"LHT": 0.0, "RHT": 0.0}
+    for road in root.iterfind("road"):
+        rule = "LHT" if (road.get("rule") or "").upper() == "LHT" else "RHT"
+        size = _number(road.get("length"), 0.0)
+        length_m[rule] += size
+        limits = [(_number(one.get("s"), 0.0), _limit(one.find("speed"))) for one in
+                  road.iterfind("type")]  # fmt: skip
+        if not road.findall("lanes/laneSection"):
+            continue
+        roads += 1
+        missing = _to_lanes(road, sorted(limits, key=lambda one: one[0]), size)
+        unlimited += missing
+        if any(limit == math.inf for _, limit in limits):
+            name = road.get("id", "")[:60]
+            warnings.append(f"road {name}: found no limit: {FREE_MPS:.2f} m/s are assumed")
+    if left_hand is None:
+        left_hand = length_m["LHT"] > length_m["RHT"]
+        if min(length_m.values()) > 0:
+            warnings.append("found roads of both rules, LHT and RHT: the one of more length counts")
+    return Source(_as_bytes(root), left_hand, tuple(warnings), unlimited, roads)
+
+
+def _to_lanes(road: ET.Element, limits: list[tuple[float, float | None]], size: float) -> bool:
+    """Write the limits of a road to its lanes; whether a lane for cars stays without one."""
+    sections = sorted(road.iterfind("lanes/laneSection"), key=lambda e: _number(e.get("s"), 0.0))
+    missing = False
+    for k, section in enumerate(sections):
+        begin = _number(section.get("s"), 0.0)
+        end = _number(sections[k + 1].get("s"), size) if k + 1 < len(sections) else size
+        for lane in section.iter("lane"):
+            own = lane.findall("speed")
+            for speed in own:
+                limit = _limit(speed)
+                if limit is None:
+                    lane.remove(speed)
+                else:
+                    speed.set("max", f"{min(limit, FREE_MPS):.4f}")
+                    speed.set("unit", "m/s")
+            if lane.find("speed") is not None or lane.get("id") == "0":
+                continue
+            inside = [
+                (max(s - begin, 0.0), limit)
+                for i, (s, limit) in enumerate(limits)
+                if s < end and (i + 1 == len(limits) or limits[i + 1][0] > begin)
+            ]
+            place = next((i for i, e in enumerate(lane) if e.tag in _BEHIND_SPEED), len(lane))
+            for offset, limit in reversed(inside):
+                if limit is not None:
+                    values = {"sOffset": f"{offset:.4f}", "unit": "m/s"}
+                    values["max"] = f"{min(limit, FREE_MPS):.4f}"
+                    lane.insert(place, ET.Element("speed", values))
+            driven = lane.get("type") in ("driving", "bidirectional", "entry", "exit", "onRamp")
+            missing |= driven and (not inside or any(limit is None for _, limit in inside))
+    return missing
+
+
+_BEHIND_SPEED: Final = ("access", "height", "rule", "userData", "include")
+"""Elements of a lane that come after its speed."""
+
+
+def _limit(speed: ET.Element | None) -> float | None:
+    """A limit of OpenDRIVE, m/s; infinite where it says that there is none, None if unknown."""
+    if speed is None:
+        return None
+    text = (speed.get("max") or "").strip().lower()
+    if text in FREE_WORDS:
+        return math.inf
+    unit = UNITS.get((speed.get("unit") or "m/s").strip().lower())
+    value = _number(text, math.nan)
+    if unit is None or not value > 0:
+        return None
+    return in_si(value, unit)
+
+
+def _number(text: str | None, other: float) -> float:
+    """A number, or another value where it is none."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        return other
+    return value if math.isfinite(value) else other
