@@ -171,7 +171,7 @@ def train_recorded(
 SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of a correction that are tried."""
 
-LEAST_CASES, MOST_LOST = 25, 1.005
+LEAST_CASES, MOST_LOST = 100, 1.02
 """A dataset is heard on a class of cases with so many; nowhere may a share cost more, over the
 base's error."""
 
