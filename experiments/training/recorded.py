@@ -48,7 +48,7 @@ from sim.files import whole_file
 from sim.frames import BoolArray, FloatArray, Tracks
 from sim.road import Road
 
-PER_DATASET: Final = 6_000
+PER_DATASET: Final = 1_200
 """Number of examples, a moving agent at an instant each, that are taken from a dataset, about."""
 
 LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
