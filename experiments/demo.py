@@ -20,9 +20,10 @@ from experiments.report.findings import findings
 from experiments.report.page import write_report
 from experiments.report.source import read_source
 from experiments.score.answers import scores_table
+from experiments.score.labels import answer_episodes, scored_answers
 from experiments.score.predict import errors_table, predict_dataset
 from experiments.score.rows import Row, dataset_id, stamped
-from experiments.training.classifier import score_windows, train_model
+from experiments.training.classifier import train_model
 from graphrqi.model_files import save_model
 from sim.files import write_whole
 from sim.store.dataset import open_dataset
@@ -56,7 +57,7 @@ def run_demo(
     """Run the whole loop.
 
     Every episode has a seed of its own. Methods learn from training episodes, are stopped and
-    calibrated on validation episodes, and are scored on test episodes after 10 s of observation.
+    calibrated on validation episodes, and are scored on test episodes by their last answers.
     Predictors are given the classifier's beliefs, never the truth.
 
     Args:
@@ -80,7 +81,8 @@ def run_demo(
     for method in METHODS:
         model = train_model([dataset], method, seed=seed, jobs=jobs, quiet=quiet)
         save_model(model, out / ("model" if method == BEST_METHOD else f"models/{method}"))
-        scores += score_windows([dataset], model, jobs, quiet)
+        answered = answer_episodes(model, [dataset], split="test", jobs=jobs, quiet=quiet)
+        scores += [{**row, "method": method} for row in scored_answers(answered, method)]
     errors = predict_dataset(data, PREDICTORS, HORIZON_S, str(out / "model"), jobs=jobs, quiet=True)
     known = dataset_id(dataset)
     rows = [*stamped(scores, "train", seed, known), *stamped(errors, "predict", seed, known)]
@@ -123,7 +125,7 @@ def main() -> None:
     page = write_report([out])
     answers = [row for row in rows if "method" in row]
     lines = scores_table(answers, ("scenario", "method"))
-    show_table(rows, title="drivers after 10 s", lines=lines)
+    show_table(rows, title="last answers about drivers", lines=lines)
     predictions = [row for row in rows if "predictor" in row]
     show_table(rows, title="predictions", lines=errors_table(predictions))
     for finding in findings(read_source(out).rows):

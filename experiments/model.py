@@ -1,14 +1,18 @@
 """Trains the models that ship in the package: ``python -m experiments.model`` (or ``make model``).
 
-The classifier and the predictors are trained on different episodes, since a classifier is too
-certain about the drivers that it was trained on. The data are kept in ``runs/model`` and used again
-by the next run.
+``--part`` trains one of ``classifier``, ``networks`` (for other traffic) and ``predictors`` alone.
+The first two do not need each other; the model is put together once both are there. Predictors need
+the model, and are trained on other episodes, since a classifier is too certain about the drivers
+that it was trained on. Data and results are kept in ``--work`` and used again by the next run.
 """
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,13 +23,16 @@ from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
+from experiments.score.rows import stamped
 from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.other_traffic import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
 from experiments.training.roads import generate_roads
-from graphrqi.model_files import MODELS, load_model, save_model
-from graphrqi.portable_torch import leave_onednn_out
+from graphrqi.model_files import FILE, MODELS, load_model, save_model
+from graphrqi.networks.portable_torch import leave_onednn_out
+from graphrqi.networks.weights import load_weights, save_weights
+from graphrqi.places.other_traffic import OtherTraffic
 from graphrqi.predict.rollout.driver_table import CARD
 from sim.store.dataset import open_dataset
 
@@ -73,13 +80,16 @@ OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_
 """Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
 
 
-def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
+NETWORKS: Final = "networks.safetensors"
+"""File of the trained networks in the working folder, beside the folder of the classifier."""
+
+
+def train_classifier(work: Path, jobs: int) -> None:
     """Generate the classifier's data and train it.
 
     Args:
-        work: folder for the data.
-        quiet: whether to show no progress.
-        jobs: processes; None for one per core.
+        work: folder for the data and for the trained classifier.
+        jobs: processes.
     """
     folders = []
     for engine, scenarios in CLASSIFIER_EPISODES.items():
@@ -92,11 +102,9 @@ def train_classifier(work: Path, quiet: bool = False, jobs: int | None = None) -
                 engine=engine,
                 limits_mps=TRAINING_LIMITS_MPS,
             )
-            generate(config, folders[-1], jobs, quiet)
-    train_on(
-        folders, BEST_METHOD, MODELS / BEST_METHOD, quiet=quiet, jobs=jobs,
-        per_moment=CLASSIFIER_PER_MOMENT,
-    )  # fmt: skip
+            generate(config, folders[-1], jobs)
+    train_on(folders, BEST_METHOD, work / BEST_METHOD, jobs=jobs, per_moment=CLASSIFIER_PER_MOMENT)
+    put_together(work)
 
 
 def worlds_of(count: int, seed: int) -> GenerateConfig:
@@ -104,67 +112,66 @@ def worlds_of(count: int, seed: int) -> GenerateConfig:
     return GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=count, seed=seed)
 
 
-def train_networks(work: Path, quiet: bool = False, jobs: int | None = None) -> None:
+def train_networks(work: Path, jobs: int) -> None:
     """Generate simulated traffic and random worlds, and train the networks for other traffic.
 
     Args:
-        work: folder for the data.
-        quiet: whether to show no progress.
-        jobs: processes; None for one per core.
+        work: folder for the data and for the trained networks.
+        jobs: processes.
     """
     simulated = []
     for name, options in NETWORK_EPISODES.items():
         simulated.append(work / f"networks-{name}")
         config = GenerateConfig(
-            **{"scenarios": SCENARIOS, **options},
-            seed=NETWORK_SEED,
-            duration_s=NETWORK_S,
+            **{"scenarios": SCENARIOS, **options}, seed=NETWORK_SEED, duration_s=NETWORK_S
         )
-        generate(config, simulated[-1], jobs, quiet)
+        generate(config, simulated[-1], jobs)
     worlds = []
     for seed, count in WORLDS_EPISODES.items():
         worlds.append(work / f"networks-worlds-{seed}")
-        generate(worlds_of(count, seed), worlds[-1], jobs, quiet)
-    model = load_model(BEST_METHOD)
-    learned = train_on_worlds(
+        generate(worlds_of(count, seed), worlds[-1], jobs)
+    learned, about = train_on_worlds(
         [open_dataset(folder) for folder in simulated],
         [open_dataset(folder) for folder in worlds],
         jobs=jobs,
-        quiet=quiet,
+        quiet=False,
     )
-    save_model(dataclasses.replace(model, other=learned), MODELS / BEST_METHOD)
+    save_weights(work / NETWORKS, "networks", {"card": about}, learned.arrays())
+    put_together(work)
 
 
-def build_models(work: Path, quiet: bool = False) -> None:
-    """Generate the data, train classifier and predictors, and calibrate the driver parameters.
+def put_together(work: Path) -> None:
+    """Write the model that ships, if its classifier and its networks have both been trained."""
+    if not ((work / BEST_METHOD / FILE).is_file() and (work / NETWORKS).is_file()):
+        return
+    model = load_model(work / BEST_METHOD)
+    found, arrays = load_weights(work / NETWORKS, "networks")
+    about = found["card"]
+    card = {
+        **model.card,
+        "networks": about["networks"],
+        "scores": [*model.card["scores"], *stamped(about["scores"], "train", 0)],
+    }
+    other = OtherTraffic.restored(arrays)
+    save_model(dataclasses.replace(model, card=card, other=other), MODELS / BEST_METHOD)
 
-    The predictors are trained last, on beliefs as the whole classifier has them.
+
+def train_all_predictors(work: Path, jobs: int) -> None:
+    """Generate the predictors' data, calibrate the driver parameters and train the predictors.
+
+    Without the open recordings, which are not part of the package, the weights for recordings that
+    ship stay.
 
     Args:
         work: folder for the data.
-        quiet: whether to show no progress.
+        jobs: processes.
     """
-    train_classifier(work, quiet)
-    train_networks(work, quiet)
     data = work / "predictor"
     config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
-    generate(config, data, None, quiet)
+    generate(config, data, jobs)
     weights = Path(graphrqi.predict.__file__).parent / "weights"
-    calibrate_drivers(data, weights / CARD, quiet=quiet)
-    train_predictors(data, BEST_METHOD, weights, quiet=quiet)
-    train_for_recordings(work, weights, quiet)
-
-
-def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
-    """Train the predictor for recordings on random worlds, other roads and open recordings.
-
-    Without the recordings, which are not part of the package, the weights that ship stay.
-
-    Args:
-        work: folder for the generated data.
-        out: folder of the weights.
-        quiet: whether to show no progress.
-    """
+    calibrate_drivers(data, weights / CARD)
+    train_predictors(data, BEST_METHOD, weights)
     recordings = [RECORDINGS / name for name in OPEN_DATA]
     if not all(path.is_dir() for path in recordings):
         sys.stderr.write(
@@ -173,13 +180,33 @@ def train_for_recordings(work: Path, out: Path, quiet: bool = False) -> None:
         )
         return
     worlds = work / "recorded-worlds"
-    generate(worlds_of(WORLDS, WORLDS_SEED), worlds, None, quiet)
-    roads = generate_roads(work, WORLDS_SEED, quiet)
-    train_on_recordings([*recordings, worlds, *roads], out, quiet=quiet)
+    generate(worlds_of(WORLDS, WORLDS_SEED), worlds, jobs)
+    roads = generate_roads(work, WORLDS_SEED, False)
+    train_on_recordings([*recordings, worlds, *roads], weights)
+
+
+PARTS: Final[dict[str, Callable[[Path, int], None]]] = {
+    "classifier": train_classifier,
+    "networks": train_networks,
+    "predictors": train_all_predictors,
+}
+"""What is trained, in this order."""
+
+
+def main() -> None:
+    """Train the parts that are asked for."""
+    parser = argparse.ArgumentParser("python -m experiments.model", description=__doc__)
+    parser.add_argument("--part", choices=[*PARTS, "all"], default="all")
+    parser.add_argument("--work", type=Path, default=Path("runs/model"), metavar="DIR")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, metavar="N")
+    asked = parser.parse_args()
+    leave_onednn_out()
+    for name, train in PARTS.items():
+        if asked.part in (name, "all"):
+            train(asked.work, asked.jobs)
 
 
 if __name__ == "__main__":
     show_notices()
-    leave_onednn_out()
     with exit_on_user_error():
-        build_models(Path("runs/model"))
+        main()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -16,20 +17,14 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
-from graphrqi.adaptation import Adaptation
 from graphrqi.classify import Classifier, make_classifier
-from graphrqi.features.baseline import BaselineObserver
-from graphrqi.features.driving import DrivingObserver
+from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.observer import Observer
-from graphrqi.features.relative.observer import RelativeObserver
-from graphrqi.features.spectrum_observers import (
-    EigenvectorObserver,
-    NullObserver,
-    SpectrumObserver,
-)
+from graphrqi.features.spectral import EigenvectorObserver, NullObserver, SpectrumObserver
 from graphrqi.features.trajectory import TrajectoryObserver
-from graphrqi.other_traffic import OtherTraffic, Traffic
+from graphrqi.places.adaptation import Adaptation
+from graphrqi.places.other_traffic import OtherTraffic
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
 
@@ -37,6 +32,10 @@ FloatArray = NDArray[np.float64]
 
 MOST_SEED: Final = 2**32 - 1
 """Largest seed that the generators of NumPy and scikit-learn accept."""
+
+
+PLAIN: Final = ("motion", "interaction")
+"""Parts of the features that need neither the graph's spectrum nor the law of following."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,13 +108,13 @@ METHODS: Final[Registry[Method]] = Registry(
         "forest": Method(
             "forest",
             "random forest on motion and interaction, without graph or inference",
-            BaselineObserver,
+            partial(DriverObserver, "raw", parts=PLAIN),
             "forest",
         ),
         "boosted": Method(
             "boosted",
             "gradient-boosted trees on motion and interaction, without graph or inference",
-            BaselineObserver,
+            partial(DriverObserver, "raw", parts=PLAIN),
             "boosted",
         ),
         "graphrqi-invariant": Method(
@@ -125,17 +124,10 @@ METHODS: Final[Registry[Method]] = Registry(
             "mlp",
             {"hidden": (64, 32), "dropout": 0.0},
         ),
-        "graphrqi-relative": Method(
-            "graphrqi-relative",
-            "boosted trees on smoothed motion and interaction relative to the scene",
-            RelativeObserver,
-            "boosted",
-            {"rounds": 300, "max_leaves": 15, "max_depth": 6, "feature_share": 0.15},
-        ),
         "graphrqi-plus": Method(
             "graphrqi-plus",
             "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
-            DrivingObserver,
+            partial(DriverObserver, "raw"),
             "boosted",
             {"rounds": 320, "max_leaves": 31, "max_depth": 7, "feature_share": 0.15},
         ),
@@ -156,8 +148,7 @@ class Model:
         card: training data and scores, as JSON values.
         other: how it answers in traffic unlike that of its classifier's training; None if it takes
             all traffic for the same.
-        adaptation: what is done to the answers at the place that the model was adapted to; None if
-            it was not.
+        adaptation: what is done to answers at the place that it was adapted to; None if it was not.
     """
 
     method: Method
@@ -167,38 +158,6 @@ class Model:
     card: Mapping[str, Any]
     other: OtherTraffic | None = None
     adaptation: Adaptation | None = None
-
-    def observer(self, traffic: Traffic = "simulated") -> Observer:
-        """A fresh observer of the kind the model answers on.
-
-        Args:
-            traffic: where the positions come from.
-        """
-        if traffic == "simulated" or self.other is None:
-            return make_observer(self.method.name, self.solver)
-        return RelativeObserver()
-
-    def posterior(self, features: FloatArray, traffic: Traffic = "simulated") -> FloatArray:
-        """Probabilities of the behaviours of drivers, one by one.
-
-        Args:
-            features: (n, F) of its `observer` for this traffic.
-            traffic: where the positions come from.
-
-        Returns:
-            (n, 6) probabilities.
-
-        Raises:
-            InputError: if they are features of another observer.
-        """
-        expected = len(self.observer(traffic).feature_names)
-        if features.shape[1] != expected:
-            raise InputError(f"features: found {features.shape[1]} columns, expected {expected}")
-        if traffic == "simulated" or self.other is None:
-            found = self.classifier.posterior(features)
-        else:
-            found = self.other.alone(features, traffic)
-        return found if self.adaptation is None else self.adaptation.applied(found)
 
 
 def make_observer(method: str, solver: str = "graphrqi") -> Observer:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.features.kinematics import align
+from graphrqi.features.motion import align
 from graphrqi.features.observer import Observation, Observer
 from sim.frames import Tracks
 

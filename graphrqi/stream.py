@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from graphrqi.features.drivers import DriverObserver
+from graphrqi.features.motion import align
 from graphrqi.graph.sighting import MAX_COORDINATE_M
-from graphrqi.live_answers import LiveAnswers
-from graphrqi.methods import Model
+from graphrqi.methods import Model, make_observer
 from graphrqi.model_files import load_model
-from graphrqi.other_traffic import Traffic, check_traffic
+from graphrqi.places.other_traffic import FINEST_S, OtherTraffic, Traffic, check_traffic
+from graphrqi.places.prior_shift import PriorShift
 from graphrqi.posterior import Posterior
-from graphrqi.prior_shift import PriorShift
-from graphrqi.scene_check import SceneMonitor
 from sim.episode.buffer import FrameBuffer
 from sim.episode.window import Window
 from sim.frames import Frame, Tracks
 
-if TYPE_CHECKING:
-    pass
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 MIN_SECONDS: Final = 1.0
 """Time after which a driver is classified; before it, velocity is hardly known."""
@@ -52,8 +54,8 @@ class BehaviorStream:
         traffic: where the frames come from. The engines of this project are ``simulated``, and the
             model's own classifier answers, unless positions are noisy. In ``recorded`` and in
             ``other`` traffic its network for these answers.
-        is_scene: False if a check of the whole recording, which sees sizes, found no scene that can
-            be believed (`graphrqi.scene_check.check_scene`): everybody is unknown then.
+        is_scene: False if a check of the recording found no scene that can be believed: everybody
+            is unknown then.
     """
 
     def __init__(
@@ -68,14 +70,17 @@ class BehaviorStream:
         self.traffic = check_traffic(traffic)
         self.window = window
         self.min_seconds = min_seconds
-        self._live = LiveAnswers(model, min_seconds, self.traffic)
+        self._classifier = self._network = None
+        if model.other is not None:
+            self._network = _NetworkAnswers(model.other, self.traffic)
+        if self._network is None or self.traffic == "simulated":
+            self._classifier = make_observer(model.method.name, model.solver)
         self._buffer = FrameBuffer(HISTORY_STEPS)
         self._last: Frame | None = None
         self._prior_shift = PriorShift(np.array(model.shares))
         self._shifted_s = -np.inf
-        self._monitor = None if traffic == "simulated" else SceneMonitor(outlines=False)
-        self._believed = self._is_scene = is_scene
-        self._answered: tuple[NDArray[np.int64], NDArray[np.float64], float] | None = None
+        self._is_scene = is_scene
+        self._answered: tuple[IntArray, FloatArray, float] | None = None
 
     def update(self, frame: Frame) -> Posterior:
         """Take the next frame and classify.
@@ -104,20 +109,37 @@ class BehaviorStream:
                 f"frame.xy: found agent {agent} beyond {MAX_COORDINATE_M:g} m, expected it nearer"
             )
         self._buffer.push(frame)
-        self._live.update(frame.time_s, frame.ids, frame.xy, frame.driving)
-        if self._monitor is not None:
-            self._is_scene = self._monitor.update(frame) and self._believed
+        for observer in (self._classifier, self._network):
+            if observer is not None:
+                observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
         self._last, self._answered = frame, None
         if frame.time_s >= self._shifted_s + PRIOR_EVERY_S - 1e-6:
             ids, probability, _ = self._answers()
             self._prior_shift.observe(frame.time_s, ids, probability)
             self._shifted_s = frame.time_s
 
-    def _answers(self) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    def _answers(self) -> tuple[IntArray, FloatArray, float]:
         """Ids, probabilities without prior shift, domain; of the drivers observed long enough."""
         if self._answered is None:
-            self._answered = self._live.now()
+            if self._network is None or (self.traffic == "simulated" and not self.is_noisy):
+                ids, found, domain = *self._classified(), 0.0
+            else:
+                ids, found = self._network.answers(self.min_seconds)
+                domain = float(self.traffic != "simulated" and ids.size > 0)
+            if self.model.adaptation is not None:
+                found = self.model.adaptation.applied(found)
+            self._answered = ids, found, domain
         return self._answered
+
+    def _classified(self) -> tuple[IntArray, FloatArray]:
+        """Ids of the drivers that are ready, and what the model's own classifier answers."""
+        assert self._classifier is not None
+        seen = self._classifier.observation()
+        ready = seen.seconds >= self.min_seconds - 1e-6
+        if not ready.any():
+            return seen.ids[:0], np.zeros((0, len(BEHAVIORS)))
+        features = self._classifier.features(seen.seconds, seen.sums, seen.instant)
+        return seen.ids[ready], self.model.classifier.posterior(features)[ready]
 
     def posterior(self) -> Posterior:
         """Posterior of every driver that is present and was observed long enough."""
@@ -135,7 +157,9 @@ class BehaviorStream:
 
         Its network for noisy traffic answers then.
         """
-        return self._live.is_noisy
+        return (
+            self.traffic == "simulated" and self._network is not None and self._network.sees_noise
+        )
 
     def __repr__(self) -> str:
         """The model, and the time and the agents of the last frame."""
@@ -155,6 +179,42 @@ class BehaviorStream:
     def history(self) -> Tracks:
         """The last frames of the agents present now; the last column is the present."""
         return self._buffer.tracks()
+
+
+class _NetworkAnswers:
+    """The answers of a network, as of the last moment that was measured."""
+
+    def __init__(self, other: OtherTraffic, traffic: Traffic) -> None:
+        self._observer = DriverObserver("smoothed")
+        self._other, self._traffic = other, traffic
+        self._place = other.empty_place(traffic)
+        self._ids: IntArray = np.empty(0, dtype=np.int64)
+        self._known: FloatArray = np.empty((0, len(BEHAVIORS)))
+        self.sees_noise = False
+
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+        """Take the next positions, and answer anew where motion is measured."""
+        observer = self._observer
+        measured = observer.update(time_s, ids, xy, drives)
+        self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S
+        if not measured or (self._traffic == "simulated" and not self.sees_noise):
+            return
+        seen = observer.observation()
+        features = observer.features(seen.seconds, seen.sums, seen.instant)
+        self._ids = seen.ids
+        self._known = self._other.among(features, self._traffic, seen, time_s, self._place)
+
+    def answers(self, min_seconds: float) -> tuple[IntArray, FloatArray]:
+        """The drivers that are present and observed for so long, and (n, 6) probabilities.
+
+        Chances are equal for drivers of which nothing was measured yet.
+        """
+        present = self._observer.present()
+        ids = present.ids[present.seconds >= min_seconds - 1e-6]
+        out = np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
+        into, source = align(self._ids, ids)
+        out[into] = self._known[source]
+        return ids, out
 
 
 def load_stream(

@@ -28,8 +28,8 @@ class PopulationOptions(TypedDict, total=False):
         duration_s: length of an episode, s.
         step_s: time between frames, s.
         jaywalk_share: share of pedestrians who cross on red and anywhere.
-        population: of which drivers are drawn: the name of one that ships, a file, or what such a
-            file says; None for drivers around the profiles.
+        population: a shipped population's name, a TOML file, or its parsed content; None for
+            drivers around the profiles.
     """
 
     mix: str | Mapping[Behavior, float] | Mapping[str, float] | None

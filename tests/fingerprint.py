@@ -120,7 +120,7 @@ def answers(folder: Path) -> Named:
     yield "predict/no-map", of_rows(folder / "rows.json")
     for method in ("graphrqi-plus", "graphrqi", "cheung", "dane", "svm", "forest", "lstm"):
         command("train", many, "--method", method, "--out", folder / method, "--quiet")
-        weights = folder / method / "weights.safetensors"
+        weights = folder / method / "model.safetensors"
         yield f"train/{method}", of_bytes(weights.read_bytes()) if weights.exists() else "absent"
     shutil.rmtree(folder)
 

@@ -77,7 +77,7 @@ def test_what_the_wheel_holds(wheel: Path) -> None:
     tops = {name.split("/")[0] for name in names}
     assert tops == {*PACKAGES, next(t for t in tops if t.endswith(".dist-info"))}
     assert "scenarios/networks/straight_road/road.net.xml" in names
-    assert "graphrqi/models/graphrqi-plus/model.json" in names
+    assert "graphrqi/models/graphrqi-plus/model.safetensors" in names
     assert not [n for n in names if "test_" in n or n.endswith(".pyc")]
     assert sum(i.file_size for i in zipfile.ZipFile(wheel).infolist()) < 20e6
 

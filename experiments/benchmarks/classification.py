@@ -146,7 +146,8 @@ class Data:
 
 def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> Answers:
     """The answers to samples, with the truth."""
-    probability = model.posterior(samples.features.astype(np.float64))
+    classifier = model.classifier if isinstance(model, Model) else model
+    probability = classifier.posterior(samples.features.astype(np.float64))
     return Answers.known(probability, samples.codes, samples.episode)
 
 

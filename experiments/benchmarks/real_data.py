@@ -28,6 +28,7 @@ from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
 from experiments.benchmarks.statistics import auc_within
+from experiments.benchmarks.unit_free import standardised, unit_free_features
 from experiments.data.parallel import in_parallel
 from experiments.rival import nine_numbers
 from experiments.score.metrics import (
@@ -43,7 +44,6 @@ from experiments.score.metrics import (
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.classify import make_classifier
 from graphrqi.features.observer import Observer
-from graphrqi.features.unit_free import standardised, unit_free_features
 from graphrqi.methods import METHODS
 from sim.formats import traf, traf_sheets
 from sim.formats.common.recording import CAR_LENGTH_M

@@ -14,12 +14,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from itertools import product
 from typing import Final, cast
 
 import numpy as np
 
-from behaviors.errors import lookup
+from behaviors.errors import InputError, lookup
 from experiments.benchmarks.graph_sequences import check_layout, graph_sequence
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.spectrum import SOLVERS, Spectrum
@@ -47,7 +48,7 @@ STEP_BUDGET_S: Final = 2.0
 SEQUENCE_BUDGET_S: Final = 1.0
 """CPU time that a solver gets per sequence; it always gets a step."""
 
-COMPARED: Final = ("graphrqi", "eigh", "lapack-dsyevr", "arpack")
+COMPARED: Final = ("graphrqi", "eigh", "lapack-dsyevr", "arpack", "primme")
 """Solvers that are not cut short while their steps are no longer than QUICK_STEP_MS."""
 
 QUICK_STEP_MS: Final = 300.0
@@ -71,6 +72,30 @@ def dsyevr(problem: Problem) -> Pairs:
     return Pairs(values, vectors)
 
 
+@eigensolver(dense_share=5)
+def primme(problem: Problem) -> Pairs:
+    """PRIMME's default method, started from the earlier vectors.
+
+    References:
+        Stathopoulos, McCombs (2010), PRIMME: preconditioned iterative multimethod eigensolver,
+        ACM Trans. Math. Softw. 37 (2), 21.
+    """
+    try:
+        from primme import eigsh
+    except ImportError:
+        raise InputError("primme: not found, expected it: pip install graphrqi[primme]") from None
+    values, vectors = eigsh(
+        problem.graph.laplacian,
+        problem.num_pairs,
+        which="LA" if problem.end == "largest" else "SA",
+        v0=problem.starting_block(),
+        tol=0.3 * problem.tol,
+        lock=problem.null if problem.null.shape[1] else None,
+        return_unconverged=True,
+    )
+    return Pairs(*problem.chosen(values, vectors))
+
+
 def measure(
     sizes: Sequence[int],
     graphs: Sequence[str] = ("road", "crossing"),
@@ -85,7 +110,7 @@ def measure(
     Args:
         sizes: numbers of vehicles.
         graphs: where the vehicles are: road, crossing, city.
-        solvers: keys of ``SOLVERS``, or "lapack-dsyevr"; () for all.
+        solvers: keys of ``SOLVERS``, "lapack-dsyevr", or "primme"; () for all that are installed.
         steps: observations of each sequence.
 
     Yields:
@@ -100,8 +125,9 @@ def measure(
     import scipy.linalg  # noqa: F401  # only libraries that are loaded can be limited to a thread
     from threadpoolctl import threadpool_limits
 
-    everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": dsyevr}
-    chosen = {name: lookup(everything, name, "solver") for name in solvers or everything}
+    everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": dsyevr, "primme": primme}
+    usual = [name for name in everything if name != "primme" or find_spec(name)]
+    chosen = {name: lookup(everything, name, "solver") for name in solvers or usual}
     for layout in graphs:  # before hours of work
         check_layout(layout, sizes)
     ends: tuple[End, ...] = ("largest", "smallest")

@@ -19,7 +19,7 @@ from experiments.cli.files import export, import_, list_names, road, verify
 from experiments.cli.generate import generate, run
 from experiments.cli.models import calibrate, classify, evaluate, predict, train
 from experiments.cli.options import Quiet
-from experiments.cli.pages import replay, report
+from experiments.cli.pages import replay, report, summary
 from experiments.cli.what_if import what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, show_notices
@@ -53,6 +53,7 @@ COMMANDS: Final[tuple[tuple[str, str, Callable[..., Any], str], ...]] = (
     (ASK, "what-if", what_if,
      "what-if straight_road --at-s 30 --agent 8 --behavior timid --out what-if"),
     (ASK, "drive", drive, "drive --policy planner --quick"),
+    (LOOK, "summary", summary, "summary data --by behavior --out summary.csv"),
     (LOOK, "replay", replay, "replay data --episode straight_road --out replay.html"),
     (LOOK, "report", report, "report runs/demo"),
     (LOOK, "list", list_names, "list"),

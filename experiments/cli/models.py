@@ -75,6 +75,8 @@ def train(
         from experiments.data.exchange import as_dataset
         from experiments.training.adapt import adapt
 
+        if labels is None:
+            raise InputError("--from: found no --labels, expected labels of some drivers")
         if len(data) != 1:
             raise InputError(f"--from: found {len(data)} recordings, expected one or a folder")
         with as_dataset(data[0], format, net) as dataset:

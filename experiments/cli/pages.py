@@ -1,4 +1,4 @@
-"""The commands that make pages and pictures: ``replay`` and ``report``."""
+"""The commands that show data: ``summary``, ``replay`` and ``report``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import typer
 from experiments.cli.options import (
     FormatName,
     Jobs,
+    Json,
     ModelName,
     Net,
     Quiet,
@@ -18,6 +19,37 @@ from experiments.cli.options import (
     option,
     refuse_to_overwrite,
 )
+
+
+def summary(
+    source: Source,
+    by: Annotated[
+        str | None, option("Groups: behavior, kind or scenario (default: all together).")
+    ] = None,
+    format: FormatName = None,
+    net: Net = None,
+    json: Json = None,
+    out: Annotated[
+        Path | None, file_option("The same rows as CSV.", "--out", metavar="FILE.csv")
+    ] = None,
+) -> None:
+    """Count conflicts, events and traits per kilometre and hour, with speeds and headways."""
+    from behaviors.errors import lookup
+    from experiments.console.tables import show_table
+    from experiments.data.exchange import as_dataset
+    from experiments.score.rows import dataset_id, stamped, write_csv
+    from experiments.summary import BY, summary, table
+    from sim.store.dataset import open_dataset
+
+    if by is not None:
+        lookup(BY, by, "--by")
+    with as_dataset(source, format, net) as folder:
+        dataset = open_dataset(folder)
+        found = summary(dataset, by)
+        rows = stamped(found, "summary", dataset=dataset_id(dataset))
+    if out is not None:
+        write_csv(rows, out)
+    show_table(rows, json, lines=table(found, by))
 
 
 def replay(

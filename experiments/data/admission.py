@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from graphrqi.scene_check import check_scene
-from graphrqi.units import image_scale, in_metres
+from experiments.data.scene_check import check_scene
+from experiments.data.units import image_scale, in_metres
 from sim.formats.common.recording import Recording
 from sim.store.schema import EpisodeEntry
 

@@ -9,10 +9,10 @@ from typing import Final
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.data.parallel import in_parallel
+from experiments.data.units import image_scale, in_metres
 from graphrqi.methods import make_observer
-from graphrqi.other_traffic import Traffic, check_traffic
+from graphrqi.places.other_traffic import Traffic, check_traffic
 from graphrqi.samples import NoSamplesError, Samples, collect
-from graphrqi.units import image_scale, in_metres
 from sim.frames import Tracks
 from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split

@@ -18,6 +18,7 @@ from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.highway.engine import read_frame
 from sim.road import Road
+from sim.safety import ConflictKind
 from sim.scenario import AgentSpec
 
 FORWARD_MPS2: Final = (-4.05, 2.40)
@@ -32,16 +33,23 @@ RULES: Final = (
 )  # fmt: skip
 """What counts as a rule broken."""
 
+BEHIND: Final = (ConflictKind.FOLLOWING, ConflictKind.MERGING)
+"""The conflicts in which one of the two is ahead of the other."""
+
 WEIGHTS: Final[dict[str, float]] = {"progress": 5.0, "calm": 5.0, "lawful": 4.0, "comfort": 2.0}
 """What the score weighs (nuPlan's weights of progress, time to collision, speed limit and comfort;
 here rules broken stand for the limit)."""
 
 METRICS: Final = (
-    "score", "collisions", "collisions_caused", "near_misses", "rules_broken", "off_road",
+    "score", "collisions", "collisions_caused", "near_misses", "near_misses_ahead",
+    "near_misses_behind", "near_misses_crossing", "rules_broken", "off_road",
     "uncomfortable_share", "rms_jerk_mps3", "progress", "arrived", "minutes",
 )  # fmt: skip
-"""What is measured of an episode; all are counts or shares but for the jerk and the minutes."""
+"""What is measured of an episode; all are counts or shares but for the jerk and the minutes.
 
+Near misses are with somebody whom the vehicle follows ("ahead"), who follows it ("behind"), or who
+comes from elsewhere ("crossing").
+"""
 
 _GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
 
@@ -140,11 +148,15 @@ def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
     """Collisions, near misses and rules broken of the ego vehicle."""
     found = incidents(TrajectoryRows.of(driven), road) if driven.time_s.size > 1 else ()
     mine = [event for event in found if ego_id in (event.agent, event.other)]
+    near = [event for event in mine if event.kind is EventKind.NEAR_MISS]
     collisions = [event for event in mine if event.kind is EventKind.COLLISION]
     return {
         "collisions": float(len(collisions)),
         "collisions_caused": float(sum(event.agent == ego_id for event in collisions)),
-        "near_misses": float(sum(event.kind is EventKind.NEAR_MISS for event in mine)),
+        "near_misses": float(len(near)),
+        "near_misses_ahead": float(sum(e.rule in BEHIND and e.agent == ego_id for e in near)),
+        "near_misses_behind": float(sum(e.rule in BEHIND and e.agent != ego_id for e in near)),
+        "near_misses_crossing": float(sum(event.rule not in BEHIND for event in near)),
         "rules_broken": float(sum(e.kind in RULES and e.agent == ego_id for e in mine)),
     }
 

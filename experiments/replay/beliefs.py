@@ -15,7 +15,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.guard import guarded_call
 from graphrqi.methods import Model
-from graphrqi.other_traffic import Traffic
+from graphrqi.places.other_traffic import Traffic
 from graphrqi.posterior import Posterior
 from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray, IntArray, Tracks

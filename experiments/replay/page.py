@@ -27,7 +27,7 @@ from experiments.replay.scene import ReplayScene
 from graphrqi.posterior import STYLE_TOLD
 from sim.files import write_whole
 from sim.formats import FORMATS
-from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray
+from sim.frames import KINDS, SIGNALS, Event, EventKind, FloatArray, IntArray, Tracks
 from sim.road.shapes import road_shapes
 
 SCRIPTS: Final = (
@@ -155,7 +155,8 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
                 "time": round(e.time_s - begin_s, 3),
                 "agent": _row(tracks.ids, e.agent),
                 "other": -1 if e.other is None else _row(tracks.ids, e.other),
-                "rule": e.rule,
+                "rule": e.words if e.kind is EventKind.NEAR_MISS else e.rule,
+                "outlines": _outlines(tracks, e),
             }
             for e in tracks.events
         ],
@@ -175,6 +176,24 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "index": index,
         "packed": packed,
     }
+
+
+def _outlines(tracks: Tracks, event: Event) -> list[list[float]]:
+    """The outlines of both parties of a near miss at its time, as corners; else nothing."""
+    if event.kind is not EventKind.NEAR_MISS:
+        return []
+    step = min(int(np.searchsorted(tracks.time_s, event.time_s - 1e-6)), tracks.time_s.size - 1)
+    agents = [_row(tracks.ids, agent) for agent in (event.agent, event.other or 0)]
+    row, there = tracks.as_rows().find(np.array(agents), np.full(2, step))
+    if min(agents) < 0 or not there.all():
+        return []
+    rows = tracks.as_rows()
+    long, wide = tracks.length[agents, None], tracks.width[agents, None]
+    ahead = np.stack([np.cos(rows.heading[row]), np.sin(rows.heading[row])], axis=1)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    signs = ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    corners = [rows.xy[row] + (a * long * ahead + b * wide * left) / 2.0 for a, b in signs]
+    return _many(tuple(np.stack(corners, axis=1)))
 
 
 def _opening_s(scene: ReplayScene) -> float:

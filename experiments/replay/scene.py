@@ -14,6 +14,7 @@ from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
 from experiments.data.admission import SCALED, is_scene
+from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
 from experiments.replay.forecasts import Forecast, forecast, likeliest, read_forecasts
@@ -21,8 +22,8 @@ from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
 from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.model_files import load_model
-from graphrqi.units import image_scale
 from sim.episode.annotate import annotate_recording
+from sim.episode.incidents import near_misses
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import Tracks
@@ -159,8 +160,10 @@ def gather(
             f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
     shown_traits = episode.shown_traits
-    if entry.engine in FORMATS and road is not None:  # a recording: nobody has looked yet
-        events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
+    if entry.engine in FORMATS:  # a recording: nobody has looked yet
+        events = tuple(near_misses(dataset.conflicts(entry)))
+        if road is not None:
+            events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
         tracks = tracks.changed(events=events)
     forecasts: list[Forecast] = []
     shown = ""

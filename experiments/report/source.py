@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
 from behaviors.errors import InputError
 from experiments.score.rows import Row, checked_rows, read_rows
-from graphrqi.model_files import load_model
+from graphrqi.model_files import FILE, load_model
 from sim.store.catalogue import is_dataset
 
-NOT_ROWS: Final = frozenset({"metrics.json", "model.json"})
+NOT_ROWS: Final = frozenset({"metrics.json"})
 """JSON files of a folder that hold no rows."""
 
 
@@ -36,7 +36,7 @@ class Source:
     @property
     def is_run(self) -> bool:
         """Whether the data and the model of the figures lie beside them, as ``make demo`` does."""
-        return (self.path / "model" / "model.json").is_file() and is_dataset(self.path / "data")
+        return (self.path / "model" / FILE).is_file() and is_dataset(self.path / "data")
 
 
 def read_source(path: Path) -> Source:
@@ -55,30 +55,13 @@ def read_source(path: Path) -> Source:
         return Source(path, path.stem, table_of(read_rows(path), path))
     if not path.is_dir():
         raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
-    if (path / "model.json").is_file():
-        rows = checked_rows(_card_rows(path), f"{path / 'model.json'}: card.scores")
+    if (path / FILE).is_file():
+        card = load_model(path).card
+        rows = checked_rows(card.get("scores", []), f"{path / FILE}: card.scores")
     else:
         files = [file for file in sorted(path.glob("*.json")) if file.name not in NOT_ROWS]
         rows = [row for file in files for row in read_rows(file)]
     return Source(path, path.resolve().name, table_of(rows, path))
-
-
-def _card_rows(path: Path) -> Any:
-    """The scores in a model's card; cards of version 0.5 have them by place and metric."""
-    model = load_model(path)
-    scores = model.card.get("scores", [])
-    if not isinstance(scores, dict):
-        return scores
-    made = {"command": "train", "method": model.method.name}
-    try:
-        return [
-            {**made, "scenario": place, "split": found["split"], "metric": metric,
-             **{key: found[key] for key in ("value", "low", "high", "n")}}
-            for place, metrics in scores.items()
-            for metric, found in metrics.items()
-        ]  # fmt: skip
-    except (AttributeError, KeyError, TypeError):
-        return scores
 
 
 def table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:

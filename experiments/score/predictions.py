@@ -18,7 +18,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.score.metrics import Statistic, bootstrap, ratio
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.methods import Model
-from graphrqi.other_traffic import Traffic
+from graphrqi.places.other_traffic import Traffic
 from graphrqi.posterior import Posterior
 from graphrqi.predict import check_map, chosen_predictor, predict
 from graphrqi.predict.learned.predictors import with_weights

@@ -7,7 +7,9 @@ how the figure was made, then keys of the command's own (such as ``scenario``), 
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from behaviors.errors import InputError
+from sim.files import write_whole
 
 if TYPE_CHECKING:
     from sim.store.dataset import Dataset
@@ -89,6 +92,23 @@ def dataset_id(dataset: Dataset) -> str:
     """
     ids = sorted(entry.id for entry in dataset.episodes())
     return hashlib.sha256("\n".join(ids).encode()).hexdigest()[:12]
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as CSV, with the keys of the first as its head.
+
+    Args:
+        rows: flat rows with the same keys.
+        path: the file; it appears whole or not at all.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]) if rows else FIGURE, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(path, text.getvalue().encode())
 
 
 def read_rows(path: Path) -> list[Row]:

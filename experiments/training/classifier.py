@@ -9,13 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, get_args
 
-import numpy as np
-
 from experiments.console.notices import LOGGER
-from experiments.data.windows import OBSERVED_S, gather, places_of
-from experiments.score.answers import Answers, score_answers
+from experiments.data.windows import gather
 from experiments.score.labels import answer_episodes, scored_answers
-from experiments.score.rows import Cell, Row, stamped
+from experiments.score.rows import stamped
 from experiments.training.other_traffic import train_on_worlds
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import check_model_folder, save_model
@@ -67,9 +64,9 @@ def train_model(
     chosen = METHODS[method]
     worlds = [d for d in datasets if "worlds" in d.header.configuration]
     home = [d for d in datasets if d not in worlds]
-    other = None
+    other, networks = None, dict[str, Any]()
     if chosen.name == BOTH and home and worlds:
-        other = train_on_worlds(home, worlds, seed, jobs, quiet)
+        other, networks = train_on_worlds(home, worlds, seed, jobs, quiet)
         datasets = home
     options: dict[str, Any] = {
         "solver": solver,
@@ -86,8 +83,8 @@ def train_model(
         with _skipping_empty():
             validation = gather(datasets, "validation", chosen.name, **options)
     model = train(chosen.name, training, validation, solver, seed)
-    model = dataclasses.replace(model, other=other)
-    return dataclasses.replace(model, card=_card(datasets, model, training))
+    card = {**_card(datasets, model, training), **networks}
+    return dataclasses.replace(model, other=other, card=card)
 
 
 @contextmanager
@@ -117,41 +114,6 @@ def _card(datasets: Sequence[Dataset], model: Model, training: Samples) -> dict[
     }
 
 
-def score_windows(
-    datasets: Sequence[Dataset], model: Model, jobs: int | None = None, quiet: bool = True
-) -> list[Row]:
-    """Score a model after 10 s of observation on the test episodes.
-
-    Args:
-        datasets: labelled.
-        model: a trained model.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
-
-    Returns:
-        Rows by scenario (where the data are of several engines by scenario and engine).
-
-    Raises:
-        InputError: if there is no test episode.
-    """
-    samples = gather(
-        datasets, "test", model.method.name, solver=model.solver, jobs=jobs, quiet=quiet,
-    )  # fmt: skip
-    places = places_of(datasets)
-    place = np.array(places)[samples.episode]
-    rows: list[Row] = []
-    for name in dict.fromkeys(places):
-        here = samples.where(place == name)
-        if not len(here):
-            continue
-        probability = model.posterior(here.features.astype(np.float64))
-        keys: dict[str, Cell] = {
-            "method": model.method.name, "scenario": name, "split": "test", "window_s": OBSERVED_S
-        }  # fmt: skip
-        rows += score_answers(Answers.known(probability, here.codes, here.episode), keys)
-    return rows
-
-
 def train_on(
     datasets: Sequence[Path],
     method: str,
@@ -179,7 +141,8 @@ def train_on(
     check_model_folder(out)
     model = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
     answered = answer_episodes(model, opened, split="test", jobs=jobs, quiet=quiet)
-    scores = stamped(scored_answers(answered, model.method.name), "train", seed)
+    rows = [*model.card["scores"], *scored_answers(answered, model.method.name)]
+    scores = stamped(rows, "train", seed)
     model = dataclasses.replace(model, card={**model.card, "scores": scores})
     save_model(model, out)
     return model

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,17 +12,18 @@ import numpy as np
 from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
+from experiments.generate import RANDOM_WORLD
 from experiments.generate.worlds.sensor import seen_badly
 from experiments.score.answers import Answers, score_answers
-from experiments.score.rows import Row
+from experiments.score.rows import Cell, Row
+from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.observer import Observation
-from graphrqi.features.relative.observer import RelativeObserver
-from graphrqi.other_traffic import OtherTraffic
-from graphrqi.other_traffic_training import EXACT, NOISY, OTHER, train_other_traffic
+from graphrqi.places.other_traffic import OtherTraffic
 from graphrqi.samples import NoSamplesError, Samples, collect
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
+EXACT, NOISY, OTHER = range(3)
 PARTS: Final = ("home", "home, seen badly", "worlds")
 """Names of the parts of the training. They draw the sensors, so other names are other sensors."""
 
@@ -44,7 +44,7 @@ def train_on_worlds(
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
-) -> OtherTraffic:
+) -> tuple[OtherTraffic, dict[str, Any]]:
     """Train the networks for traffic in which the classifier does not hold.
 
     Simulated episodes are used twice: as they are, and through a sensor that is drawn at random.
@@ -57,8 +57,11 @@ def train_on_worlds(
         quiet: whether to show no progress.
 
     Returns:
-        What was learned, with the data in its card.
+        What was learned; and for the model's card its data, as ``networks``, and ``scores`` on
+        worlds that were not learned from.
     """
+    from graphrqi.places.training import train_other_traffic
+
     parts = [
         (part, _gathered(datasets, split, part, seed, jobs, quiet))
         for split in LEARNED
@@ -70,18 +73,18 @@ def train_on_worlds(
     training = Samples.join([samples for _, samples in parts])
     part = np.concatenate([np.full(len(samples), part, dtype=np.int8) for part, samples in parts])
     counts = np.bincount(part, minlength=len(PARTS)).tolist()
-    card: dict[str, Any] = {
+    about: dict[str, Any] = {
         "data": {
             kind: [dict(dataset.header.configuration) for dataset in datasets]
             for kind, datasets in (("simulated", simulated), ("worlds", worlds))
         },
         "training_samples": dict(zip(("exact", "noisy", "worlds"), counts, strict=True)),
     }
-    learned = train_other_traffic(training, part, seed, card)
-    if not any(dataset.episodes("test") for dataset in worlds):
-        return learned
-    test = _gathered(worlds, "test", OTHER, seed, jobs, quiet)
-    return dataclasses.replace(learned, card={**card, "scores": _scores(learned, test)})
+    learned = train_other_traffic(training, part, seed)
+    scores: list[Row] = []
+    if any(dataset.episodes("test") for dataset in worlds):
+        scores = _scores(learned, _gathered(worlds, "test", OTHER, seed, jobs, quiet))
+    return learned, {"networks": about, "scores": scores}
 
 
 def _scores(learned: OtherTraffic, tracks: Samples) -> list[Row]:
@@ -96,7 +99,8 @@ def _scores(learned: OtherTraffic, tracks: Samples) -> list[Row]:
             seen = Observation(tracks.agent[rows], tracks.seconds[rows], none, none)
             features = tracks.features[rows].astype(np.float64)
             answer[rows] = learned.among(features, "other", seen, float(time_s), place)
-    return score_answers(Answers.known(answer, tracks.codes, tracks.episode), {"split": "test"})
+    keys: dict[str, Cell] = {"model": "networks", "scenario": RANDOM_WORLD, "split": "test"}
+    return score_answers(Answers.known(answer, tracks.codes, tracks.episode), keys)
 
 
 def _gathered(
@@ -121,6 +125,6 @@ def _observed(folder: Path, entry: EpisodeEntry, part: int, seed: int) -> Sample
     if part == NOISY:
         tracks = seen_badly(tracks, rng)
     try:
-        return collect(tracks, RelativeObserver(), number, WHOLE_TRACK_S, EVERY_S)
+        return collect(tracks, DriverObserver("smoothed"), number, WHOLE_TRACK_S, EVERY_S)
     except NoSamplesError:
         return None

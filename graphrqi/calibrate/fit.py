@@ -243,12 +243,6 @@ def simulated(
     return places
 
 
-def halves(stretch: Stretch) -> tuple[Stretch, Stretch]:
-    """The first and the second half of a stretch; the moment in its middle belongs to both."""
-    middle = stretch.place.size // 2
-    return stretch.part(0, middle + 1), stretch.part(middle, stretch.place.size)
-
-
 def second_half_errors(law: Law, stretches: Sequence[Stretch]) -> FloatArray:
     """How well the first half of each driver's following foretells its gaps in the second.
 
@@ -259,7 +253,10 @@ def second_half_errors(law: Law, stretches: Sequence[Stretch]) -> FloatArray:
     Returns:
         (N,) root mean square errors of the gaps in the second halves, m.
     """
-    both = [halves(stretch) for stretch in stretches]
+    both = []
+    for stretch in stretches:  # the moment in the middle belongs to both halves
+        middle = stretch.place.size // 2
+        both.append((stretch.part(0, middle + 1), stretch.part(middle, stretch.place.size)))
     fitted = calibrate(law, [[past] for past, _ in both])
     missed = [
         forecast(law, fitted.logs[i], fitted.spread[i], past, ahead) - ahead.place

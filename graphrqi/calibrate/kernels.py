@@ -54,21 +54,9 @@ def drive(
     law: Any, numbers: Any, place: Any, speed: Any, leader: Any, leader_speed: Any, step_s: Any,
     beside: Any, kept: Any,
 ) -> Any:  # fmt: skip
-    """Drivers that begin at one place and speed, each driven behind the same recorded leader.
+    """(M, T) places, m, of drivers behind one leader; see `graphrqi.calibrate.fit.simulated`.
 
-    Args:
-        law: 0 for IDM, 1 for Krauss.
-        numbers: (M, 5) of the drivers.
-        place: where they begin, m.
-        speed: and how fast, m/s.
-        leader: (T,) rear of the leader, m; infinite without one.
-        leader_speed: (T,) m/s.
-        step_s: time between rows, s.
-        beside: (M,) acceleration beside the law's at first, m/s2.
-        kept: which share of it is left after one row.
-
-    Returns:
-        (M, T) places, m.
+    ``law`` is 0 for IDM and 1 for Krauss, ``kept`` the share of ``beside`` left after one row.
     """
     out = np.empty((len(numbers), leader.size))
     for m in range(len(numbers)):
@@ -90,17 +78,7 @@ def drive(
 def mean_beside(
     law: Any, numbers: Any, place: Any, speed: Any, leader: Any, leader_speed: Any, step_s: Any
 ) -> Any:
-    """(M,) by how much more than its law says each driver accelerates on average, m/s2.
-
-    Args:
-        law: 0 for IDM, 1 for Krauss.
-        numbers: (M, 5) of the drivers.
-        place: (T,) measured, m.
-        speed: (T,) measured, m/s.
-        leader: (T,) rear of the leader, m.
-        leader_speed: (T,) m/s.
-        step_s: time between rows, s.
-    """
+    """(M,) by how much more than its law says each measured driver accelerates on average, m/s2."""
     out = np.empty(len(numbers))
     count = place.size - 1
     for m in range(len(numbers)):

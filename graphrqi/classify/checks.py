@@ -17,12 +17,7 @@ probabilities that are not numbers)."""
 
 
 def of_trained_classes(validation: HeldOut, codes: CodeArray) -> HeldOut:
-    """Validation data without rows of classes that are not trained; None if no row is left.
-
-    Args:
-        validation: vectors and classes.
-        codes: (n,) classes of the training rows.
-    """
+    """Validation data without rows of classes that are not in the training's ``codes``, or None."""
     if validation is None:
         return None
     known = np.isin(validation[1], codes)
@@ -68,14 +63,7 @@ def part_of(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[str, NDArray[
 
 
 def saved_temperature(arrays: dict[str, NDArray[Any]]) -> float:
-    """The saved temperature.
-
-    Args:
-        arrays: all saved arrays by name.
-
-    Raises:
-        InputError: if it is missing or no divisor of logits.
-    """
+    """The saved temperature; InputError if it is missing or no divisor of logits."""
     found = float(saved(arrays, "temperature", (1,))[0])
     if not LEAST_TEMPERATURE <= found <= LARGEST_TEMPERATURE:
         raise InputError(

@@ -24,7 +24,7 @@ from graphrqi.classify.checks import of_trained_classes, saved, saved_temperatur
 from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
 from graphrqi.classify.softmax import best_temperature, tempered
 from graphrqi.classify.standardisation import Standardisation
-from graphrqi.portable_torch import Descent, one_thread
+from graphrqi.networks.portable_torch import Descent, one_thread
 
 Loss = Literal["squared-error", "cross-entropy"]
 

@@ -56,13 +56,7 @@ def best_temperature(probability: FloatArray, codes: CodeArray, trained: BoolArr
 
 
 def tempered(probability: FloatArray, temperature: float, trained: BoolArray) -> FloatArray:
-    """Probabilities proportional to p^(1/T).
-
-    Args:
-        probability: (n, C) of a classifier.
-        temperature: T.
-        trained: (C,) whether the class has training rows; the others keep probability zero.
-    """
+    """Probabilities (n, C) in proportion to p^(1/T); classes not ``trained`` keep zero."""
     if temperature == 1.0:
         return probability
     return softmax(_log(probability, trained) / temperature)

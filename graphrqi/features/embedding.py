@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from graphrqi.features.kinematics import Kinematics, MotionEstimator, align
+from graphrqi.features.motion import Motion, RawMotion, align
 from graphrqi.features.observer import Observation, RunningSums
 from graphrqi.features.spectral import NEIGHBORS
 from graphrqi.graph import TrafficGraph
@@ -176,7 +176,7 @@ def consensus(
     return out
 
 
-def similarity(motion: Kinematics) -> FloatArray:
+def similarity(motion: Motion) -> FloatArray:
     """Cosine similarity of the agents' motion.
 
     Args:
@@ -210,7 +210,7 @@ class EmbeddingObserver:
 
     def __init__(self, solver: str = "graphrqi") -> None:
         self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
-        self._motion = MotionEstimator()
+        self._motion = RawMotion()
         self._present = RunningSums(0)
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         nobody = LaplacianPairs.solved(np.zeros((0, 0)))
@@ -218,12 +218,12 @@ class EmbeddingObserver:
         self._embedding: FloatArray = np.zeros((0, NUM_DIMENSIONS))
         self._updated_s = self._solved_s = -np.inf
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        motion = self._motion.update(time_s, ids, xy)
+        motion = self._motion.update(time_s, ids, xy, drives)
         self._present.add(time_s, ids[drives], np.zeros((int(drives.sum()), 0)))
         if time_s - self._updated_s < EVERY_S - 1e-6:
-            return
+            return False
         self._updated_s = time_s
         self._graph = self._graph.observe(ids, xy)
         network = self._graph.adjacency.toarray()
@@ -241,6 +241,7 @@ class EmbeddingObserver:
             self._likeness = LaplacianPairs.solved(likeness)
         self._ids = ids
         self._embedding = consensus(self._network.vectors, self._likeness.vectors)
+        return True
 
     def observation(self) -> Observation:
         """The last embedding of the drivers present; zeros for drivers that appeared since."""

@@ -11,11 +11,12 @@ powers of P = D^-1 A first compares wider and wider neighbourhoods: P^j s - P^(j
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.features.motion import Motion
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -36,22 +37,6 @@ ABREAST_M: Final = 10.0
 
 PEDESTRIAN_AHEAD_M: Final = 30.0
 """Distance ahead within which a pedestrian counts (2.5 s at town speed)."""
-
-
-class Motion(Protocol):
-    """What `interactions` needs to know of n agents."""
-
-    @property
-    def xy(self) -> FloatArray:
-        """(n, 2) m."""
-
-    @property
-    def velocity(self) -> FloatArray:
-        """(n, 2) m/s."""
-
-    @property
-    def direction(self) -> FloatArray:
-        """(n, 2) unit vectors of travel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,4 +124,13 @@ def differences(
     signal_differences(
         graph.indptr, graph.indices, graph.values, counts, level, np.empty(signal.size), out
     )
+    return out
+
+
+def neighbor_speed(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> FloatArray:
+    """(n,) mean speed of the neighbours that drive the same way, m/s; NaN without one."""
+    from graphrqi.features.kernels import speed_of_neighbors
+
+    out = np.empty(drives.size)
+    speed_of_neighbors(graph.indptr, graph.indices, motion.velocity, motion.direction, drives, out)
     return out

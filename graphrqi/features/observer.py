@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.kinematics import FORGET_S, align, merge
+from graphrqi.features.motion import FORGET_S, align, merge
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -43,9 +43,12 @@ class Observation:
 class Observer(Protocol):
     """Follows traffic and describes each driver."""
 
-    feature_names: tuple[str, ...]
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """What the columns of `features` are."""
+        ...
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
         """Take the next positions.
 
         Args:
@@ -53,6 +56,9 @@ class Observer(Protocol):
             ids: (n,) ascending agent ids.
             xy: (n, 2) m.
             drives: (n,) whether each drives; the others are pedestrians.
+
+        Returns:
+            Whether anything was measured, so that evidence changed.
         """
         ...
 
@@ -130,11 +136,6 @@ class RunningSums:
         ids = self._ids[here]
         sums = self._sums[self._row[here]]
         return Observation(ids, self._seconds[here], sums, np.zeros((ids.size, 0)))
-
-    def remembered(self) -> Observation:
-        """A copy of the sums of all drivers that are kept, those that are absent included."""
-        none = np.zeros((self._ids.size, 0))
-        return Observation(self._ids, self._seconds.copy(), self._sums[self._row], none)
 
     def of(self, ids: IntArray) -> FloatArray:
         """(n, S) sums of the given drivers, ascending; zero for those without any."""

@@ -16,9 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.driving import INTERACTION_NEIGHBORS
+from graphrqi.features.drivers import NEIGHBORS
 from graphrqi.features.interaction import differences, interactions
-from graphrqi.features.kinematics import MotionEstimator, align
+from graphrqi.features.motion import RawMotion, align
 from graphrqi.features.observer import Observation, RunningSums
 from graphrqi.graph import TrafficGraph
 
@@ -57,14 +57,14 @@ class TrajectoryObserver:
     )
 
     def __init__(self, solver: str = "graphrqi") -> None:
-        self._near = TrafficGraph.empty(neighbors=INTERACTION_NEIGHBORS, kind="instantaneous")
-        self._motion = MotionEstimator()
+        self._near = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
+        self._motion = RawMotion()
         self._sums = RunningSums(3 * _K)
         self._last: tuple[float, IntArray, FloatArray] = (0.0, np.empty(0, np.int64), np.empty(0))
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        motion = self._motion.update(time_s, ids, xy)
+        motion = self._motion.update(time_s, ids, xy, drives)
         self._near = self._near.observe(ids, xy)
         around = interactions(motion, drives, self._near)
         before_s, before_ids, before = self._last
@@ -91,6 +91,7 @@ class TrajectoryObserver:
         value = np.where(known, value, 0.0)
         moment = np.concatenate([known, value, value**2], axis=1, dtype=np.float64)
         self._sums.add(time_s, ids[drives], moment[drives])
+        return True
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""

@@ -88,8 +88,8 @@ def join(
         old_indices: and columns, sorted in each row.
 
     Returns:
-        Row starts, columns and values of the new Laplacian (every diagonal entry is stored,
-        columns sorted); the last two have room to spare.
+        Row starts, columns and values of the new Laplacian, every diagonal entry stored; the last
+        two have room to spare.
     """
     edges = neighbors.size
     room = 2 * edges + d + old_indices.size

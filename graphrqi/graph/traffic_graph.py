@@ -102,16 +102,6 @@ class TrafficGraph:
             parts.append(f"{self.rule.kind} over {self.observations} observations")
         return f"TrafficGraph({', '.join(parts)})"
 
-    def _repr_html_(self) -> str:
-        """A table of the vehicles with the largest degrees, for notebooks."""
-        degree, shown = self.degree, 10
-        most = np.argsort(-degree, kind="stable")[:shown]
-        lines = "".join(f"<tr><td>{self.ids[i]}</td><td>{degree[i]:.4g}</td></tr>" for i in most)
-        if self.ids.size > shown:
-            lines += f"<tr><td colspan=2>and {self.ids.size - shown} more</td></tr>"
-        head = "<tr><th>vehicle</th><th>degree</th></tr>"
-        return f"<table><caption>{self!r}</caption>{head}{lines}</table>"
-
     @classmethod
     def from_edges(cls, ids: ArrayLike, edges: ArrayLike) -> TrafficGraph:
         """Build a graph from a list of edges.

@@ -19,7 +19,10 @@ from torch import Tensor, nn
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from graphrqi.classify.contract import CodeArray
 from graphrqi.classify.standardisation import Standardisation
+from graphrqi.features.drivers import SCENE_NAMES
+from graphrqi.networks.portable_torch import Descent, one_thread, root
 from graphrqi.places.drivers import weights_of
 from graphrqi.places.network import (
     CLIP,
@@ -29,7 +32,7 @@ from graphrqi.places.network import (
     Member,
     PlaceNetwork,
 )
-from graphrqi.portable_torch import Descent, one_thread, root
+from graphrqi.places.other_traffic import OtherTraffic, scene_of
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
 
@@ -71,6 +74,13 @@ class NetworkOptions:
     places_a_step: int = 16
     learning_rate: float = 4e-3
     weight_decay: float = 1e-2
+
+
+EXACT, NOISY, OTHER = range(3)
+"""Parts of the training: simulated traffic as it is, the same seen with noise, and worlds."""
+
+RANGE: Final = 0.002
+"""Share of the training scenes beyond each end of a number's range."""
 
 
 class Examples:
@@ -225,3 +235,32 @@ def _loss(network: _Network, examples: Examples, rows: IntArray, place: IntArray
         style, aggressive[true].float(), reduction="none"
     )
     return (losses * worth).sum() / worth.sum().clamp(min=1e-9)
+
+
+def train_other_traffic(
+    training: Samples, parts: CodeArray, seed: int = 0, options: NetworkOptions | None = None
+) -> OtherTraffic:
+    """Learn from simulated traffic, from the same seen with noise, and from many worlds.
+
+    Args:
+        training: samples with features of smoothed motion, of drivers that are each seen since
+            they appeared, several moments of each.
+        parts: (n,) the part of the training of each sample; all three must occur.
+        seed: the same seed and samples give the same answers.
+        options: of the networks; None for the usual ones.
+
+    Returns:
+        The networks, and the range of the scenes.
+
+    Raises:
+        InputError: if a part is missing.
+    """
+    found = set(parts.tolist())
+    if found != {EXACT, NOISY, OTHER}:
+        raise InputError(f"parts: found {sorted(found)}, expected samples of each of 0, 1, 2")
+    noisy = train_place_network(training.where(parts != OTHER), seed, options)
+    other = train_place_network(training, seed, options)
+    scenes = scene_of(training.features)
+    low, high = np.quantile(scenes, [RANGE, 1.0 - RANGE], axis=0)
+    low[SCENE_NAMES.index("seconds")] = 0.0  # windows end some seconds after the first frame
+    return OtherTraffic(noisy, other, low, high)

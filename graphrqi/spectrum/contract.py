@@ -155,15 +155,9 @@ def eigensolver(
 ) -> Callable[[Callable[[Problem], Pairs]], Solver]:
     """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`.
 
-    The solver checks its arguments, measures residuals and orthogonality of what the function
-    finds, and says whether that is certified.
-
     Args:
         dense_share: answer with a dense solution where no pair is left, or where this many times
             the pairs wanted (and the null space left out) are d or more; None for never.
-
-    Returns:
-        The decorator.
     """
 
     def decorate(find: Callable[[Problem], Pairs]) -> Solver:
@@ -194,14 +188,8 @@ def eigensolver(
 def answer(graph: TrafficGraph, pairs: Pairs, end: End, tol: float) -> Spectrum:
     """Measure residuals and orthogonality, where they are not known, and make a Spectrum of pairs.
 
-    Args:
-        graph: d vehicles.
-        pairs: what was found.
-        end: which end they are from.
-        tol: residuals up to tol * max(1, lambda_max) count as converged.
-
-    Returns:
-        The answer, certified if converged, orthonormal and complete.
+    It is certified if the pairs are complete, orthonormal, and have residuals up to ``tol`` times
+    the graph's scale.
     """
     values, vectors, residuals = pairs.values, pairs.vectors, pairs.residuals
     certified = pairs.complete

@@ -37,14 +37,10 @@ def full_spectrum(graph: TrafficGraph, tol: float = 1e-8) -> Spectrum:
 
 
 def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
-    """Every eigenpair, with the null space apart.
+    """Every eigenpair of d vehicles in c components, with the null space apart.
 
-    Args:
-        graph: d vehicles in c components.
-
-    Returns:
-        (d - c,) nonzero eigenvalues, ascending, (d, d - c) their eigenvectors, (d, c) the
-        orthonormal indicators of the components.
+    Returns (d - c,) nonzero eigenvalues, ascending, (d, d - c) their eigenvectors, and (d, c) the
+    orthonormal indicators of the components.
     """
     d = graph.ids.size
     labels = components(graph)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -67,20 +66,6 @@ class Spectrum:
         if self.note:
             parts.append(f"note: {self.note:.120}")
         return f"Spectrum({', '.join(parts)})"
-
-    def _repr_html_(self) -> str:
-        """A table of the first pairs, for notebooks."""
-        shown = 10
-        lines = "".join(
-            f"<tr><td>{i + 1}</td><td>{value:.6g}</td><td>{residual:.0e}</td></tr>"
-            for i, (value, residual) in enumerate(
-                zip(self.eigenvalues[:shown], self.residuals[:shown], strict=True)
-            )
-        )
-        if self.eigenvalues.size > shown:
-            lines += f"<tr><td colspan=3>and {self.eigenvalues.size - shown} more</td></tr>"
-        head = "<tr><th>pair</th><th>eigenvalue</th><th>residual</th></tr>"
-        return f"<table><caption>{html.escape(repr(self))}</caption>{head}{lines}</table>"
 
     def to_pandas(self) -> pd.DataFrame:
         """Table of the eigenvectors: a row per vehicle, a column per pair.

@@ -17,37 +17,18 @@ def laplacian_scale(graph: TrafficGraph) -> float:
 
     The largest eigenvalue is between the largest degree (x^T L x of that vertex) and twice that
     (Gershgorin).
-
-    Args:
-        graph: d vehicles.
     """
     return max(1.0, float(graph.values.max(initial=0.0)))  # entries off the diagonal are negative
 
 
 def pick(values: Floats, num_pairs: int, end: End) -> NDArray[np.intp]:
-    """Positions of the pairs asked for, in the order they are answered in.
-
-    Args:
-        values: (d,) eigenvalues in any order.
-        num_pairs: how many.
-        end: which end.
-
-    Returns:
-        (min(num_pairs, d),) positions.
-    """
+    """Positions (min(num_pairs, d),) of the pairs asked for, in the order of an end."""
     order = np.argsort(values, kind="stable")
     return (order[::-1] if end == "largest" else order)[:num_pairs]
 
 
 def components(graph: TrafficGraph) -> NDArray[np.int32]:
-    """Number of the connected component of every vehicle.
-
-    Args:
-        graph: d vehicles.
-
-    Returns:
-        (d,) from 0, in the order of each component's first row.
-    """
+    """Number (d,) of each vehicle's connected component, in the order of their first rows."""
     from scipy.sparse.csgraph import connected_components
 
     labels: NDArray[np.int32] = connected_components(graph.laplacian, directed=False)[1]
@@ -75,17 +56,10 @@ def null_space(graph: TrafficGraph) -> Floats:
 
 
 def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats, Floats]:
-    """All eigenpairs, ascending, or all but the null space.
+    """All (m,) eigenvalues, ascending, and (d, m) eigenvectors, but those of the null space.
 
-    The null space is set aside exactly: adding s N N^T, N the component indicators, moves it
-    from 0 to s above every other eigenvalue and touches nothing else.
-
-    Args:
-        graph: d vehicles in c components.
-        null: `null_space` of the graph, to leave it out.
-
-    Returns:
-        (m,) eigenvalues and (d, m) eigenvectors, m = d or d - c.
+    Adding s N N^T, N the given null space, moves its eigenvalue from 0 to s above every other one
+    and touches nothing else.
     """
     matrix = graph.laplacian.toarray()
     kept = graph.ids.size
@@ -97,16 +71,9 @@ def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats
 
 
 def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:
-    """Eigenvectors of an earlier answer with the rows of a later graph, by vehicle id.
+    """Columns over an earlier answer's vehicles with the rows of a later graph, by vehicle id.
 
-    Args:
-        previous: the earlier answer.
-        graph: d vehicles.
-        vectors: (c, m) other columns over the earlier answer's vehicles; its eigenvectors if
-            not given.
-
-    Returns:
-        (d, m) the columns; rows of new vehicles are 0.
+    They are the earlier eigenvectors unless given; rows of new vehicles are 0.
     """
     old = previous.eigenvectors if vectors is None else vectors
     rows = np.zeros((graph.ids.size, old.shape[1]))
@@ -118,17 +85,9 @@ def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None =
 def starting_block(
     graph: TrafficGraph, size: int, previous: Spectrum | None, outside: Floats | None
 ) -> Floats:
-    """Orthonormal columns to start an iteration from.
+    """Orthonormal columns (d, size) to start from, orthogonal to the columns ``outside``.
 
-    Args:
-        graph: d vehicles.
-        size: number of columns, at most d less the columns of ``outside``.
-        previous: earlier answer whose eigenvectors come first.
-        outside: (d, c) orthonormal columns the block must be orthogonal to.
-
-    Returns:
-        (d, size) the earlier eigenvectors by vehicle id, filled up with normal noise (of a fixed
-        seed: the same call gives the same block).
+    They are the earlier eigenvectors by vehicle id, filled up with noise of a fixed seed.
     """
     noise = np.random.default_rng(graph.ids.size).normal(size=(graph.ids.size, size))
     if previous is not None:

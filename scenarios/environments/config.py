@@ -76,8 +76,8 @@ class TrafficConfig(BaseModel):
     """How much drivers of one behaviour differ."""
 
     population: Annotated[dict[str, Any] | None, PlainValidator(_population_table)] = None
-    """Of which the drivers are drawn: the name of one that ships ("us101"), a TOML file, or what
-    such a file says; None for drivers around the profiles."""
+    """A shipped population's name ("us101"), a TOML file, or its parsed content; None for drivers
+    around the profiles."""
 
     net: str | None = None
     """A map to drive on instead (SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or

@@ -361,8 +361,7 @@ class TrafficEnv(EgoEnv):
         """Move everybody for one simulation step."""
         road = self.road
         self.demand.enter()
-        road.act()
-        road.step(self.dt)
+        road.advance(self.dt)
         if self._classify is not None:
             frame = read_frame(road)
             self.events += frame.events

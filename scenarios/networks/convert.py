@@ -205,8 +205,8 @@ def warnings_of(path: Path, left_hand: bool | None = None) -> tuple[str, ...]:
     if not has_program("netconvert"):
         return source.assumed
     file = _made_net(path, source, kind).with_name(WARNINGS)
-    told = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
-    return (*source.assumed, *told)
+    warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
+    return (*source.assumed, *warned)
 
 
 def _made_net(path: Path, source: Source, kind: str) -> Path:

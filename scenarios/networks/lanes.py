@@ -7,7 +7,6 @@ meet in one node; netconvert works out there who has to let whom go first.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Iterable
 from typing import Final
@@ -19,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
 from scenarios.networks.geometries import LIMIT_MPS, connection_rows, document
+from sim.geometry import pieces_of
 from sim.road import Lane, Road
 
 _Link = tuple[str, int, str, int, bool]
@@ -127,14 +127,11 @@ def _kept_apart(edges: dict[str, list[Lane]], side: float) -> dict[str, list[Lan
 
 def _sampled(line: np.ndarray) -> np.ndarray:
     """(k, 4) points of a line at most `SAMPLE_M` apart, and the direction at each."""
-    parts = []
-    for a, b in itertools.pairwise(line):
-        size = math.dist(a, b)
-        if size > 0:
-            share = np.linspace(0.0, 1.0, math.ceil(size / SAMPLE_M) + 1)[:, None]
-            along = np.broadcast_to((b - a) / size, (len(share), 2))
-            parts.append(np.hstack([a + share * (b - a), along]))
-    return np.concatenate([np.zeros((0, 4)), *parts])
+    parts = [np.zeros((0, 4))]
+    for start, direction, size, _ in zip(*pieces_of(line), strict=True):
+        along = np.linspace(0.0, size, math.ceil(size / SAMPLE_M) + 1)[:, None]
+        parts.append(np.hstack([start + along * direction, np.tile(direction, (len(along), 1))]))
+    return np.concatenate(parts)
 
 
 def _without(links: list[_Link], loops: set[str]) -> list[_Link]:
@@ -218,6 +215,6 @@ def _shape(line: np.ndarray) -> str:
     for point in line[1:]:
         if math.dist(point, kept[-1]) > 0.05:
             kept.append(point)
-    if len(kept) == 1 or sum(itertools.starmap(math.dist, itertools.pairwise(kept))) < 1e-6:
-        kept = [line[0], line[0] + np.array([LEAST_LENGTH_M, 0.0])]
+    if len(kept) == 1:
+        kept.append(line[0] + np.array([LEAST_LENGTH_M, 0.0]))
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in kept)

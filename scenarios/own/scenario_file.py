@@ -23,7 +23,7 @@ from scenarios.own.own_road import own_road
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import RouteFlow, Scenario
 
-SUFFIX: Final = ".toml"
+SCENARIO_SUFFIX: Final = ".toml"
 """How the names of scenario files end."""
 
 _Positive = Annotated[float, Field(gt=0)]
@@ -92,8 +92,8 @@ class ScenarioFile(BaseModel):
     """How much drivers of one behaviour differ, 0 to 1."""
 
     population: str | dict[str, Any] | None = None
-    """Of which drivers are drawn: the name of one that ships, a TOML file (a path from the file's
-    folder), or a table with what such a file says."""
+    """A shipped population's name, a TOML file (a path from the file's folder), or its content as a
+    table."""
 
     jaywalk_share: float | None = None
     """Share of pedestrians who cross on red and anywhere."""
@@ -176,9 +176,11 @@ def scenario_at(path: Path, registered: Mapping[str, ScenarioEntry]) -> Scenario
     Raises:
         InputError: if the file is missing or broken; the message names the key.
     """
-    if path.suffix != SUFFIX:
+    if path.suffix != SCENARIO_SUFFIX:
         if not path.is_file():
-            raise InputError(f"{path}: found no file, expected a map or a scenario ({SUFFIX})")
+            raise InputError(
+                f"{path}: found no file, expected a map or a scenario ({SCENARIO_SUFFIX})"
+            )
         return ScenarioEntry(name_of(path), functools.partial(own_road, net=path))
     read = read_scenario_file(path)
     try:

@@ -88,8 +88,7 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
     for index in range(1, scenario.steps + 1):
         for _ in range(steps):
             demand.enter()
-            road.act()
-            road.step(scenario.step_s / steps)
+            road.advance(scenario.step_s / steps)
         road.time_s = index * scenario.step_s  # no rounding adds up
         yield read_frame(road)
 

@@ -14,8 +14,9 @@ import numpy as np
 from sim.compiled import in_place
 from sim.frames import EventKind
 from sim.highway.crossings import walk
+from sim.highway.decide import act
 from sim.highway.driving import STANDING_MPS
-from sim.highway.scene import leg_at, next_stretch, onward, record
+from sim.highway.scene import leg_at, locate, next_stretch, onward, record
 from sim.highway.state import EVENT_KINDS, Scene
 from sim.highway.tables import project
 
@@ -36,6 +37,26 @@ STAYS: Final = 0
 ARRIVED: Final = 1
 CLEARED: Final = 2
 STUCK: Final = 3
+
+DONE: Final = 0
+SOMEBODY_GOES: Final = 1
+NO_ROOM: Final = 2
+ASTRAY: Final = 3
+
+
+@in_place()
+def advance(dt: float, scene: Scene) -> int:
+    """Let everybody decide and move for ``dt`` seconds.
+
+    Returns:
+        `DONE`, or `SOMEBODY_GOES`; nobody has moved at `NO_ROOM` for all entries of ``on``, or if
+        somebody is `ASTRAY`.
+    """
+    if not locate(scene):
+        return NO_ROOM
+    if act(scene) > 0:
+        return ASTRAY
+    return SOMEBODY_GOES if move(dt, scene) else DONE
 
 
 @in_place()

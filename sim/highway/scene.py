@@ -32,8 +32,8 @@ def record(kind: int, agent: int, scene: Scene) -> None:
     """Record an event."""
     now = scene.now[0]
     if now.events < scene.events.size:
-        scene.events[now.events].kind = kind
-        scene.events[now.events].agent = agent
+        event = scene.events[now.events]
+        event.kind, event.agent, event.time_s = kind, agent, now.time_s
         now.events += 1
 
 

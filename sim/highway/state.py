@@ -92,7 +92,7 @@ NOW: Final = record_type(
 """The time, and how many rows of each list are in use; ``astray``: how many drivers need another
 route; ``entries``: vehicles on lanes."""
 
-EVENT: Final = record_type(kind="i8", agent="i8")
+EVENT: Final = record_type(kind="i8", agent="i8", time_s="f8")
 """Something that a rule recorded, by the code of its `EventKind`."""
 
 ON: Final = record_type(row="i8", s="f8", along="f8")

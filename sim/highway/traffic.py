@@ -20,7 +20,16 @@ from sim.geometry import Outlines
 from sim.highway.decide import act, decide
 from sim.highway.driving import STOCK_DRIVER, Beside, profile_fields
 from sim.highway.lanes import LaneIndex
-from sim.highway.motion import ARRIVED, STAYS, STUCK, move
+from sim.highway.motion import (
+    ARRIVED,
+    ASTRAY,
+    NO_ROOM,
+    SOMEBODY_GOES,
+    STAYS,
+    STUCK,
+    advance,
+    move,
+)
 from sim.highway.network import HighwayNetwork
 from sim.highway.reroute import find_way
 from sim.highway.scene import beside, locate, read_motion, room_at_entry
@@ -140,7 +149,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     @time_s.setter
     def time_s(self, time_s: float) -> None:
-        self._now["time_s"] = time_s
+        self._now["time_s"][0] = time_s
 
     # Who is there ----------------------------------------------------------------------------
 
@@ -272,6 +281,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
         plans, now_s = self.network_info.road.signal_plans, self.time_s
+        if not plans:
+            return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
             plan = plans[number]
             states, lasts_s = plan.phase_at(now_s)
@@ -288,12 +299,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _note(self, kind: EventKind, agent: int, other: int | None = None, rule: str = "") -> None:
         self.events.append(Event(kind, self.time_s, agent, other, rule))
-
-    def _read_events(self, scene: Scene) -> None:
-        """Keep the events that kernels recorded."""
-        for kind, agent in scene.events[: int(self._now["events"][0])].tolist():
-            self._note(EVENT_KINDS[kind], agent)
-        self._now["events"] = 0
 
     # Places ----------------------------------------------------------------------------------
 
@@ -347,33 +352,56 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     # A step ----------------------------------------------------------------------------------
 
+    def advance(self, dt: float) -> None:
+        """Let everybody decide and move for ``dt`` seconds; the same as `act` and `step`."""
+        if self._others:
+            self.act()
+            return self.step(dt)
+        code = advance(dt, self.scene())
+        if code == NO_ROOM:
+            self._scene = self._work = None
+            return self.advance(dt)
+        if code == ASTRAY:
+            self._reroute()
+            return self.step(dt)
+        return self._end_step(code == SOMEBODY_GOES)
+
     def act(self) -> None:
         """Let everybody decide."""
         self._read_others()
         self.locate()
-        scene = self.scene()
-        astray = act(scene)
-        self._read_events(scene)
-        if astray:
-            for row in np.flatnonzero(scene.vehicles["astray"]).tolist():
-                driver, lane = self.vehicles[row], int(scene.vehicles["lane"][row])
-                route = find_way(self.tables, lane, driver.stretches[-1])
-                if route is not None:
-                    driver.stretches = (driver.lane_index[:2], *route)
-            decide(self.scene())
+        if act(self.scene()):
+            self._reroute()
         for _, vehicle in self._others:
             vehicle.act()
+
+    def _reroute(self) -> None:
+        """Find other routes for those who need one, and let everybody decide."""
+        rows = self._cars.rows
+        for row in np.flatnonzero(rows["astray"]).tolist():
+            driver = self.vehicles[row]
+            route = find_way(self.tables, int(rows["lane"][row]), driver.stretches[-1])
+            if route is not None:
+                driver.stretches = (driver.lane_index[:2], *route)
+        decide(self.scene())
 
     def step(self, dt: float) -> None:
         """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
         for _, vehicle in self._others:
             vehicle.step(dt)
         self._read_others()
+        self._end_step(move(dt, self.scene()))
+
+    def _end_step(self, somebody_goes: bool) -> None:
+        """Show signals, record what happened and remove who goes, after everybody has moved."""
         scene = self.scene()
-        somebody_goes = move(dt, scene)
         self.update_signals()
-        self._collide(scene)
-        self._read_events(scene)
+        if self._now["pairs"][0] or self._touching:
+            self._collide(scene)
+        if self._now["events"][0]:
+            for kind, agent, time_s in scene.events[: int(self._now["events"][0])].tolist():
+                self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
+            self._now["events"] = 0
         if somebody_goes:
             self._clear(scene)
 

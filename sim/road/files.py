@@ -17,7 +17,7 @@ MAP_SUFFIX: Final = ".json"
 ENDINGS: Final = (".road.json", MAP_SUFFIX, ".net.xml")
 """Endings of the roads that a dataset keeps, in the order in which they are looked for."""
 
-HEAD_BYTES: Final = 4096
+ROOT_BYTES: Final = 4096
 """How much of an XML file is looked at to tell its root element."""
 
 
@@ -76,6 +76,6 @@ def _is_commonroad(path: Path) -> bool:
     """Whether an XML file's root element is CommonRoad's."""
     try:
         with opened(path) as file:
-            return b"<commonRoad" in file.read(HEAD_BYTES)
+            return b"<commonRoad" in file.read(ROOT_BYTES)
     except (OSError, EOFError, InputError, zlib.error):
         return False  # whoever reads it says why

@@ -138,12 +138,13 @@ def _search(
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
     """(m, K) who is next from each of K lanes, ahead, behind, ahead and so on, and the gaps, m."""
     who, gap = np.full(begin.shape, -1), np.full(begin.shape, np.inf)
-    time = np.repeat(np.arange(begins.size - 1), np.diff(begins))
-    rows = by_time[np.lexsort((s[by_time], lane[by_time], time))]
-    lanes = lane[rows]
-    nowhere = np.bincount(time[lanes < 0], minlength=begins.size - 1)  # lane -1 is sorted first
+    lanes, at = lane[by_time], s[by_time]
+    if begins.size > 2:
+        lanes += np.repeat(np.arange(begins.size - 1) * (graph.length.size + 1), np.diff(begins))
+    order = np.lexsort((at, lanes))
+    rows = by_time[order]
     _find_neighbors(
-        rows, lanes, s[rows], begins[:-1] + nowhere, begins, s, length, begin,
+        rows, lane[rows], at[order], begins, s, length, begin,
         (graph.length, graph.ahead, graph.behind), who, gap,
     )  # fmt: skip
     return who, gap
@@ -239,20 +240,20 @@ def next_vehicle(
 
 @in_place()
 def _find_neighbors(
-    rows: Any, lanes: Any, at: Any, first: Any, begins: Any, s: Any, length: Any, begin: Any,
-    road: Any, who: Any, gap: Any,
+    rows: Any, lanes: Any, at: Any, begins: Any, s: Any, length: Any, begin: Any, road: Any,
+    who: Any, gap: Any,
 ) -> None:  # fmt: skip
     """Find who is next along K ways, among rows in order of time, lane and place."""
     lane_length, ahead, behind = road
     _, ways = begin.shape
-    for t in range(first.size):
+    for t in range(begins.size - 1):
         for q in range(begins[t], begins[t + 1]):
             i = rows[q]
             for k in range(ways):
                 forward = k % 2 == 0
                 onward = ahead if forward else behind
                 j, far = next_vehicle(
-                    lanes, at, first[t], begins[t + 1], begin[i, k], s[i], forward, lane_length,
+                    lanes, at, begins[t], begins[t + 1], begin[i, k], s[i], forward, lane_length,
                     onward,
                 )  # fmt: skip
                 if j >= 0:

@@ -79,7 +79,7 @@ def run_with(
     settings: SumoSettings,
     alternatives: Sequence[AgentSpec] = (),
 ) -> Generator[Frame, AgentSpec | Command | None]:
-    """Drive a scenario in SUMO with another law, lane discipline or step than `run` has.
+    """As `run`, with another law, lane discipline or step, and with drivers that change.
 
     Args:
         scenario: as in `run`.
@@ -89,11 +89,7 @@ def run_with(
         alternatives: drivers as they may become. One of them sent to the generator replaces the
             driver of the same id before the next step, and a `Command` makes its driver act.
 
-    Yields:
-        Frames as in `run`.
-
     Raises:
-        SumoError: as in `run`.
         InputError: as in `run`, and if a driver that is to change cannot.
     """
     _check(scenario, agents, seed)
@@ -160,18 +156,7 @@ def step_bare(
     steer: bool = False,
     read: bool = False,
 ) -> None:
-    """Drive a scenario without controllers and frames: the least that `run` can cost.
-
-    Args:
-        scenario: as in `run`.
-        agents: as in `run`.
-        seed: as in `run`.
-        steer: whether controllers act, which changes the traffic.
-        read: whether frames are read.
-
-    Raises:
-        SumoError: as in `run`.
-    """
+    """As `run`, without controllers and frames unless asked for: the least that `run` can cost."""
     _check(scenario, agents, seed)
     for _ in _steps(scenario, agents, seed, DEFAULT_SETTINGS, (), steer=steer, read=read):
         pass

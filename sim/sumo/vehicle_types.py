@@ -33,24 +33,24 @@ VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
 """SUMO's class of each kind."""
 
 
-def driver_attributes(profile: Profile) -> dict[str, str]:
+def driver_attributes(profile: Profile) -> dict[str, float]:
     """The vType attributes that a driver's profile sets, by name."""
     return {
-        "speedFactor": _number(profile.speed_factor),
-        "speedDev": "0",
-        "tau": _number(profile.time_headway_s),
-        "minGap": _number(profile.min_gap_m),
-        "accel": _number(profile.max_accel_mps2),
-        "decel": _number(profile.comfort_decel_mps2),
-        "startupDelay": _number(profile.startup_delay_s),
-        "impatience": _number(profile.insistence),
-        "lcCooperative": _number(min(profile.politeness, 1.0)),
-        "lcSpeedGain": _number(profile.lane_change_gain),
-        "lcSpeedGainRemainTime": _number(profile.lane_change_patience_s),
-        "lcAssertive": _number(profile.lane_change_assertiveness),
-        "jmTimegapMinor": _number(profile.gap_acceptance_s),
-        "jmCrossingGap": _number(profile.crossing_gap_s),
-        "jmDriveAfterYellowTime": _number(profile.yellow_run_s),
+        "speedFactor": profile.speed_factor,
+        "speedDev": 0.0,
+        "tau": profile.time_headway_s,
+        "minGap": profile.min_gap_m,
+        "accel": profile.max_accel_mps2,
+        "decel": profile.comfort_decel_mps2,
+        "startupDelay": profile.startup_delay_s,
+        "impatience": profile.insistence,
+        "lcCooperative": min(profile.politeness, 1.0),
+        "lcSpeedGain": profile.lane_change_gain,
+        "lcSpeedGainRemainTime": profile.lane_change_patience_s,
+        "lcAssertive": profile.lane_change_assertiveness,
+        "jmTimegapMinor": profile.gap_acceptance_s,
+        "jmCrossingGap": profile.crossing_gap_s,
+        "jmDriveAfterYellowTime": profile.yellow_run_s,
     }
 
 
@@ -67,41 +67,30 @@ def vehicle_type(
     Raises:
         InputError: if a driver has no profile.
     """
-    common = {
-        "id": str(agent.id) if name is None else name,
-        "vClass": VEHICLE_CLASS[agent.kind],
-        "length": _number(agent.length_m),
-        "width": _number(agent.width_m),
-    }
+    words = {"id": str(agent.id) if name is None else name, "vClass": VEHICLE_CLASS[agent.kind]}
+    numbers = {"length": agent.length_m, "width": agent.width_m}
+    limits, profile = KIND_LIMITS[agent.kind], agent.profile
     if agent.kind is AgentKind.PEDESTRIAN:
-        walking = {"maxSpeed": _number(agent.speed_mps), "speedFactor": "1", "speedDev": "0"}
+        numbers |= {"maxSpeed": agent.speed_mps, "speedFactor": 1.0, "speedDev": 0.0}
         if agent.jaywalks:
-            walking["jmDriveAfterRedTime"] = "1000"
-        return common | walking
-    if agent.profile is None:
+            numbers["jmDriveAfterRedTime"] = 1000.0
+    elif profile is None:
         raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
-    limits = KIND_LIMITS[agent.kind]
-    cruise = (
-        {} if math.isinf(limits.cruise_mps) else {"desiredMaxSpeed": _number(limits.cruise_mps)}
-    )
-    return (
-        common
-        | cruise
-        | {
-            "maxSpeed": _number(limits.max_speed_mps),
-            "carFollowModel": settings.law,
-            "laneChangeModel": "LC2013",
-            "sigma": _number(settings.imperfection),
-            "emergencyDecel": _number(
-                max(limits.emergency_decel_mps2, agent.profile.comfort_decel_mps2)
-            ),
-            "lcKeepRight": _number(settings.keep_right),
-            "lcOpposite": "0",
-            "lcMaxSpeedLatStanding": "0",
+    else:
+        words |= {"carFollowModel": settings.law, "laneChangeModel": "LC2013"}
+        if math.isfinite(limits.cruise_mps):
+            numbers["desiredMaxSpeed"] = limits.cruise_mps
+        numbers |= {
+            "maxSpeed": limits.max_speed_mps,
+            "sigma": settings.imperfection,
+            "emergencyDecel": max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
+            "lcKeepRight": settings.keep_right,
+            "lcOpposite": 0.0,
+            "lcMaxSpeedLatStanding": 0.0,
+            **driver_attributes(profile),
+            **law_attributes(settings.law, profile),
         }
-        | driver_attributes(agent.profile)
-        | {n: _number(v) for n, v in law_attributes(settings.law, agent.profile).items()}
-    )
+    return words | {attribute: f"{value:.6g}" for attribute, value in numbers.items()}
 
 
 def route_file(
@@ -144,10 +133,6 @@ def route_file(
                 f'departLane="best" departSpeed="max"><route edges={edges}/></vehicle>'
             )
     yield "</routes>"
-
-
-def _number(value: float) -> str:
-    return f"{value:.6g}"
 
 
 def _attributes(values: dict[str, str]) -> str:

@@ -12,7 +12,7 @@ from sklearn.metrics import cohen_kappa_score
 from behaviors.labelling import style_of
 from behaviors.labels import Behavior, Trait
 from experiments.benchmarks.real_data import measure, read_traf
-from graphrqi.features.unit_free import NAMES, unit_free_features
+from experiments.benchmarks.unit_free import NAMES, unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo import remove_ego_motion
 from sim.formats.traf_sheets import labels, read_sheet, sheets_of

@@ -9,6 +9,7 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from experiments.benchmarks import recorded_beliefs
 from experiments.benchmarks.recorded_prediction import measure
 from experiments.training.recorded import (
     MIRROR,
@@ -137,3 +138,19 @@ def test_the_bench_leaves_each_dataset_out(data):
     assert {row["class"] for row in ratios} <= {"moving", *CLASSES}
     with pytest.raises(InputError, match="leave_out"):
         next(measure(data, "nobody", 1, 0))
+
+
+def test_beliefs_about_recorded_drivers_are_compared_between_their_halves(data):
+    rows = next(recorded_beliefs.measure(data / "ngsim_us101", jobs=1))
+    metrics = {row["metric"]: row["value"] for row in rows}
+    assert 0.0 <= metrics["share_unknown"] <= 1.0
+    assert {row["protocol"] for row in rows} == {"recorded"}
+
+
+def test_long_tracks_are_halved():
+    tracks = traffic()
+    cut, rows, middle = recorded_beliefs.cut_in_half(tracks)
+    assert cut.ids.size == tracks.ids.size + rows.size
+    seen = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1]))
+    assert not (cut.valid[seen[0]] & cut.valid[seen[1]]).any()
+    assert (cut.valid[seen[1]].argmax(axis=1) >= middle).all()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.training.classifier import train_on
+from graphrqi.model_files import load_model
 from graphrqi.stream import load_stream
 
 
@@ -22,6 +22,5 @@ def dataset(folder: Path, duration_s: float) -> Path:
 def test_short_test_episodes_are_scored(tmp_path: Path) -> None:
     data = dataset(tmp_path / "data", 8.0)
     train_on([data], "majority", tmp_path / "model", quiet=True, jobs=1)
-    card = json.loads((tmp_path / "model" / "model.json").read_text())["card"]
-    assert card["scores"]
+    assert load_model(tmp_path / "model").card["scores"]
     load_stream(tmp_path / "model")

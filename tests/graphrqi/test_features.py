@@ -8,31 +8,37 @@ import numpy as np
 import pytest
 
 from graphrqi.features import following_law
-from graphrqi.features.driving import DrivingObserver
-from graphrqi.features.free_flow import FreeFlowSpeed
+from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.interaction import NOMINAL_LENGTH_M, differences, interactions
-from graphrqi.features.kinematics import FORGET_S, MotionEstimator
-from graphrqi.features.spectral import invariant, whole_eigenspaces
-from graphrqi.features.spectrum_observers import (
+from graphrqi.features.motion import FORGET_S, RawMotion
+from graphrqi.features.scene import FreeFlowSpeed
+from graphrqi.features.spectral import (
     EigenvectorObserver,
     NullObserver,
     SpectrumObserver,
+    invariant,
+    whole_eigenspaces,
 )
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph
 
-OBSERVERS = [NullObserver, EigenvectorObserver, SpectrumObserver, DrivingObserver]
+
+def driving(solver: str = "graphrqi") -> DriverObserver:
+    return DriverObserver("raw", solver)
+
+
+OBSERVERS = [NullObserver, EigenvectorObserver, SpectrumObserver, driving]
 
 
 def drive(estimator, times, path):
     """Feed one agent's path; return its last motion."""
     for t in times:
-        motion = estimator.update(float(t), np.array([4]), np.array([path(t)]))
+        motion = estimator.update(float(t), np.array([4]), np.array([path(t)]), np.array([True]))
     return motion
 
 
 def test_motion_of_uniform_acceleration():
-    motion = drive(MotionEstimator(), np.arange(31) / 10, lambda t: (5 * t + t * t, 0.0))
+    motion = drive(RawMotion(), np.arange(31) / 10, lambda t: (5 * t + t * t, 0.0))
     # differences over 0.4 s lag by 0.2 s (velocity) and see the true acceleration
     assert motion.speed[0] == pytest.approx(5 + 2 * (3.0 - 0.2))
     assert motion.acceleration[0] == pytest.approx(2.0)
@@ -45,7 +51,7 @@ def test_sideways_is_positive_to_the_left():
         def path(t):
             return (10 * t, 0.0 if t < 3 else side * 2.0 * (t - 3))
 
-        return drive(MotionEstimator(), np.arange(41) / 10, path).sideways[0]
+        return drive(RawMotion(), np.arange(41) / 10, path).sideways[0]
 
     assert moved_over(1) == pytest.approx(-moved_over(-1))
     assert 0.7 < moved_over(1) < 2.0  # less than 2 m: the direction has turned a little too
@@ -53,24 +59,24 @@ def test_sideways_is_positive_to_the_left():
 
 def test_motion_bridges_missing_frames():
     times = [t / 10 for t in range(31) if t not in (25, 27)]
-    assert drive(MotionEstimator(), times, lambda t: (5 * t, 0.0)).speed[0] == pytest.approx(5.0)
+    assert drive(RawMotion(), times, lambda t: (5 * t, 0.0)).speed[0] == pytest.approx(5.0)
 
 
 def test_motion_is_unknown_at_first_sight_and_after_a_long_absence():
-    estimator = MotionEstimator()
+    estimator = RawMotion()
     assert np.isnan(drive(estimator, [0.0], lambda t: (t, 0.0)).speed[0])
     for t in np.arange(0.1, FORGET_S + 1.0, 0.1):
-        estimator.update(float(t), np.array([9]), np.array([[0.0, 0.0]]))
-    again = estimator.update(FORGET_S + 1.0, np.array([4, 9]), np.zeros((2, 2)))
+        estimator.update(float(t), np.array([9]), np.array([[0.0, 0.0]]), np.array([True]))
+    again = estimator.update(FORGET_S + 1.0, np.array([4, 9]), np.zeros((2, 2)), np.ones(2, bool))
     assert np.isnan(again.speed[0])
 
 
 def scene(positions, velocity=(10.0, 0.0), steps=30):
     """Vehicles in rigid motion for three seconds; their motion at the end."""
-    estimator = MotionEstimator()
+    estimator = RawMotion()
     for t in range(steps + 1):
         xy = np.asarray(positions, float) + np.asarray(velocity) * t / 10
-        motion = estimator.update(t / 10, np.arange(len(xy)), xy)
+        motion = estimator.update(t / 10, np.arange(len(xy)), xy, np.ones(len(xy), bool))
     return motion
 
 
@@ -109,9 +115,10 @@ def test_pedestrians_are_seen_but_are_no_leaders():
 
 
 def test_oncoming_traffic_is_no_leader():
-    estimator = MotionEstimator()
+    estimator = RawMotion()
     for t in range(31):
-        motion = estimator.update(t / 10, np.arange(2), np.array([[t, 0.0], [100.0 - t, 0.0]]))
+        xy = np.array([[t, 0.0], [100.0 - t, 0.0]])
+        motion = estimator.update(t / 10, np.arange(2), xy, np.ones(2, bool))
     assert interactions(motion, np.ones(2, bool), complete(2)).leader.tolist() == [-1, -1]
 
 
@@ -189,7 +196,7 @@ def test_following_law_is_recovered_from_braking_too():
 
 def test_a_start_in_a_queue_shows_lag_gap_and_pull():
     """The leader starts after 4 s with 2 m/s2, the follower 1.5 s later with 1.2 m/s2."""
-    watching = DrivingObserver("eigh")
+    watching = driving("eigh")
 
     def place(t, begins, pull):
         return 0.5 * pull * max(t - begins, 0.0) ** 2
@@ -216,7 +223,7 @@ def test_a_start_in_a_queue_shows_lag_gap_and_pull():
 
 def test_braking_to_a_stop_shows_how_long_it_takes():
     """From 12 m/s with 3 m/s2: four seconds at first, then ever fewer."""
-    watching = DrivingObserver("eigh")
+    watching = driving("eigh")
     for step in range(70):
         t = step / 10
         after = np.clip(t - 3.0, 0.0, 4.0)
@@ -262,7 +269,7 @@ def test_observers_describe_drivers_only_with_finite_named_features(observer):
     assert seen.seconds == pytest.approx(np.full(11, 11.9))
 
 
-@pytest.mark.parametrize("observer", [SpectrumObserver, DrivingObserver])
+@pytest.mark.parametrize("observer", [SpectrumObserver, driving])
 def test_evidence_does_not_depend_on_who_is_called_what(observer):
     first, second = observer("eigh"), observer("eigh")
     order = np.random.default_rng(2).permutation(12)

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from graphrqi.features.baseline import BaselineObserver
 from graphrqi.features.embedding import EmbeddingObserver, LaplacianPairs
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.methods import METHODS, Model, train
@@ -89,16 +88,20 @@ def test_every_driver_gets_a_distribution(trained):
 def test_saved_and_loaded_answer_alike(trained, tmp_path):
     save_model(trained, tmp_path / "model")
     again = load_model(tmp_path / "model")
-    observer = trained.observer()
+    observer = trained.method.observer("eigh")
     for frame in platoons(8, seconds=3.0).frames():
         observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
     seen = observer.observation()
     features = observer.features(seen.seconds, seen.sums, seen.instant)
     assert features.shape == (18, len(observer.feature_names))
-    np.testing.assert_array_equal(again.posterior(features), trained.posterior(features))
+    np.testing.assert_array_equal(
+        again.classifier.posterior(features), trained.classifier.posterior(features)
+    )
 
 
-@pytest.mark.parametrize("observer", [BaselineObserver, TrajectoryObserver, EmbeddingObserver])
+@pytest.mark.parametrize(
+    "observer", [METHODS["forest"].observer, TrajectoryObserver, EmbeddingObserver]
+)
 def test_order_of_the_agents_does_not_matter(observer):
     tracks = platoons(9, seconds=5.0)
     order = np.random.default_rng(0).permutation(tracks.ids.size)

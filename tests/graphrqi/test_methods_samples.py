@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from graphrqi.features.spectrum_observers import NullObserver
+from graphrqi.features.spectral import NullObserver
 from graphrqi.samples import collect
 from sim.frames import Tracks
 

@@ -5,27 +5,22 @@ import dataclasses
 import numpy as np
 import pytest
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.adaptation import Adaptation, from_agreement, from_labels
+from graphrqi.features.drivers import SCENE_NAMES
 from graphrqi.features.observer import Observation
-from graphrqi.features.relative.observer import (
-    SCENE_NAMES,
-    RelativeObserver,
-)
-from graphrqi.methods import Model
 from graphrqi.model_files import load_model, save_model
-from graphrqi.other_traffic import TRAFFIC
-from graphrqi.other_traffic_training import OTHER, train_other_traffic
+from graphrqi.places.adaptation import Adaptation, from_labels
+from graphrqi.places.other_traffic import FEATURES, TRAFFIC
+from graphrqi.places.training import OTHER, NetworkOptions, train_other_traffic
 from graphrqi.samples import Samples
 
-F = len(RelativeObserver.feature_names)
+F = len(FEATURES)
 SCENE = slice(-1 - len(SCENE_NAMES), -1)
-HEADWAY = SCENE.start + SCENE_NAMES.index("mean headway")
-SECONDS = SCENE.start + SCENE_NAMES.index("seconds")
+HEADWAY = FEATURES.index("scene: mean headway")
+SECONDS = FEATURES.index("scene: seconds")
 DRIVERS = 4
 """Drivers of one place."""
-SMALL = {"members": 1, "own": 24, "shown": 8, "joint": 16, "dropout": 0.3, "passes": 40}
+SMALL = NetworkOptions(members=1, own=24, shown=8, joint=16, dropout=0.3, passes=40)
 
 
 def made(n: int, part: int, seed: int) -> Samples:
@@ -50,36 +45,41 @@ def other():
     return train_other_traffic(training, np.arange(3, dtype=np.int8).repeat(1200), options=SMALL)
 
 
-@pytest.mark.parametrize(("traffic", "part"), [("simulated", 1), ("other", 2), ("recorded", 2)])
+def answers(other, features, traffic, seconds=20.0):
+    """(n, 6) answers about drivers who are seen together."""
+    n = len(features)
+    seen = Observation(np.arange(n), np.full(n, seconds), np.zeros((n, 0)), np.zeros((n, 0)))
+    answer = other.among(features, traffic, seen, 0.0, other.empty_place(traffic))
+    assert np.allclose(answer.sum(axis=1), 1.0)
+    return answer
+
+
+def in_one_scene(samples):
+    """Features of drivers of the first one's scene."""
+    features = samples.features.astype(float)
+    features[:, SCENE] = features[0, SCENE]
+    return features
+
+
+@pytest.mark.parametrize(("traffic", "part"), [("simulated", 1), ("other", 2)])
 def test_each_kind_of_traffic_is_answered(other, traffic, part):
     drivers = made(200, part, 6)
-    answer = other.alone(drivers.features.astype(float), traffic)
-    assert np.allclose(answer.sum(axis=1), 1.0)
+    answer = answers(other, in_one_scene(drivers), traffic)
     assert (answer.argmax(axis=1) == drivers.codes).mean() > 0.6
 
 
 @pytest.mark.parametrize("traffic", TRAFFIC)
 def test_far_outside_the_training_nothing_is_known(other, traffic):
-    far = made(50, OTHER, 7).features.astype(float)
+    far = in_one_scene(made(50, OTHER, 7))
     far[:, SCENE] += 100.0
-    assert np.allclose(other.alone(far, traffic), 1.0 / len(BEHAVIORS))
+    assert np.allclose(answers(other, far, traffic), 1.0 / len(BEHAVIORS))
 
 
 @pytest.mark.parametrize(("seconds", "known"), [(0.8, 0.0), (1.5, 0.5), (2.0, 1.0)])
 def test_a_scene_is_watched_for_two_seconds_before_an_answer_counts(other, seconds, known):
-    features = made(50, OTHER, 7).features.astype(float)
+    features = in_one_scene(made(50, OTHER, 7))
     features[:, SECONDS] = np.log1p(seconds)
-    answer = other.alone(features, "other")
-    assert answer.max() <= known + (1.0 - known) / 6.0 + 1e-9
-
-
-def among(other, features, traffic, seconds=20.0):
-    """(n,) probability of the aggressive style of drivers who are seen together."""
-    n = len(features)
-    seen = Observation(np.arange(n), np.full(n, seconds), np.zeros((n, 0)), np.zeros((n, 0)))
-    answer = other.among(features, traffic, seen, 0.0, other.empty_place(traffic))
-    assert np.allclose(answer.sum(axis=1), 1.0)
-    return answer[:, :3].sum(axis=1)
+    assert answers(other, features, "other").max() <= known + (1.0 - known) / 6.0 + 1e-9
 
 
 def test_one_style_alone_is_labelled_in_a_simulation_and_not_in_a_recording(other):
@@ -87,8 +87,9 @@ def test_one_style_alone_is_labelled_in_a_simulation_and_not_in_a_recording(othe
     drivers = made(400, OTHER, 12)
     one_sided = drivers.features.astype(float)[drivers.codes < 3]
     one_sided[:, SCENE] = one_sided[0, SCENE]
-    simulated = among(other, one_sided, "other")
-    recorded = among(other, one_sided, "recorded")
+    simulated, recorded = (
+        answers(other, one_sided, traffic)[:, :3].sum(axis=1) for traffic in ("other", "recorded")
+    )
     assert (simulated > 0.5).mean() > 0.8
     assert 0.1 < (recorded[np.abs(recorded - 0.5) > 0.3] > 0.5).mean() < 0.75
 
@@ -97,12 +98,13 @@ def test_a_saved_model_answers_as_before(other, tmp_path):
     shipped = load_model("graphrqi-plus")
     model = dataclasses.replace(shipped, other=other, adaptation=Adaptation(0.5, np.arange(6.0)))
     save_model(model, tmp_path / "model")
-    again: Model = load_model(tmp_path / "model")
+    again = load_model(tmp_path / "model")
     assert again.adaptation is not None
-    features = made(400, OTHER, 10).features.astype(float)
-    for traffic in ("recorded", "other"):
-        before = model.posterior(features, traffic)
-        assert np.allclose(again.posterior(features, traffic), before, atol=1e-6)
+    assert again.adaptation.offset.tolist() == list(range(6))
+    features = in_one_scene(made(100, OTHER, 10))
+    for traffic in TRAFFIC:
+        before = answers(other, features, traffic)
+        assert np.allclose(answers(again.other, features, traffic), before, atol=1e-6)
 
 
 def test_labels_move_an_offset_and_keep_the_order():
@@ -122,15 +124,3 @@ def test_labels_move_an_offset_and_keep_the_order():
     assert before < 0.5
     assert ((moved > 0.5) == aggressive[30:]).mean() > 0.8
     assert (np.argsort(moved) == np.argsort(answer[30:, :3].sum(axis=1))).all()
-
-
-def test_answers_that_disagree_become_less_certain():
-    rng = np.random.default_rng(0)
-    sure = np.where(rng.random((300, 1)) < 0.5, 0.97, 0.03)
-    other = np.where(rng.random((300, 1)) < 0.5, 0.97, 0.03)
-    spread = [np.concatenate([np.repeat(p / 3, 3, 1), np.repeat((1 - p) / 3, 3, 1)], 1)
-              for p in (sure, other)]  # fmt: skip
-    assert from_agreement(spread[0], spread[1]).scale < 0.3
-    assert from_agreement(spread[0], spread[0]).scale >= 1.0
-    with pytest.raises(InputError, match="expected at least 10"):
-        from_agreement(spread[0][:3], spread[1][:3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from graphrqi.portable_torch import adamw, one_thread, root
+from graphrqi.networks.portable_torch import adamw, one_thread, root
 
 
 def test_roots_are_those_of_numpy_but_for_the_last_bit() -> None:

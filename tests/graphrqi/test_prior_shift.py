@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphrqi.prior_shift import PRIOR_DRIVERS, PriorShift
+from graphrqi.places.prior_shift import PRIOR_DRIVERS, PriorShift
 
 EQUAL = np.full(3, 1.0 / 3.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import subprocess
 import sys
@@ -10,10 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 
 from behaviors.errors import InputError
+from graphrqi.features.drivers import DriverObserver
+from graphrqi.features.smooth_motion import EVERY_S
+from graphrqi.features.spectral import NullObserver, SpectrumObserver
 from graphrqi.methods import train
-from graphrqi.model_files import load_model, save_model
+from graphrqi.model_files import FILE, load_model, save_model
 from graphrqi.posterior import Posterior
 from graphrqi.samples import collect
 from graphrqi.stream import BehaviorStream, load_stream
@@ -33,16 +39,12 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def model(tracks):
-    from graphrqi.features.driving import DrivingObserver
-
-    samples = collect(tracks, DrivingObserver("eigh"), every_s=10.0, per_moment=1)
+    samples = collect(tracks, DriverObserver("raw", "eigh"), every_s=10.0, per_moment=1)
     return train("graphrqi-plus", samples, solver="eigh")
 
 
 def test_a_window_is_the_difference_of_two_moments(tracks):
     """What is cut out of a long observation equals what a fresh observer sees in it."""
-    from graphrqi.features.spectrum_observers import SpectrumObserver
-
     whole = collect(tracks, SpectrumObserver("eigh"), windows_s=(float("inf"),), every_s=10.0)
     young = whole.where((whole.seconds > 9.95) & (whole.seconds < 10.05))
     cut = collect(tracks, SpectrumObserver("eigh"), windows_s=(10.0,), every_s=10.0)
@@ -53,8 +55,6 @@ def test_a_window_is_the_difference_of_two_moments(tracks):
 
 
 def test_samples_are_of_labelled_drivers_only(tracks):
-    from graphrqi.features.spectrum_observers import NullObserver
-
     samples = collect(tracks, NullObserver(), windows_s=(5.0,))
     driving = set(tracks.ids[tracks.behavior >= 0].tolist())
     assert set(samples.agent.tolist()) <= driving
@@ -144,13 +144,13 @@ def test_beliefs_do_not_depend_on_when_they_are_asked_for(tracks, model):
 def test_beliefs_are_the_models_under_the_mix_of_the_scene(tracks):
     """Every driver's odds against the model's own answer are shifted alike."""
     model = load_model("graphrqi-plus")
-    stream, observer = BehaviorStream(model), model.observer()
+    stream, observer = BehaviorStream(model), DriverObserver()
     for frame in tracks.window(250, 250).frames():
         posterior = stream.update(frame)
         observer.update(frame.time_s, frame.ids, frame.xy, frame.driving)
     seen = observer.observation()
     ready = seen.seconds >= 1.0 - 1e-6
-    alone = model.posterior(observer.features(*(x[ready] for x in (
+    alone = model.classifier.posterior(observer.features(*(x[ready] for x in (
         seen.seconds, seen.sums, seen.instant))))  # fmt: skip
     ratio = np.log(posterior.probability / alone)
     shift = ratio - ratio[:, :1]
@@ -172,12 +172,14 @@ def test_model_on_disk_is_the_model(tmp_path, tracks, model):
         a, b = first.update(frame), again.update(frame)
     assert np.array_equal(a.probability, b.probability)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["model"]
-    assert {p.suffix for p in (tmp_path / "model").iterdir()} == {".json", ".safetensors"}
+    assert [p.name for p in (tmp_path / "model").iterdir()] == [FILE]
 
 
 def broken(folder: Path, **changes) -> Path:
-    file = json.loads((folder / "model.json").read_text())
-    (folder / "model.json").write_text(json.dumps(file | changes))
+    with safe_open(folder / FILE, "np") as file:
+        about = json.loads(file.metadata()["about"])
+    arrays = load_file(folder / FILE)
+    save_file(arrays, folder / FILE, {"about": json.dumps(about | changes)})
     return folder
 
 
@@ -212,3 +214,38 @@ def test_importing_the_stream_loads_nothing_heavy():
     code = f"import graphrqi.stream, sys; print([m for m in {heavy!r} if m in sys.modules])"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert said.stdout.strip() == "[]"
+
+
+def platoon(time_s: float, noise_m: float, rng: np.random.Generator) -> Frame:
+    """Eight cars behind one another at 12 to 15 m/s."""
+    n, ones = np.arange(8), np.ones(8)
+    xy = np.stack([40.0 * n + (12.0 + 3.0 * n / 7.0) * time_s, np.zeros(8)], axis=1)
+    xy = xy + noise_m * rng.normal(0.0, 1.0, xy.shape)
+    return Frame(time_s, n, xy, 0 * ones, 12 * ones, 4.5 * ones, 1.8 * ones, np.zeros(8, np.int8))
+
+
+@pytest.mark.parametrize("traffic", ["recorded", "other"])
+def test_answers_of_networks_are_kept_between_measurements(traffic):
+    stream, rng, found = load_stream(traffic=traffic), np.random.default_rng(0), []
+    for step in range(60):
+        posterior = stream.update(platoon(0.1 * step, 0.0, rng))
+        if step >= 20:
+            assert posterior.ids.tolist() == list(range(8))
+            assert posterior.domain == 1.0
+            found.append(posterior.probability)
+    changes = [not np.array_equal(a, b) for a, b in itertools.pairwise(found)]
+    assert 0 < sum(changes) <= 4.0 / EVERY_S + 1
+
+
+@pytest.mark.parametrize(
+    ("noise_m", "step_s", "is_noisy"), [(0.0, 0.1, False), (0.02, 0.1, True), (0.0, 0.04, True)]
+)
+def test_the_classifier_answers_in_exact_simulated_traffic_alone(noise_m, step_s, is_noisy):
+    stream = load_stream()
+    plain = BehaviorStream(dataclasses.replace(stream.model, other=None))
+    rng = np.random.default_rng(0)
+    for step in range(round(4.0 / step_s)):
+        frame = platoon(step_s * step, noise_m, rng)
+        answers = [each.update(frame).probability for each in (stream, plain)]
+    assert stream.is_noisy is is_noisy
+    assert np.array_equal(*answers) is not is_noisy

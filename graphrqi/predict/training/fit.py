@@ -87,7 +87,7 @@ def displacement_loss(
     """The loss of a batch: (m, K PER_MODE) outputs, (m, ANCHORS, KNOTS, 2), (m, KNOTS, 2)."""
     import torch
 
-    from graphrqi.portable_torch import root
+    from graphrqi.networks.portable_torch import root
 
     n, b = raw.shape[0], ANCHORS
     each = raw.view(n, MODES, PER_MODE)
@@ -133,7 +133,7 @@ def fit(
     """
     import torch
 
-    from graphrqi.portable_torch import Descent
+    from graphrqi.networks.portable_torch import Descent
 
     training = draw(0)
     steps = max(1, len(training.features) // BATCH) * epochs

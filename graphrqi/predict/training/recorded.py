@@ -243,7 +243,7 @@ def _fit(
     """Fit a module that maps features to outputs, and the one that looks at paths."""
     import torch
 
-    from graphrqi.portable_torch import adamw
+    from graphrqi.networks.portable_torch import adamw
 
     features = torch.from_numpy(standardized(training.features, *moments, CLIP))
     base, truth = torch.from_numpy(training.base), torch.from_numpy(training.truth)

@@ -40,7 +40,7 @@ def futures_of(raw: torch.Tensor, base: torch.Tensor, size: torch.Tensor) -> tor
 
 def distances(own: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
     """(m, K, KNOTS) from futures (m, K, KNOTS, 2) to what happened (m, KNOTS, 2), m."""
-    from graphrqi.portable_torch import root
+    from graphrqi.networks.portable_torch import root
 
     return root(((own - truth[:, None]) ** 2).sum(-1) + 1e-3)
 

@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 Eight: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 Floats: TypeAlias = NDArray[np.float64]
 
-CACHE_LINE = 64
-"""Bytes that a processor reads at once. Rows that begin with such a line are a quarter quicker."""
-
 F = TypeVar("F", bound=Callable[..., object])
 
 
@@ -26,14 +23,6 @@ def _inlined(function: F) -> F:
     """Compile for the calls of kernels; products and sums may be fused."""
     options: Any = {"fastmath": {"contract"}, "no_cpython_wrapper": True}
     return cast(F, njit(error_model="numpy", **options)(function))
-
-
-@_inlined
-def new_rows(n: int) -> Floats:
-    """Memory for (n, 8) numbers that begins with a cache line."""
-    flat = np.empty(8 * n + 8, np.float64)
-    skipped = (-flat.ctypes.data) % CACHE_LINE // 8
-    return flat[skipped : skipped + 8 * n].reshape((n, 8))
 
 
 @_inlined

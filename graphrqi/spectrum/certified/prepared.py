@@ -18,14 +18,7 @@ from sim.compiled import compiled
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int32]
-Ids: TypeAlias = NDArray[np.int64]
 Bools: TypeAlias = NDArray[np.bool_]
-
-GOLDEN = -0x61C8864680B583EB
-"""2^64 over the golden ratio, less 2^64: its multiples look random (Knuth, The Art of Computer
-Programming 3, section 6.4)."""
-UNCHANGED = 1e-9
-"""Rows whose products with the same noise differ by less count as equal (rounding makes 1e-14)."""
 
 
 class Prepared(NamedTuple):
@@ -44,9 +37,6 @@ class Prepared(NamedTuple):
         components: how many there are.
         work: multiplications a factorisation takes.
         scale: largest entry of the Laplacian's diagonal, at least 1.
-        product: (d,) by row, L times noise that depends on the ids only: equal products, equal
-            rows.
-        changed: (d,) by row, where L differs from an earlier one.
     """
 
     order: Ints
@@ -61,60 +51,42 @@ class Prepared(NamedTuple):
     components: int
     work: float
     scale: float
-    product: Floats
-    changed: Bools
 
 
-def prepare(
-    graph: TrafficGraph,
-    sign: float = 1.0,
-    order: Ints | None = None,
-    earlier: Floats | None = None,
-) -> Prepared:
+def prepare(graph: TrafficGraph, sign: float = 1.0, order: Ints | None = None) -> Prepared:
     """Prepare a Laplacian, or its negative, for factorisations.
 
     Args:
         graph: its Laplacian is the matrix.
         sign: 1, or -1 for its negative.
         order: elimination order; reverse Cuthill-McKee's if not given.
-        earlier: (d,) the product of the matrix before, by row; infinite where there was none.
     """
     if order is None:
         from scipy.sparse.csgraph import reverse_cuthill_mckee
 
         order = reverse_cuthill_mckee(graph.laplacian, symmetric_mode=True)
-    if earlier is None:
-        earlier = np.full(graph.ids.size, np.inf)
-    return _prepare(
-        graph.ids, graph.indptr, graph.indices, graph.values, sign, order.astype(np.int32), earlier
-    )
+    return _prepare(graph.indptr, graph.indices, graph.values, sign, order.astype(np.int32))
 
 
 @compiled
-def _prepare(
-    ids: Ids, indptr: Ints, indices: Ints, values: Floats, sign: float, order: Ints, earlier: Floats
-) -> Prepared:
+def _prepare(indptr: Ints, indices: Ints, values: Floats, sign: float, order: Ints) -> Prepared:
     """Symbolic factorisation along the elimination tree; arguments as of `prepare`."""
     d = order.size
-    place, noise = np.empty(d, np.int32), np.empty(d, np.float64)
+    place = np.empty(d, np.int32)
     low_starts, low_ends = np.empty(d + 1, np.int32), np.empty(d + 1, np.int32)
     low_starts[0] = low_ends[0] = 0
     for k in range(d):
         r = order[k]
         place[r] = k
-        noise[k] = float((ids[k] * GOLDEN) >> 11) * 2.0**-52
         low_starts[k + 1] = low_ends[k + 1] = low_starts[k] + indptr[r + 1] - indptr[r]
     # The lower triangle by rows, columns ascending. The loop does not branch: an entry that is not
     # below the diagonal is overwritten by the next one.
     low, low_values = np.empty(indices.size + 1, np.int32), np.empty(indices.size + 1, np.float64)
     diagonal = np.empty(d, np.float64)
-    product, changed = np.empty(d, np.float64), np.empty(d, np.bool_)
     largest = 1.0
     for k in range(d):
         r = order[k]
-        total = 0.0
         for p in range(indptr[r], indptr[r + 1]):
-            total += values[p] * noise[indices[p]]
             i = place[indices[p]]
             t = low_ends[i]
             low[t], low_values[t] = k, sign * values[p]
@@ -122,7 +94,6 @@ def _prepare(
             if i == k:
                 diagonal[k] = sign * values[p]
                 largest = max(largest, values[p])
-        product[r], changed[r] = total, abs(total - earlier[r]) > UNCHANGED
     # The columns of every row of the factor, along the elimination tree.
     parent, mark = np.empty(d, np.int32), np.empty(d, np.int32)
     starts, row_starts = np.zeros(d + 1, np.int32), np.empty(d + 1, np.int32)
@@ -168,5 +139,5 @@ def _prepare(
         count += parent[k] < 0
     return Prepared(
         order, starts, rows, row_starts, columns, positions, entries, diagonal, label, count, work,
-        largest, product, changed,
+        largest,
     )  # fmt: skip

@@ -3,108 +3,156 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from graphrqi.spectrum.certified.eight import less, load, more, plus, spread, store
-from graphrqi.spectrum.certified.prepared import Prepared
-from graphrqi.spectrum.certified.search import FOUND, Floats, Ints, Search
+from graphrqi.spectrum.certified.eight import load, more, plus, spread, store, times
+from graphrqi.spectrum.certified.prepared import Bools, Floats, Ints, Prepared
 from sim.compiled import inner
 
-INDEPENDENT_SQUARED = 1e-6
-"""A column is kept if the thousandth part of it is outside the span of the others: orthogonality is
-then lost by a factor 1000 at most, and won back at the end."""
-CHUNK = 128
-"""Rows of eight numbers treated at a time: 8 kB, a quarter of a small first-level cache."""
+Ritz: TypeAlias = tuple[Floats, Floats, Floats]
+"""(r,) Ritz values, (r,) residuals, and (r, d) unit vectors."""
+
+INDEPENDENT = 1e-3
+"""A column is kept if this part of it is outside the span of the others: orthogonality is then lost
+by a factor 1000 at most, and won back at the end."""
+SPARE = 24
+"""Vectors kept beyond the wanted number: those of three factorisations."""
+
+
+class Pool(NamedTuple):
+    """The pairs found so far, and candidates that have not converged.
+
+    Attributes:
+        size: (1,) how many are found.
+        vectors: (n, d) orthonormal vectors of those found,
+        value: (n,) their eigenvalues, descending,
+        residual: (n,) and residuals.
+        candidates: (c, d) Ritz vectors that have not converged,
+        candidate_value: (c,) their Ritz values,
+        candidate_residual: (c,) and residuals; infinite where there is none.
+        used: (c,) whether a candidate is used in this round.
+    """
+
+    size: Ints
+    vectors: Floats
+    value: Floats
+    residual: Floats
+    candidates: Floats
+    candidate_value: Floats
+    candidate_residual: Floats
+    used: Bools
 
 
 @inner
-def rayleigh_ritz(matrix: Prepared, search: Search) -> None:
+def new_pool(k: int, d: int) -> Pool:
+    """Memory for the search of k pairs of d rows."""
+    n = min(2 * k + SPARE, d + SPARE)
+    return Pool(
+        np.zeros(1, np.int32), np.empty((n, d)), np.empty(n), np.empty(n),
+        np.empty((n, d)), np.empty(n), np.full(n, math.inf), np.zeros(n, np.bool_),
+    )  # fmt: skip
+
+
+@inner
+def ritz_pairs(matrix: Prepared, deflate: bool, pool: Pool, x: Floats, ax: Floats) -> Ritz:
     """Ritz pairs of M in the span of the eight columns, outside the span of the vectors found.
 
-    ``search.x`` is overwritten by the Ritz vectors, ``theta`` by the Ritz values, ``norm`` by the
-    norms of M x - theta x, and ``source``. Where the columns have a smaller span, a Ritz vector is
-    0 and its source -1.
+    With ``deflate``, also outside the null space. The columns are overwritten.
     """
-    x, ax, source = search.x, search.ax, search.source
-    d = len(x)
-    g, h = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
-    w, norms = np.empty((8, 8), np.float64), np.empty((8, 8), np.float64)
-    orthogonalise(search, norms)
+    scale_columns(x, 0.0)
+    if deflate:
+        take_means(x, matrix.label, matrix.components)
+        scale_columns(x, INDEPENDENT)
+    found = pool.vectors[: pool.size[0]]
+    shortest = 0.0
+    while pool.size[0] > 0 and shortest < 0.5:  # Gram-Schmidt, twice if need be
+        x -= np.dot(found.T, np.dot(found, x))
+        shortest = scale_columns(x, INDEPENDENT)
     multiply(matrix, x, ax)
-    gram_matrices(x, ax, g, h)
-    orthonormal_basis(g, h, w, norms, source)
-    for a in range(8):
-        for b in range(8):
-            s = 0.0
-            for i in range(8):
-                s += h[a, i] * w[b, i]
-            g[a, b] = s
-    jacobi(g, w)
-    turn = norms
-    for c in range(8):
-        search.theta[0, c] = g[c, c]
-        for b in range(8):
-            turn[b, c] = w[c, b]
-            largest = source[c]
-            if largest >= 0 and abs(w[c, b]) > abs(w[c, largest]):
-                source[c] = b
-    value = load(search.theta, 0)
-    square = spread(0.0)
-    for j in range(d):
-        y = z = spread(0.0)
-        for a in range(8):
-            turned = load(turn, a)
-            y = plus(y, x[j, a], turned)
-            z = plus(z, ax[j, a], turned)
-        store(x, j, y)
-        z = less(z, value, y)
-        square = more(square, z, z)
-    store(search.norm, 0, square)
-    for c in range(8):
-        search.norm[0, c] = math.sqrt(search.norm[0, c])
+    size, turn = np.linalg.eigh(np.dot(x.T, x))
+    rank = 0
+    for q in range(8):
+        if size[q] > INDEPENDENT**2:
+            turn[:, rank] = turn[:, q] / math.sqrt(size[q])
+            rank += 1
+    basis = np.ascontiguousarray(turn[:, :rank])
+    if rank == 0:
+        return np.empty(0), np.empty(0), np.empty((0, len(x)))
+    theta, inner_turn = np.linalg.eigh(np.dot(basis.T, np.dot(np.dot(x.T, ax), basis)))
+    turned = np.dot(basis, np.ascontiguousarray(inner_turn))
+    vectors, products = np.dot(turned.T, x.T), np.dot(turned.T, ax.T)
+    residual = np.empty(rank)
+    for r in range(rank):
+        total = 0.0
+        for j in range(len(x)):
+            total += (products[r, j] - theta[r] * vectors[r, j]) ** 2
+        residual[r] = math.sqrt(total)
+    return theta, residual, vectors
 
 
 @inner
-def orthogonalise(search: Search, norms: Floats) -> None:
-    """Make the eight columns orthogonal to the vectors found (Gram-Schmidt, twice if need be).
+def keep_pairs(pool: Pool, ritz: Ritz, scale: float, tol: float) -> None:
+    """Put Ritz pairs among those found, if they have converged, or among the candidates.
 
-    The first two rows of ``norms`` are overwritten by the squared norms before and after.
+    Values near 0 need smaller residuals: M's are all negative there, or far larger than this.
     """
-    pool, x = search.pool, search.x
-    slots, d = pool.shape
-    square = spread(0.0)
-    for j in range(d):
+    theta, residual, vectors = ritz
+    floor = 1e-13 * scale
+    for r in range(theta.size - 1, -1, -1):
+        goal = 0.9 * tol * scale
+        goal = min(goal, max(1e-3 * abs(theta[r]), floor)) if theta[r] < 0.0 else goal
+        n = pool.size[0]
+        if residual[r] <= goal and n < len(pool.vectors):
+            while n > 0 and pool.value[n - 1] < theta[r]:
+                pool.value[n], pool.residual[n] = pool.value[n - 1], pool.residual[n - 1]
+                pool.vectors[n] = pool.vectors[n - 1]
+                n -= 1
+            pool.value[n], pool.residual[n], pool.vectors[n] = theta[r], residual[r], vectors[r]
+            pool.size[0] += 1
+        elif residual[r] > goal:
+            c = np.argmax(pool.candidate_residual)
+            pool.candidate_value[c], pool.candidate_residual[c] = theta[r], residual[r]
+            pool.candidates[c] = vectors[r]
+
+
+@inner
+def scale_columns(x: Floats, least: float) -> float:
+    """Scale the eight columns to unit length; those no longer than ``least`` become 0.
+
+    Returns the length of the shortest of the others, or 1 if all are longer.
+    """
+    square, shortest = spread(0.0), 1.0
+    for j in range(len(x)):
         y = load(x, j)
         square = more(square, y, y)
-    store(norms, 0, square)
-    share = np.empty((slots, 8), np.float64)
-    for _ in range(2):  # in chunks that stay in the cache
-        for b in range(slots):
-            store(share, b, spread(0.0))
-        for start in range(0, d, CHUNK):
-            for b in range(slots):
-                if search.status[b] == FOUND:
-                    part = load(share, b)
-                    for j in range(start, min(start + CHUNK, d)):
-                        part = plus(part, -pool[b, j], load(x, j))
-                    store(share, b, part)
-        square = spread(0.0)
-        for start in range(0, d, CHUNK):
-            for b in range(slots):
-                if search.status[b] == FOUND:
-                    part = load(share, b)
-                    for j in range(start, min(start + CHUNK, d)):
-                        store(x, j, plus(load(x, j), pool[b, j], part))
-            for j in range(start, min(start + CHUNK, d)):
-                y = load(x, j)
-                square = more(square, y, y)
-        store(norms, 1, square)
-        again = False
+    factor = np.empty((1, 8))
+    store(factor, 0, square)
+    for q in range(8):
+        length = math.sqrt(factor[0, q])
+        usable = least < length < math.inf
+        factor[0, q] = 1.0 / length if usable else 0.0
+        shortest = min(shortest, length) if usable else shortest
+        if not usable:
+            x[:, q] = 0.0
+    scale = load(factor, 0)
+    for j in range(len(x)):
+        store(x, j, times(load(x, j), scale))
+    return shortest
+
+
+@inner
+def take_means(x: Floats, label: Ints, components: int) -> None:
+    """Make the eight columns orthogonal to the indicators of the components, -L's null space."""
+    mean, size = np.zeros((components, 8)), np.zeros(components)
+    for j in range(label.size):
+        size[label[j]] += 1.0
         for q in range(8):
-            again = again or norms[1, q] < 0.25 * norms[0, q]
-        if not again:
-            break
+            mean[label[j], q] += x[j, q]
+    for j in range(label.size):
+        for q in range(8):
+            x[j, q] -= mean[label[j], q] / size[label[j]]
 
 
 @inner
@@ -121,108 +169,3 @@ def multiply(matrix: Prepared, x: Floats, ax: Floats) -> None:
             total = plus(total, v, load(x, i))
             store(ax, i, plus(load(ax, i), v, y))
         store(ax, j, total)
-
-
-@inner
-def gram_matrices(x: Floats, ax: Floats, g: Floats, h: Floats) -> None:
-    """Overwrite ``g`` (8, 8) by x^T x and ``h`` (8, 8) by x^T M x."""
-    d = len(x)
-    for a in range(8):
-        store(g, a, spread(0.0))
-        store(h, a, spread(0.0))
-    for start in range(0, d, CHUNK):
-        for a in range(8):
-            ga, ha = load(g, a), load(h, a)
-            for j in range(start, min(start + CHUNK, d)):
-                v = x[j, a]
-                ga = plus(ga, v, load(x, j))
-                ha = plus(ha, v, load(ax, j))
-            store(g, a, ga)
-            store(h, a, ha)
-
-
-@inner
-def orthonormal_basis(g: Floats, h: Floats, w: Floats, norms: Floats, source: Ints) -> None:
-    """Elimination turns the identity into rows w with w g w^T = I, and h into w h.
-
-    A column with too little outside the span of the others gets a row 0 and the source -1.
-    """
-    for a in range(8):
-        store(w, a, spread(0.0))
-        w[a, a] = 1.0
-    for a in range(8):
-        s = g[a, a]
-        kept = 0.0 < norms[0, a] < math.inf and norms[1, a] >= INDEPENDENT_SQUARED * norms[0, a]
-        r = 0.0
-        if kept and s > INDEPENDENT_SQUARED * norms[1, a]:
-            r = 1.0 / math.sqrt(s)
-        source[a] = 0 if r > 0.0 else -1
-        row_g, row_h = plus(spread(0.0), r, load(g, a)), plus(spread(0.0), r, load(h, a))
-        row_w = plus(spread(0.0), r, load(w, a))
-        store(h, a, row_h)
-        store(w, a, row_w)
-        for b in range(a + 1, 8):
-            v = -r * g[a, b]
-            store(g, b, plus(load(g, b), v, row_g))
-            store(h, b, plus(load(h, b), v, row_h))
-            store(w, b, plus(load(w, b), v, row_w))
-
-
-@inner
-def jacobi(h: Floats, w: Floats) -> None:
-    """Diagonalise a symmetric h (8, 8) by cyclic Jacobi rotations; the rows of w turn along."""
-    for _ in range(12):
-        off = total = 0.0
-        for a in range(8):
-            total += h[a, a] * h[a, a]
-            for b in range(a):
-                off += h[a, b] * h[a, b]
-        if off <= 1e-26 * total:
-            break
-        for a in range(7):
-            for b in range(a + 1, 8):
-                if h[a, b] * h[a, b] <= 1e-30 * total:
-                    continue
-                tau = (h[b, b] - h[a, a]) / (2.0 * h[a, b])
-                r = 1.0 / (abs(tau) + math.sqrt(1.0 + tau * tau))
-                if tau < 0.0:
-                    r = -r
-                c = 1.0 / math.sqrt(1.0 + r * r)
-                s = r * c
-                for i in range(8):
-                    u, v = h[i, a], h[i, b]
-                    h[i, a], h[i, b] = c * u - s * v, s * u + c * v
-                turn_rows(h, a, b, c, s)
-                turn_rows(w, a, b, c, s)
-
-
-@inner
-def turn_rows(m: Floats, a: int, b: int, c: float, s: float) -> None:
-    """Rotate rows a and b of (8, 8) numbers by the angle of cosine c and sine s."""
-    y, z = load(m, a), load(m, b)
-    store(m, a, plus(plus(spread(0.0), c, y), -s, z))
-    store(m, b, plus(plus(spread(0.0), s, y), c, z))
-
-
-@inner
-def deflate_constants(x: Floats, component: Ints, size: Floats) -> None:
-    """Make the eight columns orthogonal to the indicators of the components, -L's null space.
-
-    A column of which nothing is left becomes 0.
-    """
-    mean, norms = np.zeros((size.size, 8), np.float64), np.empty((2, 8), np.float64)
-    total = rest = spread(0.0)
-    for j in range(component.size):
-        y = load(x, j)
-        total = more(total, y, y)
-        store(mean, component[j], plus(load(mean, component[j]), 1.0, y))
-    for j in range(component.size):
-        y = plus(load(x, j), -1.0 / size[component[j]], load(mean, component[j]))
-        rest = more(rest, y, y)
-        store(x, j, y)
-    store(norms, 0, total)
-    store(norms, 1, rest)
-    for q in range(8):
-        if norms[1, q] < 1e-12 * norms[0, q]:
-            for j in range(component.size):
-                x[j, q] = 0.0

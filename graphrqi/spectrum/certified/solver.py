@@ -11,8 +11,7 @@ Rayleigh-quotient iterations for the k wanted pairs that share their factorisati
    the pairs found already, gives the next ones.
 4. The number of negative pivots of each factorisation is the number of eigenvalues below its
    shift (Sylvester's law of inertia). These counts say in which interval an eigenvalue is
-   missing; there a new vector is started, mostly noise on the vehicles whose edges changed,
-   because every eigenvector that the change made has a part there.
+   missing; there a new vector is started from noise.
 5. It ends when a count just below the k-th value equals the number of pairs found above it,
    allowing for the rounding error of the factorisation (largest pivot times unit roundoff).
    Where eigenvalues equal to the k-th follow, those are found too.
@@ -54,8 +53,7 @@ from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import arpack
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
 from graphrqi.spectrum.certified.prepared import Prepared, prepare
-from graphrqi.spectrum.certified.search import Goal
-from graphrqi.spectrum.certified.tracking import track
+from graphrqi.spectrum.certified.tracking import Goal, track
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.full import pairs_by_component
 from graphrqi.spectrum.spectrum import Floats, Spectrum
@@ -73,8 +71,6 @@ DENSE_UP_TO = 3000
 """Vehicles up to which the fallback is dense: 9e6 doubles."""
 STALE = 1.15
 """Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
-EXTRA = 8
-"""Pairs beyond the k-th, found because they equal it, that are kept to start from."""
 
 
 class Carried(NamedTuple):
@@ -84,16 +80,11 @@ class Carried(NamedTuple):
         vectors: (d, m) all eigenvectors found, m >= k, without the null space.
         order: (d,) elimination order to use again, or None to find a new one.
         fill: entries of the factor to one of the matrix when that order was found.
-        product: (d,) see `prepared.Prepared`, infinite for a new row; None if not known.
-        lower: (r, 8) memory that a factor fitted into: what is asked for anew at every step is
-            given back to the system, and its first use costs as much as the factorisation.
     """
 
     vectors: Floats
     order: NDArray[np.int32] | None = None
     fill: float = 0.0
-    product: Floats | None = None
-    lower: Floats | None = None
 
 
 @eigensolver()
@@ -122,7 +113,7 @@ def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
     d = graph.ids.size
     start = _start(graph, previous)
     smallest = problem.end == "smallest"
-    matrix = prepare(graph, -1.0 if smallest else 1.0, start.order, start.product)
+    matrix = prepare(graph, -1.0 if smallest else 1.0, start.order)
     zeros, k = 0, problem.asked
     if smallest and not problem.nonzero:
         zeros = min(matrix.components, k)
@@ -136,36 +127,30 @@ def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
     null = _null_vectors(matrix, zeros) if zeros else np.empty((d, 0))
     if k == 0:
         return Pairs(np.zeros(zeros), null, True, "", Carried(np.empty((d, 0))))
-    entries = matrix.entries.size
-    fill = (entries + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
-    first_fill = fill if start.order is None else start.fill
     low, high = -1.0, 2.0 * matrix.scale + 1.0  # Gershgorin: at most twice the largest degree
     if smallest:
         low, high = -high, 0.0
     sweeps = MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS
-    goal = Goal(int(k), EXTRA, smallest, matrix.scale, float(tol), low, high, sweeps)
-    lower = start.lower
-    if lower is None or len(lower) < entries:
-        lower = np.empty((entries + entries // 4 + 1, 8))
-    certified, pairs, found, departure = track(matrix, goal, start.vectors, lower)
+    goal = Goal(int(k), smallest, matrix.scale, float(tol), low, high, sweeps)
+    certified, values, residuals, found = track(matrix, goal, start.vectors)
     if not certified:
         return None
-    values, residuals = pairs[0, :k].copy(), pairs[1, :k].copy()
-    if smallest:
-        values = -values
+    values, residuals = np.abs(values[:k]), residuals[:k]
+    departure = np.abs(found.T @ found - np.eye(found.shape[1])).max()
     if departure > 1e-12:
         # Newton's step to the nearest orthonormal block squares the departure
         found = 1.5 * found - 0.5 * found @ (found.T @ found)
         residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
         if residuals.max() > tol * matrix.scale or departure > 1e-5:
             return None
+    fill = (matrix.entries.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
+    first_fill = fill if start.order is None else start.fill
+    carried = Carried(found, matrix.order if fill <= STALE * first_fill else None, first_fill)
     vectors = found[:, :k].copy()
     if zeros:
         values = np.concatenate((np.zeros(zeros), values))
         residuals = np.concatenate((np.zeros(zeros), residuals))
-        vectors = np.concatenate((null, vectors), axis=1)
-    order = matrix.order if fill <= STALE * first_fill else None
-    carried = Carried(found, order, first_fill, matrix.product, lower)
+        vectors = np.hstack((null, vectors))
     return Pairs(values, vectors, True, "", carried, residuals)
 
 
@@ -177,10 +162,7 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
     if not isinstance(found, Carried):
         found = Carried(previous.eigenvectors)
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
-        vectors, product = carry_rows(previous, graph, found.vectors), found.product
-        if product is not None:
-            product = np.append(product, np.inf)[previous.graph.rows_of(graph.ids)]
-        found = found._replace(vectors=vectors, order=None, product=product)
+        found = Carried(carry_rows(previous, graph, found.vectors))
     if not found.vectors.flags.writeable:  # for another type the kernel would be compiled anew
         found = found._replace(vectors=found.vectors.copy())
     return found

@@ -31,11 +31,7 @@ class GraphChange:
 
 
 def change_between(before: TrafficGraph, after: TrafficGraph) -> GraphChange:
-    """Compare two graphs by vehicle id.
-
-    Args:
-        before: the earlier graph.
-        after: the later graph; its rows may be in another order.
+    """Compare two graphs by vehicle id; their rows may be in different orders.
 
     Examples:
         >>> a = TrafficGraph.from_edges([1, 2, 3], [(1, 2)])

@@ -15,13 +15,6 @@ Assumes that the vehicles of the earlier graph are all still there (else it star
 solution) and that few edges changed. Costs O(d p^2) for each of d pairs and O(d^3) for the
 back-transformation with d^2 memory: asymptotically no better than solving anew.
 
-Examples:
-    >>> from graphrqi.graph import TrafficGraph
-    >>> first = solve(TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4)]))
-    >>> longer = TrafficGraph.from_edges([1, 2, 3, 4], [(1, 2), (2, 3), (3, 4), (1, 3)])
-    >>> second = solve(longer, 4, previous=first)
-    >>> bool(abs(second.eigenvalues - [4, 3, 1, 0]).max() < 1e-12)
-    True
 """
 
 from __future__ import annotations
@@ -75,17 +68,10 @@ def _updated(problem: Problem) -> tuple[tuple[Floats, Floats] | None, str]:
 def update(
     old: AllPairs, d: int, ends: NDArray[np.int64], signs: Floats, goal: float
 ) -> tuple[Floats, Floats]:
-    """All eigenpairs after a change of p edges.
+    """All eigenpairs of d vehicles, ascending, after the change of p edges.
 
-    Args:
-        old: the c pairs before.
-        d: vehicles now, the first c of them being the old ones.
-        ends: (p, 2) rows joined by the changed edges.
-        signs: (p,) 1 for a new edge, -1 for one that is gone.
-        goal: residual at which a pair has converged.
-
-    Returns:
-        (d,) eigenvalues ascending, (d, d) eigenvectors.
+    The first of the vehicles are those of ``old``; ``ends`` (p, 2) are the rows of the edges, whose
+    ``signs`` (p,) are 1 or -1; ``goal`` is the residual at which a pair has converged.
     """
     c = old.values.size
     spread = np.concatenate([old.values, np.zeros(d - c)])

@@ -23,12 +23,8 @@ from graphrqi.spectrum.subspaces import carry_rows, dense_pairs, pick, rayleigh_
 class Tracked:
     """The rank-r approximation M ~ U diag(values) U^T that is carried from step to step.
 
-    Attributes:
-        values: (r,) of M.
-        vectors: (d, r) orthonormal.
-        bound: the s of s I - L, or 0 at the largest end.
-        base: the graph of the last restart.
-        base_loss: squared Frobenius norm of M - U diag(values) U^T then.
+    ``bound`` is the s of s I - L, 0 at the largest end; ``base`` the graph of the last restart, and
+    ``base_loss`` the squared Frobenius norm of M's rest then.
     """
 
     values: Floats
@@ -56,12 +52,8 @@ def restart(problem: Problem) -> Tracked:
 def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
     """The earlier approximation with this graph's rows, and how M changed since.
 
-    Args:
-        problem: the graph, and the earlier answer.
-
-    Returns:
-        None if a restart is needed. Else the approximation, (d, p) columns W and (p,) weights S
-        such that M is the old M (bordered by zeros) + W diag(S) W^T.
+    M is the old M, bordered by zeros, + W diag(S) W^T: W (d, p) and S (p,) are returned, too; None
+    if a restart is needed.
     """
     graph, previous = problem.graph, problem.previous
     old = None if previous is None else previous.carried

@@ -50,13 +50,7 @@ class _Jaywalker:
 
 
 class Jaywalking:
-    """Moves jaywalkers over the road, away from any crossing.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents; those that do not jaywalk are left alone.
-        step_s: length of a simulation step, s.
+    """Moves jaywalkers over the road, away from any crossing, at every simulation step.
 
     Attributes:
         speeds: speed of each pedestrian that is moved now, m/s, by name.
@@ -64,25 +58,18 @@ class Jaywalking:
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
-        self._sumo = sumo
-        self._step_s = step_s
-        self._road = road
-        self._walkers: dict[str, _Jaywalker] = {}
+        self._sumo, self._road, self._step_s = sumo, road, step_s
         self.speeds: dict[str, float] = {}
         self.moved = False
         at = jaywalking_places(road, agents)
-        for agent in agents:
-            if agent.id in at:
-                self._walkers[str(agent.id)] = _Jaywalker(agent, agent.route[0], at[agent.id])
+        self._walkers = {
+            str(agent.id): _Jaywalker(agent, agent.route[0], at[agent.id])
+            for agent in agents
+            if agent.id in at
+        }
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
-        """Stop jaywalkers at the kerb until there is a gap, then move them over the road.
-
-        Args:
-            time_s: simulated time, s.
-            vehicles: names of the vehicles on the road.
-            persons: names of the pedestrians on the road.
-        """
+        """Stop jaywalkers at the kerb until there is a gap, then move them over the road."""
         self.moved = False
         self.speeds.clear()
         for name in persons:
@@ -91,10 +78,10 @@ class Jaywalking:
                 continue
             if walker.walked_m >= 0:
                 self._walk(name, walker)
-            elif walker.waiting_since_s >= 0:
-                self._wait(name, walker, time_s, vehicles)
-            elif time_s >= walker.next_check_s and self._arrived(name, walker, time_s):
-                walker.waiting_since_s = time_s
+                continue
+            if walker.waiting_since_s < 0 and time_s >= walker.next_check_s:
+                walker.waiting_since_s = time_s if self._arrived(name, walker, time_s) else -1.0
+            if walker.waiting_since_s >= 0:
                 self._wait(name, walker, time_s, vehicles)
 
     def _arrived(self, name: str, walker: _Jaywalker, time_s: float) -> bool:
@@ -162,34 +149,26 @@ class Jaywalking:
 
     def _walk(self, name: str, walker: _Jaywalker) -> None:
         walker.walked_m += walker.agent.speed_mps * self._step_s
-        (x, y), (ax, ay) = walker.begin, walker.aim
-        if walker.walked_m >= math.hypot(ax - x, ay - y):
-            self.moved = True
-            while self._sumo.person_getRemainingStages(name) > 1:
-                self._sumo.person_removeStage(name, 1)
-            self._sumo.person_removeStage(name, 0)
-            walker.done = True
+        if walker.walked_m < math.dist(walker.begin, walker.aim):
+            self._place(name, walker, walker.walked_m, walker.agent.speed_mps)
             return
-        self._place(name, walker, walker.walked_m, walker.agent.speed_mps)
+        self.moved = walker.done = True
+        while self._sumo.person_getRemainingStages(name) > 1:
+            self._sumo.person_removeStage(name, 1)
+        self._sumo.person_removeStage(name, 0)
 
     def _place(self, name: str, walker: _Jaywalker, walked_m: float, speed_mps: float) -> None:
         (x, y), (ax, ay) = walker.begin, walker.aim
         share = walked_m / math.hypot(ax - x, ay - y)
         angle = math.degrees(math.atan2(ax - x, ay - y)) % 360.0
-        self._sumo.person_moveToXY(
-            name, "", x + share * (ax - x), y + share * (ay - y), angle, 2, 100.0
-        )
+        at = x + share * (ax - x), y + share * (ay - y)
+        self._sumo.person_moveToXY(name, "", *at, angle, 2, 100.0)
         self.speeds[name] = speed_mps
         self.moved = True
 
 
 def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, float]:
-    """Where along their first sidewalk jaywalkers cross the road, m, by agent id.
-
-    Args:
-        road: the road.
-        agents: all agents; those that do not jaywalk or have no place to are left out.
-    """
+    """Where along their first sidewalk jaywalkers cross the road, m, by agent id, if they can."""
     walkers = [a for a in agents if a.jaywalks and a.kind is AgentKind.PEDESTRIAN]
     begun = {agent.route[0] for agent in walkers}
     places = {
@@ -207,11 +186,7 @@ def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, floa
 
 
 def _places(road: Road, sidewalk: Lane) -> FloatArray:
-    """Distances along a sidewalk at which jaywalking is possible, m.
-
-    They are away from junctions, and from where vehicles enter: a pedestrian cannot see a vehicle
-    that has not entered yet.
-    """
+    """Distances along a sidewalk, m, away from junctions and in sight of where vehicles enter."""
     reached = {link.to_lane for link in road.connections}
     entries = [
         lane.centerline[0]

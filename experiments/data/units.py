@@ -21,7 +21,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.unit_free import smoothed
 from sim.frames import AgentKind, Tracks
 from sim.scenario import DIMENSIONS_M
 
@@ -68,6 +67,9 @@ MOVING: Final = 0.5
 
 SPAN_S: Final = 1.0
 """Time over which speeds are taken, s: whole pixels need it."""
+
+SMOOTH_FRAMES: Final = 15
+"""Length of the centred mean over positions; half a second of video."""
 
 FACTORS: Final = {
     "feet": 1 / 0.3048, "centimetres": 100.0, "millimetres": 1000.0, "kilometres": 0.001,
@@ -122,6 +124,32 @@ class Scale:
     def __str__(self) -> str:
         """One clause for a note."""
         return f"1 pixel is {self.metres:.3g} m, give or take {math.expm1(self.spread):.0%}"
+
+
+def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
+    """Centred mean of the known positions.
+
+    Args:
+        xy: (N, T, 2); NaN where unknown.
+        frames: length of the mean, odd.
+
+    Returns:
+        (N, T, 2); NaN where unknown.
+
+    Examples:
+        >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
+        [2.0, 1.0]
+    """
+    known = ~np.isnan(xy[..., 0])
+    half = frames // 2
+    total = np.cumsum(
+        np.pad(np.where(known[..., None], xy, 0.0), ((0, 0), (half + 1, half), (0, 0))), axis=1
+    )
+    count = np.cumsum(np.pad(known.astype(float), ((0, 0), (half + 1, half))), axis=1)
+    window = 2 * half + 1
+    mean = total[:, window:] - total[:, :-window]
+    over = count[:, window:] - count[:, :-window]
+    return np.where(known[..., None], mean / np.maximum(over, 1.0)[..., None], np.nan)
 
 
 def image_scale(tracks: Tracks) -> Scale:

@@ -1,7 +1,7 @@
-"""Motion from positions: velocity, acceleration, direction, sideways movement.
+"""Motion of agents from positions, frame by frame.
 
-All differences are taken over a short span rather than from one frame to the next, because
-recorded positions are rounded and noisy. Single missing positions are bridged.
+`RawMotion` differences positions over fractions of a second, because recorded positions are rounded
+and noisy. `graphrqi.features.smooth_motion` fits parabolas where they are noisier.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from behaviors.sorted_ids import find
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 SPAN_S: Final = 0.4
 """Span over which positions are differenced for velocity (four frames at 10 Hz)."""
@@ -32,20 +33,25 @@ FORGET_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Kinematics:
-    """How the agents of one frame move; NaN where not known yet.
+class Motion:
+    """How agents move at one moment; NaN where it is not known.
 
     Attributes:
-        ids: (n,) agent ids, ascending.
+        time_s: the moment, s.
+        ids: (n,) ascending agent ids.
+        drives: (n,) whether each drives; the others are pedestrians.
         xy: (n, 2) m.
         velocity: (n, 2) m/s.
-        direction: (n, 2) unit vector of travel.
-        speed: (n,) m/s, along the direction.
-        acceleration: (n,) m/s2, along the direction.
-        sideways: (n,) displacement to the left over the last second, m.
+        direction: (n, 2) unit vectors of travel.
+        speed: (n,) m/s along the direction.
+        acceleration: (n,) m/s2 along the direction.
+        sideways: (n,) to the left: raw motion's displacement over the last second, m, or smoothed
+            motion's acceleration, m/s2.
     """
 
+    time_s: float
     ids: IntArray
+    drives: BoolArray
     xy: FloatArray
     velocity: FloatArray
     direction: FloatArray
@@ -79,8 +85,6 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
     Examples:
         >>> merge(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([2, 5, 7, 9]), array([1, 2, 3]))
-        >>> merge(np.array([-9]), np.array([-1]))
-        (array([-9, -1]), array([1]))
     """
     rows, there = find(known, ids)
     if there.all():
@@ -89,11 +93,17 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
     return merged, np.searchsorted(merged, ids)
 
 
-class MotionEstimator:
-    """Estimates the motion of every agent from positions, frame by frame.
+class RawMotion:
+    """Estimates the motion of every agent from differences of positions.
 
     Memory is bounded: the last two seconds of the agents that were present in the last three.
     """
+
+    is_noisy: Final = False
+    """Noise is not looked for."""
+
+    noise_m: Final = float("nan")
+    """Noise is not measured."""
 
     def __init__(self) -> None:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
@@ -103,13 +113,14 @@ class MotionEstimator:
         self._velocity: FloatArray = np.empty((0, 0, 2))
         self._seen_s: FloatArray = np.empty(0)
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray) -> Kinematics:
+    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> Motion:
         """Take the next positions.
 
         Args:
             time_s: later than at the call before.
             ids: (n,) ascending agent ids.
             xy: (n, 2) m.
+            drives: (n,) whether each drives.
 
         Returns:
             Motion of exactly these agents.
@@ -128,23 +139,23 @@ class MotionEstimator:
         difference, elapsed_s = change(self._trail, SPAN_S)
         velocity = difference / elapsed_s
         self._velocity[rows, -1] = velocity
-
         travel, _ = change(self._trail, DIRECTION_SPAN_S)
         distance = np.hypot(travel[:, 0], travel[:, 1])
         moved = distance > MIN_TRAVEL_M
         self._direction[rows[moved]] = travel[moved] / distance[moved, None]
         direction = self._direction[rows]
-
         difference, elapsed_s = change(self._velocity, SPAN_S)
         last_second, _ = change(self._trail, 1.0)
-        return Kinematics(
+        return Motion(
+            time_s=time_s,
             ids=ids,
+            drives=drives,
             xy=xy,
             velocity=velocity,
             direction=direction,
-            speed=_along(direction, velocity),
-            acceleration=_along(direction, difference / elapsed_s),
-            sideways=direction[:, 0] * last_second[:, 1] - direction[:, 1] * last_second[:, 0],
+            speed=along(direction, velocity),
+            acceleration=along(direction, difference / elapsed_s),
+            sideways=leftward(direction, last_second),
         )
 
     def _remember(self, time_s: float, ids: IntArray, xy: FloatArray) -> IntArray:
@@ -174,6 +185,11 @@ class MotionEstimator:
         return rows
 
 
-def _along(direction: FloatArray, values: FloatArray) -> FloatArray:
+def along(direction: FloatArray, values: FloatArray) -> FloatArray:
     """(n,) components of vectors (n, 2) along unit vectors (n, 2)."""
     return np.asarray(values[:, 0] * direction[:, 0] + values[:, 1] * direction[:, 1])
+
+
+def leftward(direction: FloatArray, values: FloatArray) -> FloatArray:
+    """(n,) components of vectors (n, 2) to the left of unit vectors (n, 2)."""
+    return np.asarray(direction[:, 0] * values[:, 1] - direction[:, 1] * values[:, 0])

@@ -1,8 +1,8 @@
-"""What is usual in a scene: running means and deviations, and the usual speed of each place.
+"""What is usual in a scene: its free-flow speed, the speeds of its places, means and deviations.
 
 Traffic differs from place to place more than drivers of one place differ: limits, laws of driving,
 weather and measuring change everybody's numbers. A driver is therefore also compared with what is
-usual around it.
+usual around it. All means forget exponentially, with the time constant `MEMORY_S`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ IntArray = NDArray[np.int64]
 MEMORY_S: Final = 300.0
 """Time constant of the exponential forgetting, s; many drivers pass meanwhile."""
 
+LEAST_FREE_S: Final = 5.0
+"""Seconds of free driving, summed over drivers, before a free-flow speed is given."""
+
 LEAST_DRIVER_S: Final = 20.0
 """Seconds of observation, summed over drivers, before something counts as usual."""
 
@@ -33,6 +36,63 @@ TABLE: Final = 1 << 14
 
 LEAST_PLACE_S: Final = 2.0
 """Seconds of observation of a place before its usual speed is given."""
+
+
+class FadingSums:
+    """Sums over time that forget exponentially.
+
+    Args:
+        shape: of the sums.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.values = np.zeros(shape)
+        self._time_s: float | None = None
+
+    def fade(self, time_s: float) -> float:
+        """Forget up to a time; returns the seconds since the last call, 0 at the first one."""
+        step_s = 0.0 if self._time_s is None else time_s - self._time_s
+        self._time_s = time_s
+        self.values *= np.exp(-step_s / MEMORY_S)
+        return step_s
+
+
+class FreeFlowSpeed:
+    """Running mean of the speed of drivers with a free road; feature names call it the pace.
+
+    Positions do not show the speed limit, so a driver's speed is compared with this mean instead.
+
+    Example:
+        >>> free_flow = FreeFlowSpeed()
+        >>> for step in range(61):
+        ...     mean = free_flow.update(step / 10, np.array([10.0, 14.0]), np.array([True, True]))
+        >>> round(mean, 6)
+        12.0
+    """
+
+    def __init__(self) -> None:
+        self._sums = FadingSums((2,))
+
+    def update(self, time_s: float, speed: FloatArray, free: BoolArray) -> float:
+        """Add one moment to the mean.
+
+        Args:
+            time_s: later than at the call before.
+            speed: (n,) m/s.
+            free: (n,) whether each driver's road is free.
+
+        Returns:
+            The free-flow speed, m/s; NaN until enough free driving was observed.
+        """
+        step_s = self._sums.fade(time_s)
+        self._sums.values += step_s * np.array([free.sum(), speed[free].sum()])
+        return self.mean_mps
+
+    @property
+    def mean_mps(self) -> float:
+        """The free-flow speed so far, m/s; NaN until enough free driving was observed."""
+        seconds, metres = self._sums.values.tolist()
+        return metres / seconds if seconds >= LEAST_FREE_S else float("nan")
 
 
 class UsualValues:
@@ -52,8 +112,7 @@ class UsualValues:
 
     def __init__(self, least_deviation: FloatArray) -> None:
         self._least = least_deviation
-        self._sums = np.zeros((3, least_deviation.size))
-        self._time_s: float | None = None
+        self._sums = FadingSums((3, least_deviation.size))
 
     def update(self, time_s: float, values: FloatArray, holds: BoolArray) -> FloatArray:
         """Add one moment, and compare each value with what is usual.
@@ -67,12 +126,10 @@ class UsualValues:
             (Q, n) distances from the mean in standard deviations, clipped at 4; NaN until enough
             was observed.
         """
-        step_s = 0.0 if self._time_s is None else time_s - self._time_s
-        self._time_s = time_s
+        step_s = self._sums.fade(time_s)
         counted = holds & ~np.isnan(values)
         known = np.where(counted, values, 0.0)
-        self._sums *= np.exp(-step_s / MEMORY_S)
-        self._sums += step_s * np.stack(
+        self._sums.values += step_s * np.stack(
             [counted.sum(axis=1), known.sum(axis=1), (known * known).sum(axis=1)]
         )
         mean, deviation = self.moments
@@ -81,9 +138,10 @@ class UsualValues:
     @property
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """(Q,) means and (Q,) standard deviations; NaN until enough was observed."""
-        seconds = np.where(self._sums[0] >= LEAST_DRIVER_S, self._sums[0], np.nan)
-        mean = self._sums[1] / seconds
-        variance = np.maximum(self._sums[2] / seconds - mean * mean, 0.0)
+        total, first, second = self._sums.values
+        seconds = np.where(total >= LEAST_DRIVER_S, total, np.nan)
+        mean = first / seconds
+        variance = np.maximum(second / seconds - mean * mean, 0.0)
         return mean, np.maximum(np.sqrt(variance), self._least)
 
 
@@ -100,9 +158,7 @@ class PlaceSpeeds:
     """
 
     def __init__(self) -> None:
-        self._seconds = np.zeros(TABLE)
-        self._metres = np.zeros(TABLE)
-        self._time_s: float | None = None
+        self._sums = FadingSums((2, TABLE))
 
     def update(
         self, time_s: float, xy: FloatArray, velocity: FloatArray, counts: BoolArray
@@ -118,18 +174,14 @@ class PlaceSpeeds:
         Returns:
             (n,) m/s before this moment was added; NaN where the place was hardly seen.
         """
-        step_s = 0.0 if self._time_s is None else time_s - self._time_s
-        self._time_s = time_s
-        kept = np.exp(-step_s / MEMORY_S)
-        self._seconds *= kept
-        self._metres *= kept
+        step_s = self._sums.fade(time_s)
         at = _entries(xy, velocity)
-        seconds = self._seconds[at]
+        seconds, metres = self._sums.values[:, at]
         with np.errstate(divide="ignore", invalid="ignore"):
-            usual = np.where(seconds >= LEAST_PLACE_S, self._metres[at] / seconds, np.nan)
+            usual = np.where(seconds >= LEAST_PLACE_S, metres / seconds, np.nan)
         passed = at[counts]
-        np.add.at(self._seconds, passed, step_s)
-        np.add.at(self._metres, passed, step_s * np.hypot(*velocity[counts].T))
+        np.add.at(self._sums.values[0], passed, step_s)
+        np.add.at(self._sums.values[1], passed, step_s * np.hypot(*velocity[counts].T))
         return usual
 
 

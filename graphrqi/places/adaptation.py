@@ -1,11 +1,9 @@
-"""Adapts a model's answers to a place, from a few labelled drivers or from none.
+"""Adapts a model's answers to a place, from a few labelled drivers.
 
-The answers of a model in foreign traffic rank drivers well and are offset as a whole: a place where
+The answers of a model in other traffic rank drivers well and are offset as a whole: a place where
 everybody drives close looks aggressive. An `Adaptation` therefore keeps the ranking and moves the
-probabilities: it multiplies their logarithms by a scale and adds an offset for each behaviour. With
-labels, both are fitted by penalised likelihood: few drivers move them little. Without labels, only
-the scale is found, from how far two answers about one driver agree; an offset cannot be seen
-without a label, since a place with many aggressive drivers looks the same.
+probabilities: it multiplies their logarithms by a scale and adds an offset for each behaviour. Both
+are fitted by penalised likelihood: few drivers move them little.
 
 References:
     Guo, Pleiss, Sun, Weinberger (2017), On calibration of modern neural networks, ICML: vector
@@ -23,7 +21,6 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.classify.softmax import FLOOR, softmax
-from graphrqi.posterior import aggressive_share
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -34,12 +31,6 @@ factor of three or so."""
 
 SCALE_SD: Final = 0.5
 """Standard deviation of the scale's logarithm before any label."""
-
-LEAST_PAIRS: Final = 10
-"""Fewest drivers with two answers from which a scale is found without labels."""
-
-SCALES: Final = np.geomspace(0.1, 2.0, 61)
-"""Scales that are tried without labels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,42 +98,3 @@ def from_labels(probability: FloatArray, allowed: BoolArray) -> Adaptation:
 
     found = minimize(loss, np.zeros(1 + len(BEHAVIORS)), method="BFGS").x
     return Adaptation(float(np.exp(found[0])), found[1:])
-
-
-def from_agreement(first: FloatArray, second: FloatArray) -> Adaptation:
-    """Find how certain answers may be, from two answers about each driver.
-
-    If the answers were calibrated and their errors independent, the styles that two answers p and q
-    name would agree with the mean of p q + (1 - p)(1 - q). The scale makes what is expected equal
-    to how often they do agree.
-
-    Args:
-        first: (n, 6) answers from one stretch of each driver's track.
-        second: (n, 6) from another.
-
-    Returns:
-        An adaptation without offsets.
-
-    Raises:
-        InputError: if there are fewer than `LEAST_PAIRS` drivers.
-    """
-    if len(first) < LEAST_PAIRS:
-        raise InputError(
-            f"from_agreement: found two answers about {len(first)} drivers, "
-            f"expected at least {LEAST_PAIRS}"
-        )
-    agreed = ((aggressive_share(first) > 0.5) == (aggressive_share(second) > 0.5)).mean()
-    best, least = 1.0, np.inf
-    for scale in SCALES:
-        adaptation = Adaptation(float(scale), np.zeros(len(BEHAVIORS)))
-        p, q = (_sure(adaptation.applied(answers)) for answers in (first, second))
-        missed = abs(float((p * q + (1.0 - p) * (1.0 - q)).mean()) - agreed)
-        if missed < least:
-            best, least = float(scale), missed
-    return Adaptation(best, np.zeros(len(BEHAVIORS)))
-
-
-def _sure(probability: FloatArray) -> FloatArray:
-    """(n,) probability of the likelier style."""
-    style = aggressive_share(probability)
-    return np.asarray(np.maximum(style, 1.0 - style))

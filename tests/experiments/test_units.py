@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from graphrqi.scene_check import check_scene
-from graphrqi.units import image_scale, in_metres, unit_of
+from experiments.data.scene_check import check_scene
+from experiments.data.units import image_scale, in_metres, unit_of
 from sim.frames import Tracks
 
 

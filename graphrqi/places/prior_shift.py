@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.features.kinematics import FORGET_S
+from graphrqi.features.motion import FORGET_S
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

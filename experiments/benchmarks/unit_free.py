@@ -15,12 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.data.units import smoothed
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-
-SMOOTH_FRAMES: Final = 15
-"""Length of the centred mean over positions; half a second of video."""
 
 SPAN_FRAMES: Final = 10
 """Frames over which velocities are differenced, and between the instants that are evaluated."""
@@ -73,32 +72,6 @@ class _Instant:
     xy: FloatArray
     velocity: FloatArray
     scale: FloatArray
-
-
-def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
-    """Centred mean of the known positions.
-
-    Args:
-        xy: (N, T, 2); NaN where unknown.
-        frames: length of the mean, odd.
-
-    Returns:
-        (N, T, 2); NaN where unknown.
-
-    Examples:
-        >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
-        [2.0, 1.0]
-    """
-    known = ~np.isnan(xy[..., 0])
-    half = frames // 2
-    total = np.cumsum(
-        np.pad(np.where(known[..., None], xy, 0.0), ((0, 0), (half + 1, half), (0, 0))), axis=1
-    )
-    count = np.cumsum(np.pad(known.astype(float), ((0, 0), (half + 1, half))), axis=1)
-    window = 2 * half + 1
-    mean = total[:, window:] - total[:, :-window]
-    over = count[:, window:] - count[:, :-window]
-    return np.where(known[..., None], mean / np.maximum(over, 1.0)[..., None], np.nan)
 
 
 def scale_at(y: FloatArray, size: FloatArray) -> tuple[float, float]:

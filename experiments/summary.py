@@ -1,0 +1,241 @@
+"""What happens in a dataset or recording, per kilometre and hour that drivers drive.
+
+Everything is summed over the drivers of a group and divided by the distance and time that they
+drive. Intervals are by bootstrap over episodes. A conflict counts for both of its parties.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+import pyarrow.compute as pc
+
+from behaviors.detector_inputs import ShownTrait
+from behaviors.errors import lookup
+from behaviors.labels import BEHAVIORS
+from experiments.score.metrics import bootstrap, ratio
+from experiments.score.rows import Cell, Row, tidy_row
+from sim.episode.annotate import MAX_STEP_S, MIN_FRAMES, annotate
+from sim.episode.rows import TrajectoryRows
+from sim.formats import FORMATS
+from sim.frames import KINDS, PEDESTRIAN, Event, EventKind, FloatArray, IntArray
+from sim.road import Road
+from sim.safety import CONFLICT_KINDS, Conflicts
+from sim.store.dataset import Dataset, Episode
+
+SEVERE_MPS: Final = 5.0
+"""A near miss is severe if a collision would have changed a velocity by more, m/s (our choice)."""
+
+CLOSE_S: Final = 1.0
+"""A headway below this is close, s (half of the rule of two seconds)."""
+
+FOLLOWS_S, MOVES_MPS = 5.0, 3.0
+"""Headways count up to this many seconds and above this speed; others do not follow or crawl."""
+
+RATES: Final = {"_per_km": "km", "_per_h": "hours"}
+"""What counts are divided by, by the end of the metric's name."""
+
+Groups = Callable[[Dataset, Episode], Sequence[str]]
+
+
+def _behaviors(dataset: Dataset, episode: Episode) -> Sequence[str]:
+    codes = episode.tracks.behavior
+    if codes is None:
+        return ["unknown"] * episode.tracks.ids.size
+    return [BEHAVIORS[code] if code >= 0 else "unknown" for code in codes.tolist()]
+
+
+BY: Final[dict[str, Groups]] = {
+    "behavior": _behaviors,
+    "kind": lambda dataset, episode: [KINDS[code] for code in episode.tracks.kind.tolist()],
+    "scenario": lambda dataset, episode: [episode.entry.scenario] * episode.tracks.ids.size,
+}
+"""By what drivers are grouped: from an episode to the group of each agent."""
+
+
+def summary(dataset: Dataset, by: str | None = None) -> list[Row]:
+    """How drivers drive, and how dangerously.
+
+    Args:
+        dataset: simulated episodes or recordings.
+        by: "behavior", "kind" or "scenario"; None for all drivers together.
+
+    Returns:
+        Tidy rows with the key ``by``'s group: ``km``, ``hours``, ``drivers``, ``speed_mean_mps``,
+        ``headway_mean_s`` and ``headway_close_share``; then ``_per_km`` and ``_per_h`` of each
+        trait, event, ``collisions_caused``, ``conflicts_KIND``, ``near_misses_KIND`` and
+        ``severe_KIND``. What needs a road is left out where none is known. Groups of pedestrians
+        count what they do as if they drove.
+
+    Raises:
+        InputError: if ``by`` is not known, or an episode cannot be read.
+    """
+    groups = None if by is None else lookup(BY, by, "--by")
+    found: dict[str, dict[str, FloatArray]] = defaultdict(lambda: defaultdict(_none(dataset)))
+    for number, entry in enumerate(dataset.manifest.episodes):
+        episode = dataset.read(entry)
+        tracks = episode.tracks
+        drives = tracks.kind != PEDESTRIAN
+        named = ["all"] * tracks.ids.size if groups is None else groups(dataset, episode)
+        wanted = by == "kind"
+        members = {
+            name: np.array([one == name for one in named]) & (drives | wanted)
+            for name in dict.fromkeys(named)
+        }
+        for metric, amount in _amounts(dataset, episode):
+            for name, inside in members.items():
+                if inside.any():
+                    found[name][metric][number] += float(amount[inside].sum())
+    rows: list[Row] = []
+    for name, sums in sorted(found.items(), key=lambda item: _order(item[0])):
+        keys: dict[str, Cell] = {} if by is None else {by: name}
+        rows += _rows(keys, sums)
+    return rows
+
+
+def _order(group: str) -> tuple[int, str]:
+    """Behaviours and kinds in their own order, then other names."""
+    known = (*BEHAVIORS, *KINDS)
+    return (known.index(group) if group in known else len(known)), group
+
+
+def _none(dataset: Dataset) -> Callable[[], FloatArray]:
+    return lambda: np.zeros(len(dataset))
+
+
+def _rows(keys: dict[str, Cell], sums: dict[str, FloatArray]) -> Iterator[Row]:
+    """The figures of one group from what was summed in each episode."""
+    many = int((sums["drivers"] > 0).sum())
+    for name in ("drivers", "km", "hours"):
+        yield tidy_row(keys, name, float(sums[name].sum()), n=many)
+
+    def share(metric: str, top: FloatArray, below: FloatArray) -> Row:
+        seen = below > 0
+        some = np.stack([top, below], axis=1)[seen]
+        if not seen.any():
+            return tidy_row(keys, metric, None, n=0)
+        return tidy_row(keys, metric, *bootstrap(ratio, some), n=int(seen.sum()))
+
+    yield share("speed_mean_mps", 1000.0 * sums["km"], 3600.0 * sums["hours"])
+    if "follows" in sums:
+        yield share("headway_mean_s", sums["headway"], sums["follows"])
+        yield share("headway_close_share", sums["close"], sums["follows"])
+    for metric in sorted(sums.keys() - {"drivers", "km", "hours", "headway", "follows", "close"}):
+        for end, base in RATES.items():
+            yield share(metric + end, sums[metric], sums[base])
+
+
+def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArray]]:
+    """By metric, (N,) how much of it each agent of an episode has."""
+    tracks, entry = episode.tracks, episode.entry
+    rows = tracks.as_rows()
+    agent, n = rows.index.agent, tracks.ids.size
+    goes = ~rows.index.begins
+    moved = np.zeros(agent.size)
+    moved[1:] = np.hypot(*np.diff(rows.xy, axis=0).T)
+    lasts = np.diff(tracks.time_s[rows.index.step], prepend=0.0)
+    yield "drivers", np.ones(n)
+    yield "km", np.bincount(agent, np.where(goes, moved, 0.0), n) / 1000.0
+    yield "hours", np.bincount(agent, np.where(goes, lasts, 0.0), n) / 3600.0
+    yield from _conflicts(tracks.ids, dataset.conflicts(entry))
+    road = dataset.road(entry)
+    if road is None:
+        return
+    events: Sequence[Event]
+    shown: Sequence[ShownTrait]
+    if entry.engine in FORMATS:
+        events, shown, gaps = _annotated(TrajectoryRows.of(tracks), road)
+    else:
+        events, shown = tracks.events, episode.shown_traits
+        steps = dataset.scan("steps", scenario=entry.scenario, split=entry.split)
+        own = steps.to_table(["agent", "speed_mps", "gap_m"], pc.field("episode") == entry.id)
+        known = own.filter(pc.is_valid(own["gap_m"]))
+        speed, gap = known["speed_mps"].to_numpy(), known["gap_m"].to_numpy()
+        gaps = [(known["agent"].to_numpy(), speed, gap)]
+    yield from _headways(tracks.ids, gaps)
+    yield from _counts(tracks.ids, events, shown)
+
+
+Gaps = tuple[IntArray, FloatArray, FloatArray]
+
+
+def _annotated(
+    steps: TrajectoryRows, road: Road
+) -> tuple[list[Event], list[ShownTrait], list[Gaps]]:
+    """Events, shown traits, and (ids, speeds, gaps) of the parts of a recording."""
+    events, shown, gaps = list[Event](), list[ShownTrait](), list[Gaps]()
+    for part in steps.between_breaks():
+        if part.time_s.size < MIN_FRAMES or part.step_s > MAX_STEP_S:
+            continue
+        found = annotate(part, road, recorded=True)
+        events += found.events
+        shown += found.shown_traits
+        near = np.isfinite(found.gap)
+        gaps.append((part.ids[part.row_index.agent][near], part.speed[near], found.gap[near]))
+    return events, shown, gaps
+
+
+def _headways(ids: IntArray, gaps: Sequence[Gaps]) -> Iterator[tuple[str, FloatArray]]:
+    """Sums of the headways of each agent that follows another one, and of how many are close."""
+    total = np.zeros((3, ids.size))
+    for agents, speed, gap in gaps:
+        moves = speed > MOVES_MPS
+        agent, headway = np.searchsorted(ids, agents[moves]), gap[moves] / speed[moves]
+        kept = headway < FOLLOWS_S
+        for row, weight in enumerate((headway, headway < CLOSE_S, headway >= 0.0)):
+            total[row] += np.bincount(agent[kept], weight[kept].astype(float), ids.size)
+    yield from zip(("headway", "close", "follows"), total, strict=True)
+
+
+def _conflicts(ids: IntArray, met: Conflicts) -> Iterator[tuple[str, FloatArray]]:
+    """Conflicts of each agent by kind and severity."""
+    both = np.searchsorted(ids, np.concatenate([met.first, met.second]))
+    severe = met.near_miss & (met.delta_v_mps > SEVERE_MPS)
+    every = np.ones(len(met), dtype=bool)
+    for name, some in (("conflicts", every), ("near_misses", met.near_miss), ("severe", severe)):
+        for code, kind in enumerate(CONFLICT_KINDS):
+            weight = np.tile(some & (met.kind == code), 2).astype(float)
+            yield f"{name}_{kind.value}", np.bincount(both, weight, ids.size).astype(float)
+
+
+def _counts(
+    ids: IntArray, events: Sequence[Event], shown: Sequence[ShownTrait]
+) -> Iterator[tuple[str, FloatArray]]:
+    """Events and traits of each agent; near misses are among the conflicts."""
+    counted: dict[str, FloatArray] = {"collisions_caused": np.zeros(ids.size)}
+    row = {int(agent): number for number, agent in enumerate(ids.tolist())}
+    named = [(trait.agent, f"trait {trait.trait.value}") for trait in shown]
+    for event in events:
+        if event.kind is EventKind.COLLISION:
+            named.append((event.agent, "collisions_caused"))
+        elif event.kind is not EventKind.NEAR_MISS:
+            named.append((event.agent, f"event {event.kind.value}"))
+    for agent, words in named:
+        if agent in row:
+            name = words.replace(" ", "_")
+            counted.setdefault(name, np.zeros(ids.size))[row[agent]] += 1.0
+    yield from counted.items()
+
+
+def table(rows: Sequence[Row], by: str | None) -> list[dict[str, Cell]]:
+    """A line for each figure, a column for each group.
+
+    Rates per hour are left out, and figures that are 0 in every group.
+    """
+    groups = dict.fromkeys("all" if by is None else str(row[by]) for row in rows)
+    lines: dict[str, dict[str, Cell]] = {}
+    for row in rows:
+        metric, value, low = str(row["metric"]), row["value"], row["low"]
+        if metric.endswith("_per_h") or not value:
+            continue
+        text = f"{value:.3g}" if low is None else f"{value:.3g} [{low:.3g}, {row['high']:.3g}]"
+        line = lines.setdefault(
+            metric, {"figure": metric.replace("_", " "), **dict.fromkeys(groups, "0")}
+        )
+        line["all" if by is None else str(row[by])] = text
+    kinds = ("near", "severe", "collisions", "conflicts", "event", "trait")
+    order = {kind: place for place, kind in enumerate(kinds)}
+    return [lines[m] for m in sorted(lines, key=lambda m: order.get(m.split("_")[0], -1))]

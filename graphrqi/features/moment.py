@@ -1,0 +1,78 @@
+"""The drivers of one moment: values and conditions that what is measured of them is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from graphrqi.features import following_law
+from graphrqi.features.interaction import Interaction
+from graphrqi.features.motion import Motion
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_CLOSE, _DISTANT, _MIDDLE = (1.0, 5.0), (2.5, 2.5), (1.5, 3.5)
+"""Standstill gap, m, and braking, m/s2, that are assumed of a close, a distant and a middle
+follower to compute the law's headway."""
+
+
+Pace = Callable[[FloatArray, BoolArray], float]
+"""Gives the free-flow speed, m/s, from (n,) speeds and (n,) whether the road is free."""
+
+
+class Moment:
+    """The drivers of one moment: the values and conditions that quantities are made of.
+
+    Values are arrays (n,) in SI units, NaN where unknown: speed ``v``, acceleration ``a``, ``gap``
+    to the leader and so on. Conditions are arrays (n,) of truth values.
+    """
+
+    STEADY_MPS2: float = 0.5
+    """Largest acceleration of steady and of free driving."""
+
+    def __init__(self, motion: Motion, around: Interaction, pace: Pace, slowest_mps: float) -> None:
+        v, a = np.maximum(motion.speed, 0.0), motion.acceleration
+        self.v, self.a, self.around = v, a, around
+        self.gap, self.leader_speed = around.gap, around.leader_speed
+        self.side = np.abs(motion.sideways)
+        self.has_leader = has_leader = around.leader >= 0
+        self.has_follower = around.follower >= 0
+        self.always = np.ones(v.size, dtype=bool)
+        self.moving = v > slowest_mps
+        self.closing = v - self.leader_speed
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.headway = self.gap / v
+        self.rear_headway = around.rear_gap / np.maximum(around.rear_speed, 0.1)
+        self.clear = ~has_leader | (self.gap > np.maximum(25.0, 4.0 * v))
+        self.following = has_leader & self.moving & (self.headway < 5.0)
+        self.steady = self.following & self.is_steady()
+        self.free = self.clear & (np.abs(a) < self.STEADY_MPS2) & self.moving & motion.drives
+        self.over_pace = v / pace(v, self.free)
+        self.near_pedestrian = ~np.isnan(around.pedestrian_m)
+        self.stopping = (a < -0.5) & (v > 1.0)
+        self.standing_s = v / np.maximum(-a, 0.1)
+        self.close, self.distant, self.middle = (
+            following_law.implied_headway(v, self.leader_speed, self.gap, *assumed)
+            for assumed in (_CLOSE, _DISTANT, _MIDDLE)
+        )
+
+    def is_steady(self) -> BoolArray:
+        """(n,) whether a driver keeps its speed and that of its leader."""
+        raise NotImplementedError
+
+    def behind(self, law_headway: FloatArray) -> BoolArray:
+        """(n,) whether a driver moves behind a leader at a gap that the law's headway explains."""
+        return self.has_leader & (self.v > 0.7) & (law_headway < 7.0)
+
+
+M = TypeVar("M", bound=Moment)
+Values = Callable[[M], tuple[FloatArray, BoolArray]]
+"""Gives (n,) numbers and (n,) whether the condition holds."""
+
+Nodes = tuple[float, ...]
+Quantities = tuple[tuple[str, Nodes, Values[M]], ...]
+"""Name, scale and values of each quantity."""

@@ -1,1 +1,0 @@
-"""Features for traffic of unknown kind: smoothed motion, and drivers relative to their scene."""
