@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -27,12 +27,11 @@ def refuse_declarations(path: Path, data: bytes) -> None:
         raise InputError(f"{path}: found a document type or entity declaration, expected none")
 
 
-def read_tree(path: Path, cut: Callable[[bytes], bytes] | None = None) -> ET.Element:
+def read_tree(path: Path) -> ET.Element:
     """The root element of an XML file.
 
     Args:
         path: the file, gzipped where its name ends in ``.gz``.
-        cut: takes out of the file's bytes what it reads itself, whole elements only.
 
     Returns:
         The root; elements, attributes and texts as they are in the file.
@@ -44,7 +43,7 @@ def read_tree(path: Path, cut: Callable[[bytes], bytes] | None = None) -> ET.Ele
     refuse_declarations(path, data)
     try:
         with without_collection():
-            return ET.fromstring(data if cut is None else cut(data))
+            return ET.fromstring(data)
     except (ET.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{path}: {' '.join(str(error).split())}, expected XML") from None
 

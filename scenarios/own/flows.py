@@ -2,9 +2,10 @@
 
 Vehicles enter at edges that no other edge leads to and leave at edges that lead nowhere; a way back
 to where one comes from (a turnaround) counts as neither. On a road without such edges, a ring say,
-every edge is both. Each pair of edges that a way joins gets a share of the traffic by the lanes of
-both, on the way that takes the least time. The traffic as a whole is so much that the lane that is
-used most carries a given share of what it can.
+or with few of them for its size, every edge is both: vehicles begin and end inside, too. Each pair
+of edges that a way joins gets a share of the traffic by the lanes of both, on the way that takes
+the least time. The traffic as a whole is so much that the lane that is used most carries a given
+share of what it can.
 """
 
 from __future__ import annotations
@@ -53,6 +54,10 @@ TURN_S: Final = 3.0
 
 SHORTEST_ENTRY_M: Final = 15.0
 """Vehicles enter and leave at edges at least this long, where there are any (a bus fits)."""
+
+MOST_LANE_M: Final = 2000.0
+"""With more metres of lane for each entry, or for each exit, vehicles begin and end inside, too (at
+medium traffic a kilometre of lane holds some ten)."""
 
 Route = tuple[str, ...]
 
@@ -130,8 +135,9 @@ class EdgeGraph:
         return self._chosen(self.exits)
 
     def _chosen(self, fringe: list[str]) -> tuple[str, ...]:
-        """The long and wide edges of the fringe, or of all edges where there is no fringe."""
-        edges = fringe or list(self.lanes)
+        """The long and wide edges of the fringe, or of all edges where there is little of it."""
+        total_m = sum(one.length_m for lanes in self.lanes.values() for one in lanes)
+        edges = fringe if total_m <= MOST_LANE_M * len(fringe) else list(self.lanes)
         edges = [e for e in edges if self.lanes[e][0].length_m >= SHORTEST_ENTRY_M] or edges
         return tuple(sorted(sorted(edges, key=lambda e: (-len(self.lanes[e]), e))[:MOST_EDGES]))
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, loaded
@@ -107,9 +107,17 @@ def _read_beginning(path: Path, changed_ns: int, size: int) -> _Beginning:
     return _Beginning(head, column_names(path, head))
 
 
-LEVELX: Final = ("trackid", "xcenter", "ycenter", "heading")
 LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
-"""Columns of inD and rounD, and the tables that accompany their tracks and highD's."""
+"""Tables that accompany the tracks of inD, rounD and highD."""
+
+IND: Final = Format(
+    ("*_tracks.csv",),
+    reader="sim.formats.levelx:read_ind",
+    own_names=True,
+    beside=LEVELX_BESIDE,
+    columns=(("trackid", "xcenter", "ycenter", "heading"),),
+)
+"""inD and rounD, which look the same."""
 
 FORMATS: Final[Registry[Format]] = Registry(
     "format",
@@ -145,20 +153,8 @@ FORMATS: Final[Registry[Format]] = Registry(
             clock=True,
             columns=(("vehicle_id", "local_x", "local_y"),),
         ),
-        "ind": Format(
-            ("*_tracks.csv",),
-            reader="sim.formats.levelx:read_ind",
-            own_names=True,
-            beside=LEVELX_BESIDE,
-            columns=(LEVELX,),
-        ),
-        "round": Format(
-            ("*_tracks.csv",),
-            reader="sim.formats.levelx:read_ind",
-            own_names=True,
-            beside=LEVELX_BESIDE,
-            columns=(LEVELX,),
-        ),
+        "ind": IND,
+        "round": IND,
         "highd": Format(
             ("*_tracks.csv",),
             reader="sim.formats.levelx:read_highd",
@@ -246,8 +242,8 @@ FORMATS: Final[Registry[Format]] = Registry(
 OTHERS: Final = (
     (re.compile(rb"^par1|^arrow1|^fea1"), "a table of other columns"),
     (re.compile(rb"^\s*<(?:!doctype )?html", re.DOTALL), "a web page, no download"),
-    (re.compile(rb"^pk\x03\x04"), "a ZIP archive, expected it unpacked"),
-    (re.compile(rb"^\x1f\x8b"), "a gzipped file, expected a name that ends in .gz"),
+    (re.compile(rb"^pk\x03\x04"), "a ZIP archive (to be unpacked)"),
+    (re.compile(rb"^\x1f\x8b"), "a gzipped file whose name does not end in .gz"),
     (re.compile(rb"^\x89hdf"), "an HDF5 file"),
     (re.compile(rb"^sqlite format 3"), "an SQLite database"),
     (re.compile(rb"^#rosbag|^\x89mcap"), "a ROS bag"),
@@ -370,6 +366,8 @@ def _what_it_is(path: Path) -> str:
         return "no known format" if any(path.iterdir()) else "an empty folder"
     beginning = _beginning(path)
     head = beginning.head
+    if not head:
+        return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
     other = next((text for look, text in OTHERS if look.search(head.lower())), None)
     columns = f"{', '.join(beginning.columns)}"
     if other == OTHERS[0][1]:
@@ -446,23 +444,13 @@ def _check_there(path: Path) -> None:
         raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")
 
 
-def read_recordings(
-    path: Path,
-    name: str | None = None,
-    types: Path | None = None,
-    rate_hz: float | None = None,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-) -> Iterator[Recording]:
+def read_recordings(path: Path, name: str | None = None, **options: Any) -> Iterator[Recording]:
     """Read a recording, or all recordings of one format in a folder.
 
     Args:
         path: a file or a folder.
         name: a key of ``FORMATS``; None to tell it from the content.
-        types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
-        rate_hz: frames per second that the recordings really have; None for what they say.
-        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
-        units: of these columns.
+        options: as of `read_formats`; with ``columns``, a table of one's own is read.
 
     Yields:
         The recordings, one at a time, in order of the files' names; see `recording_files` for
@@ -473,8 +461,8 @@ def read_recordings(
     Raises:
         InputError: if a file is broken, or there is none.
     """
-    name = "table" if columns else name or recognise(path)
-    for item in read_formats(path, [name], types, rate_hz, columns, units):
+    name = "table" if options.get("columns") else name or recognise(path)
+    for item in read_formats(path, [name], **options):
         if not isinstance(item, Path):
             yield item[1]
 
@@ -492,10 +480,10 @@ def read_formats(
     Args:
         path: a file or a folder.
         names: keys of ``FORMATS``.
-        types: as in `read_recordings`.
-        rate_hz: as in `read_recordings`.
-        columns: as in `read_recordings`.
-        units: as in `read_recordings`.
+        types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
+        rate_hz: frames per second that the recordings really have; None for what they say.
+        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        units: of these columns.
 
     Yields:
         The path of every file before it is read, then its recordings with their format's name.
@@ -528,16 +516,6 @@ def read_formats(
 
 
 __all__ = [
-    "FORMATS",
-    "Format",
-    "first_file",
-    "formats_in",
-    "get_reader",
-    "get_writer",
-    "left_out_files",
-    "new_index",
-    "read_formats",
-    "read_recordings",
-    "recognise",
-    "recording_files",
+    "FORMATS", "Format", "first_file", "formats_in", "get_reader", "get_writer", "left_out_files",
+    "new_index", "read_formats", "read_recordings", "recognise", "recording_files",
 ]  # fmt: skip

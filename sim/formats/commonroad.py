@@ -12,7 +12,6 @@ References:
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -72,8 +71,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 def _recording(path: Path) -> Recording:
     """Read the file's content; its XML tree is freed when this returns."""
-    tables: list[FloatArray] = []
-    root = read_tree(path, lambda data: _without_states(data, tables))
+    root = read_tree(path)
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
     version = root.get("commonRoadVersion", "")
@@ -85,54 +83,12 @@ def _recording(path: Path) -> Recording:
     step_s = real(path, root.get("timeStepSize"), "timeStepSize")
     if step_s <= 0:
         raise InputError(f"{path}: timeStepSize: found {step_s:g}, expected more than 0")
-    rows, notes = _rows(path, root, 1.0 if version in IN_SECONDS else step_s, tables)
+    rows, notes = _rows(path, root, 1.0 if version in IN_SECONDS else step_s)
     road = road_of(path, root)
     if road is not None and road.knows.unknown:
         notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
     found = recorded(path, stem(path), rows, notes, road, own_road=True)
     return found if road is None else replace(found, tracks=_lit(found.tracks, road))
-
-
-_NUMBER: Final = rb"[-+.\deE]+"
-_NUMBER_TEXT: Final = re.compile(rb"(?<=>)" + _NUMBER + rb"(?=<)")
-_EXACT: Final = re.compile(rb"<(\w+)>(?:\s*<exact>)?</")
-_COLUMNS: Final = (b"time", b"x", b"y", b"orientation", b"velocity")
-_BEGIN, _END = b"<trajectory>", b"</trajectory>"
-
-
-def _without_states(data: bytes, tables: list[FloatArray]) -> bytes:
-    """The file without the states of trajectories, which would be most of its tree.
-
-    Where all states of a trajectory are written like the file's first one, a table of `_COLUMNS` is
-    appended and the trajectory left with its number in the list.
-    """
-    first = data[data.find(b"<state>") : data.find(b"</state>") + len(b"</state>")]
-    names = _EXACT.findall(_NUMBER_TEXT.sub(b"", first))
-    literals = [re.escape(text) for text in _NUMBER_TEXT.split(first)]
-    each_once = len(set(names)) == len(names) == len(literals) - 1
-    if not each_once or not {b"time", b"x", b"y"} <= set(names):
-        return data
-    state = re.compile((b"(%b)" % _NUMBER).join(literals))
-    kept, at, begin = list[bytes](), 0, data.find(_BEGIN)
-    while begin >= 0:
-        end = data.find(_END, begin)
-        found = state.findall(data, begin, max(end, begin))
-        # no other elements are among them
-        alone = data.count(b"<", begin, end) == 1 + len(found) * first.count(b"<")
-        try:
-            numbers = np.array(found, dtype=np.float64)
-        except ValueError:
-            alone = False
-        if found and alone:
-            table = np.full((len(found), len(_COLUMNS)), np.nan)
-            for column, name in enumerate(names):
-                if name in _COLUMNS:
-                    table[:, _COLUMNS.index(name)] = numbers[:, column]
-            kept += [data[at:begin], b'<trajectory table="%d"/>' % len(tables)]
-            tables.append(table)
-            at = end + len(_END)
-        begin = data.find(_BEGIN, begin + 1)
-    return b"".join([*kept, data[at:]])
 
 
 def _lit(tracks: Tracks, road: Road) -> Tracks:
@@ -146,9 +102,7 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
     return tracks.changed(signals=np.array(shown, dtype=np.int8).T)
 
 
-def _rows(
-    path: Path, root: Element, unit_s: float, tables: list[FloatArray]
-) -> tuple[Rows, list[str]]:
+def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:
     """The rows of the obstacles, and notes on what was assumed."""
     names: dict[str, None] = {}
     kinds: list[AgentKind] = []
@@ -169,7 +123,7 @@ def _rows(
         names[name] = None
         kinds.append(kind)
         sizes.append(_size(path, element, name))
-        states, moves = _states(path, element, name, tables)
+        states, moves = _states(path, element, name)
         states[:, 0] = np.round(states[:, 0] * unit_s, DECIMALS)
         # one that drives backwards: the format's speed has a sign, ours none
         states[:, 4] = np.abs(states[:, 4])
@@ -196,17 +150,14 @@ def _rows(
     return rows, notes
 
 
-def _states(
-    path: Path, element: Element, name: str, tables: list[FloatArray]
-) -> tuple[FloatArray, bool]:
-    """(k, 5) the states of an obstacle by `_COLUMNS`, times in the file's unit; does it move?"""
+def _states(path: Path, element: Element, name: str) -> tuple[FloatArray, bool]:
+    """(k, 5) the states of an obstacle as `_row` has them; does it move?"""
     initial, trajectory = element.find("initialState"), element.find("trajectory")
     rows = [] if initial is None else [_row(path, initial, f"obstacle {name}")]
     found = [np.reshape(rows, (-1, 5))]
     if trajectory is not None:
-        number = trajectory.get("table")
         rows = [_row(path, one, f"obstacle {name}") for one in trajectory.iterfind("state")]
-        found.append(np.reshape(rows, (-1, 5)) if number is None else tables[int(number)])
+        found.append(np.reshape(rows, (-1, 5)))
     if len(found) > 1 and len(found[1]) and np.isin(found[0][:, 0], found[1][:, 0]).any():
         found = found[1:]  # the initial state is the trajectory's first one, too
     table = np.concatenate(found)

@@ -139,7 +139,9 @@ def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
     except _BROKEN as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(error).split())
+        if isinstance(error, AttributeError | LookupError | TypeError) or not reason:
+            reason = "a part is missing, or is of another kind"
         raise InputError(
             f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
         ) from None

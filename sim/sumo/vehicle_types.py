@@ -69,7 +69,7 @@ def vehicle_type(
     """
     words = {"id": str(agent.id) if name is None else name, "vClass": VEHICLE_CLASS[agent.kind]}
     numbers = {"length": agent.length_m, "width": agent.width_m}
-    limits, profile = KIND_LIMITS[agent.kind], agent.profile
+    profile = agent.profile
     if agent.kind is AgentKind.PEDESTRIAN:
         numbers |= {"maxSpeed": agent.speed_mps, "speedFactor": 1.0, "speedDev": 0.0}
         if agent.jaywalks:
@@ -77,6 +77,7 @@ def vehicle_type(
     elif profile is None:
         raise InputError(f"agent {agent.id}: found no profile, expected one for a {agent.kind}")
     else:
+        limits = KIND_LIMITS[agent.kind]
         words |= {"carFollowModel": settings.law, "laneChangeModel": "LC2013"}
         if math.isfinite(limits.cruise_mps):
             numbers["desiredMaxSpeed"] = limits.cruise_mps

@@ -87,6 +87,9 @@ metres, make it known."""
 RIDING_MPS, RIDING_ROWS = 3.0, 3
 """A pedestrian who is inside a vehicle at such a speed, at so many times, rides in it."""
 
+UNEXPLAINED: Final = 0.3
+"""Headings that no cause explains are doubted below this mean cosine."""
+
 TURN_RAD: Final = 2.1 * np.pi
 """Larger angles than this are no radians, or count turns."""
 
@@ -225,6 +228,8 @@ def _headings(tracks: Tracks, steps: _Steps, heading: FloatArray) -> list[str]:
         return []
     causes = {text: float(agreement(undo(told)).mean()) for text, undo in HEADINGS.items()}
     best = max(causes, key=lambda text: causes[text])
+    if causes[best] <= AGREES and agrees.mean() > UNEXPLAINED:
+        return []  # noise of slow agents
     as_if = f", as if {best}" if causes[best] > AGREES else ""
     return [f"headings of {against} of {agrees.size} moving agents contradict the motion{as_if}"]
 

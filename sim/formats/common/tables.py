@@ -133,17 +133,19 @@ def column_names(path: Path, head: bytes | None = None) -> tuple[str, ...]:
         head: its beginning, if it is known.
     """
     head = head_of(path) if head is None else head
+    if not head:
+        return ()
     try:
         if head.startswith(PARQUET):
             with opened(path) as file:
-                return tuple(
-                    n.lower() for n in pyarrow.parquet.ParquetFile(file).schema_arrow.names
-                )
-        if head.startswith(FEATHER):
-            table = pyarrow.feather.read_table(pa.BufferReader(read_bytes(path)), memory_map=False)
-            return tuple(name.lower() for name in table.column_names)
-        return () if b"\0" in head[:4096] else dialect_of(path).header
-    except (pa.ArrowException, OSError, InputError, ValueError):
+                names = pyarrow.parquet.ParquetFile(file).schema_arrow.names
+        elif head.startswith(FEATHER[0]):
+            with opened(path) as file:
+                names = pa.ipc.open_file(file).schema.names
+        else:
+            return () if b"\0" in head[:4096] else dialect_of(path).header
+        return tuple(name.lower() for name in names)
+    except (pa.ArrowException, OSError, EOFError, zlib.error, InputError, ValueError):
         return ()  # whoever reads it says why
 
 

@@ -24,7 +24,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from sim.geometry import distances_along
+from sim.geometry import distances_along, meeting, points_at
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 
 FloatArray = NDArray[np.float64]
@@ -365,79 +365,30 @@ def _crossing_ids(lanelets: list[Lanelet]) -> set[int]:
     lines = [_thinned(one.centerline) for one in lanelets]
     low = np.array([line.min(axis=0) for line in lines])
     high = np.array([line.max(axis=0) for line in lines])
-    segments = _Segments.of(lines)
     inside = set[int]()
     for i, one in enumerate(lanelets[:-1]):
         rest = slice(i + 1, None)
         meets = ((low[rest] <= high[i]) & (high[rest] >= low[i])).all(axis=1)
-        others = np.flatnonzero(meets) + i + 1
-        crossed = segments.crossed(i, others)
-        if crossed:
-            inside |= {one.id, *(lanelets[j].id for j in crossed)}
+        for j in (np.flatnonzero(meets) + i + 1).tolist():
+            if _cross(lines[i], lines[j]):
+                inside |= {one.id, lanelets[j].id}
     return inside
+
+
+def _cross(line: FloatArray, other: FloatArray) -> bool:
+    """Whether two lines meet at an angle, not just at their ends."""
+    found = meeting(line, other)
+    if found is None or found.sine <= math.sin(CROSSING_RAD):
+        return False
+    point = points_at(line, np.array([found.along]))
+    corners = np.stack([line[0], line[-1], other[0], other[-1]])
+    return bool(np.hypot(*(corners - point).T).min() > END_M)
 
 
 def _thinned(line: FloatArray) -> FloatArray:
     """A line with at most some `COMPARED_POINTS` of its points, both ends among them."""
     step = max(len(line) // COMPARED_POINTS, 1)
     return line if step == 1 else np.concatenate([line[:-1:step], line[-1:]])
-
-
-@dataclass(frozen=True, slots=True)
-class _Segments:
-    """The segments of many lines, one line's after the other's.
-
-    Attributes:
-        lines: (P, 2) points of each, m.
-        first: (n + 1,) index of each line's first segment.
-        start: (S, 2) where each segment begins, m.
-        step: (S, 2) from there to its end, m.
-        size: (S,) its length, m.
-    """
-
-    lines: list[FloatArray]
-    first: NDArray[np.int64]
-    start: FloatArray
-    step: FloatArray
-    size: FloatArray
-
-    @classmethod
-    def of(cls, lines: list[FloatArray]) -> _Segments:
-        """Those of these lines."""
-        first = np.cumsum([0, *(len(line) - 1 for line in lines)])
-        step = np.concatenate([np.diff(line, axis=0) for line in lines])
-        start = np.concatenate([line[:-1] for line in lines])
-        return cls(lines, first, start, step, np.hypot(step[:, 0], step[:, 1]))
-
-    def crossed(self, i: int, others: NDArray[np.int64]) -> list[int]:
-        """Which of the others the line meets, not just at their ends, at an angle."""
-        if not others.size:
-            return []
-        first = self.first
-        mine = slice(first[i], first[i + 1])
-        theirs = np.concatenate([np.arange(first[j], first[j + 1]) for j in others])
-        (ax, ay), (bx, by) = self.step[mine].T[..., None], self.step[theirs].T[:, None]
-        det = ax * by - ay * bx
-        size = self.size[mine, None] * self.size[theirs]
-        askew = np.abs(det) > math.sin(CROSSING_RAD) * size
-        safe = np.where(askew, det, 1.0)
-        gap_x, gap_y = self.start[theirs].T[:, None] - self.start[mine].T[..., None]
-        t = (gap_x * by - gap_y * bx) / safe
-        u = (gap_x * ay - gap_y * ax) / safe
-        hit = askew & (t >= 0) & (t <= 1) & (u >= 0) & (u <= 1)
-        if not hit.any():
-            return []
-        line, found = self.lines[i], list[int]()
-        ends = np.cumsum(first[others + 1] - first[others])
-        for j in np.unique(np.searchsorted(ends, np.flatnonzero(hit.any(axis=0)), side="right")):
-            begin = ends[j - 1] if j else 0
-            k, column = (int(at[0]) for at in np.nonzero(hit[:, begin : ends[j]]))
-            point = line[k] + t[k, begin + column] * (line[k + 1] - line[k])
-            other = self.lines[others[j]]
-            corners = np.stack([line[0], line[-1], other[0], other[-1]])
-            if np.hypot(*(corners - point).T).min() > END_M:
-                found.append(int(others[j]))
-        return found
 
 
 END_M: Final = 1.0
