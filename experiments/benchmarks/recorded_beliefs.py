@@ -63,9 +63,16 @@ def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
     ids = np.concatenate([2 * np.arange(tracks.ids.size), 2 * rows + 1])
     valid = np.concatenate([tracks.valid & ~late, tracks.valid[rows] & late[rows]])
     order = np.argsort(ids)
-    new = tracks.part(source[order], slice(None))
-    names = tuple(f"{name}, {i}" for i, name in enumerate(new.names))
-    cut = dataclasses.replace(new, ids=ids[order], names=names, valid=valid[order])
+    source, valid = source[order], valid[order]
+    xy = np.where(valid[..., None], tracks.xy[source], np.nan)
+    heading, speed = (
+        np.where(valid, one[source], np.nan) for one in (tracks.heading, tracks.speed)
+    )
+    cut = dataclasses.replace(
+        tracks, ids=ids[order], names=tuple(map(str, ids[order].tolist())),
+        kind=tracks.kind[source], length=tracks.length[source], width=tracks.width[source], xy=xy,
+        heading=heading, speed=speed, valid=valid, behavior=None, events=(),
+    )  # fmt: skip
     return cut, rows, middle
 
 
