@@ -115,7 +115,8 @@ def later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatArr
         counts &= headway < LONGEST_HEADWAY_S
         total += np.where(counts, headway, 0.0)
         count += counts
-    return np.divide(total, count, out=np.full(rows.size, np.nan), where=count > 0)
+    mean = np.divide(total, count, out=np.full(rows.size, np.nan), where=count > 0)
+    return np.asarray(mean)
 
 
 def drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:

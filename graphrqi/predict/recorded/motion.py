@@ -27,7 +27,7 @@ BoolArray = NDArray[np.bool_]
 PAST_S: Final = 4.0
 """Past that the filter goes over, s."""
 
-USUAL_ACCEL_MPS2: Final = (2.5, 1.0)
+USUAL_ACCEL_MPS2: Final = (2.0, 1.0)
 """Standard deviation of slow vehicles' accelerations along and across their way, m/s2."""
 
 CALM_MPS: Final = 8.0
@@ -121,10 +121,11 @@ class Motion:
         calm = np.sqrt(1.0 + (seen.velocity[:, -1] ** 2).sum(axis=-1) / CALM_MPS**2)
         usual = np.asarray(USUAL_ACCEL_MPS2)[None] / calm[:, None]
         noises = np.repeat(filtered_m, 2), np.repeat(filtered_mps, 2)
-        rows = (one.reshape(2 * n, ago.size) for one in (place, rate))
+        shape = (2 * n, ago.size)
         states, spread = filtered(
-            ago, *rows, np.repeat(valid, 2, axis=0), *noises, usual.ravel(), FILTER_FADE_S
-        )
+            ago, place.reshape(shape), rate.reshape(shape), np.repeat(valid, 2, axis=0), *noises,
+            usual.ravel(), FILTER_FADE_S,
+        )  # fmt: skip
         states = states.reshape(n, 2, ago.size, 3)
         now = states[:, :, -1]
         ahead, drives = now[:, 0, 1], history.kind != PEDESTRIAN
@@ -337,7 +338,7 @@ def _noises(seen: _Seen) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray
         _white(ago, velocity, valid, 2, LEAST_NOISE_MPS), _disagreement(seen, noise_m)
     )
     step = float(np.median(np.diff(ago))) if ago.size > 1 else 0.1
-    slow = np.maximum(_shaking(seen, step) ** 2 - 1.5 * noise_m**2, 0.0) * (1.0 + 1.0 / step)
+    slow = np.maximum(_shaking(seen, step) ** 2 - 1.2 * noise_m**2, 0.0) * (1.0 + 1.0 / step)
     filtered_m = np.sqrt(np.maximum(noise_m, LEAST_FILTER_M) ** 2 + slow)
     return noise_m, noise_mps, filtered_m, np.maximum(noise_mps, LEAST_FILTER_MPS)
 

@@ -166,7 +166,7 @@ def present_acceleration(history: Tracks) -> FloatArray:
     span = history.time_s[-1] - history.time_s[first]
     gained = history.speed[:, -1] - history.speed[row, first]
     known = history.valid[:, -1] & (span > 1e-6)
-    return np.divide(gained, span, out=np.zeros(row.size), where=known)
+    return np.asarray(np.divide(gained, span, out=np.zeros(row.size), where=known))
 
 
 def _wished_speeds(
