@@ -161,16 +161,8 @@ class Posterior:
 
     def _repr_html_(self) -> str:
         """A table of the first drivers, for notebooks."""
-        head = "".join(f"<th>{title}</th>" for title in ("agent", *BEHAVIORS))
-        lines = [
-            f"<tr><td>{agent}</td>" + "".join(f"<td>{p:.2f}</td>" for p in row) + "</tr>"
-            for agent, row in zip(self.ids[:_SHOWN], self.probability[:_SHOWN], strict=True)
-        ]
-        if self.ids.size > _SHOWN:
-            more = f"and {self.ids.size - _SHOWN} more"
-            lines.append(f"<tr><td colspan={len(BEHAVIORS) + 1}>{more}</td></tr>")
-        caption = f"<caption>{html.escape(repr(self))}</caption>"
-        return f"<table>{caption}<tr>{head}</tr>{''.join(lines)}</table>"
+        table = self.to_pandas().head(_SHOWN)
+        return f"<p>{html.escape(repr(self))}</p>{table.round(2).to_html()}"
 
     def to_pandas(self) -> pd.DataFrame:
         """Table of the probabilities: a row per driver, a column per behaviour.
@@ -178,14 +170,9 @@ class Posterior:
         Returns:
             Rows indexed by agent id (``agent``); last columns ``most_likely``, ``unknown`` and
             ``told``.
-
-        Raises:
-            InputError: if pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise InputError("pandas: found none, expected it: pip install pandas") from error
+        import pandas as pd
+
         names = [behavior.value for behavior in BEHAVIORS]
         index = pd.Index(np.array(self.ids), name="agent")
         table = pd.DataFrame(np.array(self.probability), index=index, columns=names)

@@ -8,6 +8,8 @@
 - ``across-traffic``: trained on usual traffic, scored on other flows, mixes, limits and roads.
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
 - ``noise``: usual traffic seen with noise, at other frame rates, and with lost frames.
+- ``parts``: trees on a driver's own motion, then with its neighbours, the spectrum, the inferred
+  law, and the estimated mix of drivers; each is compared with the one before.
 - ``leak-probe``: a forest that sees an agent's number and the time and nothing else; it has to stay
   at chance, and its interval has to hold chance.
 
@@ -46,9 +48,13 @@ from experiments.score.answers import Answers, score_answers, score_difference, 
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.classify import Classifier, make_classifier
+from graphrqi.features.drivers import DriverObserver
+from graphrqi.features.raw_quantities import PARTS
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
+from graphrqi.places.prior_shift import PriorShift
 from graphrqi.samples import Samples
+from sim.frames import FloatArray
 from sim.store.dataset import open_dataset
 from sim.store.schema import Split
 
@@ -283,6 +289,78 @@ def _profiles(data: Recordings, split: Split) -> Samples:
     return whole_track_samples(numbers, codes, episode, np.arange(len(found)))
 
 
+LADDER: Final[dict[str, tuple[str, ...]]] = {
+    "motion": ("motion",),
+    "with interaction": ("motion", "interaction"),
+    "with spectrum": ("motion", "interaction", "spectrum"),
+    "with law": PARTS,
+}
+"""Parts of the features that trees are trained on, from few to all."""
+
+LADDER_S: Final = (3.0, 10.0, float("inf"))
+"""Lengths of observation at which parts are compared, s; the last is a whole track."""
+
+
+def parts(data: Data) -> Iterator[list[Row]]:
+    """What each part of the features adds to trees, and the estimated mix to their answers."""
+    base, rival = data.base, PlainRival(data.base.training_tracks)
+    columns = METHODS[OURS].observer("graphrqi").feature_names
+    training, scored = base.training(OURS), base.scored(OURS, LADDER_S)
+    held, majority = base.validation(OURS), majority_of(training)
+    before: dict[tuple[str, float], Answers] = {}
+    for name, chosen in LADDER.items():
+        wanted = [columns.index(column) for column in DriverObserver(parts=chosen).feature_names]
+        known, asked = (_columns(samples, wanted) for samples in (training, scored))
+        trees = make_classifier("boosted", len(BEHAVIORS), **METHODS[OURS].options)
+        apart = None
+        if held is not None:
+            apart = _columns(held, wanted).features.astype(np.float64), held.codes
+        trees.fit(known.features.astype(np.float64), known.codes, apart, 0)
+        found = {name: _answered(trees, asked)}
+        if chosen == PARTS:
+            shifted = _under_the_mix(found[name].probability, asked, training)
+            found["under the mix"] = Answers.known(shifted, asked.codes, asked.episode)
+        for rung, answers in found.items():
+            rows: list[Row] = []
+            for scenario in base.dataset.scenarios:
+                here = base.scenario[asked.episode] == scenario
+                for window_s in LADDER_S:
+                    at = here & (asked.window_s == window_s)
+                    one = answers.where(at)
+                    keys = keys_of("parts", scenario, rung, window_s)
+                    rows += _scored(one, majority, keys)
+                    if (scenario, window_s) in before:
+                        rows += score_difference(
+                            one, before[scenario, window_s],
+                            keys_of("parts", scenario, rung, window_s, "minus the one before"),
+                        )  # fmt: skip
+                    before[scenario, window_s] = one
+                if rung == "motion":
+                    whole = base.of(scenario, asked.where(np.isinf(asked.window_s)))
+                    place = ("parts", scenario, "")
+                    rows += _rival_beside(rival, base, whole, place, majority)[0]
+            yield rows
+
+
+def _columns(samples: Samples, wanted: Sequence[int]) -> Samples:
+    """The same samples with some of their features."""
+    return dataclasses.replace(samples, features=samples.features[:, wanted])
+
+
+def _under_the_mix(answers: FloatArray, asked: Samples, training: Samples) -> FloatArray:
+    """(n, 6) answers corrected for the shares of behaviours so far in each episode."""
+    count = np.bincount(training.codes, minlength=len(BEHAVIORS))
+    out = answers.copy()
+    for episode, window_s in {*zip(asked.episode.tolist(), asked.window_s.tolist(), strict=True)}:
+        rows = np.flatnonzero((asked.episode == episode) & (asked.window_s == window_s))
+        shift = PriorShift(count / count.sum())
+        for time_s in np.unique(asked.time_s[rows]):
+            now = rows[asked.time_s[rows] == time_s]
+            shift.observe(float(time_s), asked.agent[now], answers[now])
+            out[now] = shift.corrected(answers[now])
+    return out
+
+
 def across_scenarios(data: Data) -> Iterator[list[Row]]:
     """Trained on each scenario alone, scored on every other one."""
     base = data.base
@@ -359,6 +437,7 @@ def leak_probe(data: Data) -> Iterator[list[Row]]:
 PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
     "shipped": shipped,
     "inductive": inductive,
+    "parts": parts,
     "leak-probe": leak_probe,
     "across-scenarios": across_scenarios,
     "across-traffic": across_traffic,

@@ -194,6 +194,9 @@ POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
 }
 """Our policies, with what each changes in an environment's configuration."""
 
+PLANNERS: Final = ("planner", BLIND, "planner-told", "planner-true")
+"""Names of the planner, whatever it knows."""
+
 PLANNER: Final = "planner"
 """Short for the planner with the classifier's beliefs."""
 

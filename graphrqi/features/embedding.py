@@ -73,35 +73,23 @@ class LaplacianPairs:
 
     @classmethod
     def solved(cls, adjacency: FloatArray, num_pairs: int = NUM_DIMENSIONS) -> LaplacianPairs:
-        """The pairs of the smallest eigenvalues above zero.
-
-        Args:
-            adjacency: (n, n) symmetric weights, none negative.
-            num_pairs: largest number of pairs.
+        """At most so many pairs of the smallest eigenvalues above zero of symmetric weights (n, n).
 
         Examples:
             >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
             >>> LaplacianPairs.solved(path, 2).values.round(3)
             array([1., 2.])
         """
-        degree = adjacency.sum(axis=1) + _RIDGE
-        root = 1.0 / np.sqrt(degree)
-        normalised = np.eye(len(root)) - root[:, None] * adjacency * root - np.diag(_RIDGE / degree)
-        if not len(root):
+        if not len(adjacency):
             return cls(np.zeros(0), np.zeros((0, 0)), adjacency)
-        values, vectors = eigh(normalised)
+        degree = np.diag(adjacency.sum(axis=1) + _RIDGE)
+        laplacian = degree - adjacency - _RIDGE * np.eye(len(adjacency))
+        values, vectors = eigh(laplacian, degree)
         kept = np.flatnonzero(values > _ZERO)[:num_pairs]
-        return cls(values[kept], root[:, None] * vectors[:, kept], adjacency)
+        return cls(values[kept], vectors[:, kept], adjacency)
 
     def moved(self, adjacency: FloatArray) -> LaplacianPairs:
-        """The pairs of a slightly different graph, to first order.
-
-        Args:
-            adjacency: (n, n) of the same vertices in the same order.
-
-        Returns:
-            Updated pairs, normalised.
-        """
+        """The pairs of a slightly different graph (n, n) of the same vertices, to first order."""
         change = adjacency - self.adjacency
         degree_change = change.sum(axis=1)
         a, values = self.vectors, self.values
@@ -120,55 +108,38 @@ class LaplacianPairs:
         return LaplacianPairs(np.maximum(values + np.diag(numerator), 0.0), vectors, adjacency)
 
     def of_vertices(self, kept: IntArray, into: IntArray, adjacency: FloatArray) -> LaplacianPairs:
-        """The pairs on another set of vertices; newcomers start at the mean of their neighbours.
+        """The pairs where rows ``kept`` of this graph become rows ``into`` of the next (m, m).
 
-        Args:
-            kept: rows of this graph whose vertices remain.
-            into: their rows in the next graph.
-            adjacency: (m, m) of the next graph.
-
-        Returns:
-            Pairs whose graph is the old one among vertices that remain and the new one elsewhere.
+        Newcomers start at the mean of their neighbours. The pairs' graph is the old one among
+        vertices that remain and the new one elsewhere.
         """
-        m = len(adjacency)
-        vectors = np.zeros((m, self.values.size))
-        vectors[into] = self.vectors[kept]
-        fresh = np.ones(m, dtype=bool)
-        fresh[into] = False
+        vectors = np.zeros((len(adjacency), self.values.size))
         known = adjacency[:, into]
         total = known.sum(axis=1)
-        mean = known @ vectors[into] / np.where(total > 0, total, 1.0)[:, None]
-        vectors[fresh] = mean[fresh]
+        vectors[:] = known @ self.vectors[kept] / np.where(total > 0, total, 1.0)[:, None]
+        vectors[into] = self.vectors[kept]
         before = adjacency.copy()
         before[np.ix_(into, into)] = self.adjacency[np.ix_(kept, kept)]
         return LaplacianPairs(self.values, vectors, before)
 
 
-def consensus(
-    network: FloatArray, attributes: FloatArray, dimensions: int = NUM_DIMENSIONS
-) -> FloatArray:
-    """Projections in which two embeddings of the same vertices correlate most.
-
-    Args:
-        network: (n, k) embedding of the graph.
-        attributes: (n, l) embedding of the attributes.
-        dimensions: columns wanted.
+def consensus(network: FloatArray, attributes: FloatArray) -> FloatArray:
+    """Projections in which two embeddings (n, k) and (n, l) of the same vertices correlate most.
 
     Returns:
-        (n, dimensions) projections [network, attributes] p in descending order of correlation, each
-        of mean square 1 and with its largest entry positive; zeros where there are fewer.
+        (n, NUM_DIMENSIONS) projections [network, attributes] p in descending order of correlation,
+        each of mean square 1 and with its largest entry positive; zeros where there are fewer.
     """
     n, k = network.shape
     both = np.concatenate([network, attributes], axis=1)
-    out = np.zeros((n, dimensions))
+    out = np.zeros((n, NUM_DIMENSIONS))
     if n == 0 or both.shape[1] == 0:
         return out
     gram = both.T @ both
     within = gram.copy()
     within[:k, k:] = within[k:, :k] = 0.0
     within += np.eye(len(within)) * 1e-9 * max(float(np.trace(gram)), 1e-12)
-    _, mixes = eigh(gram, within)
-    found = both @ mixes[:, ::-1][:, :dimensions]
+    found = both @ eigh(gram, within)[1][:, ::-1][:, :NUM_DIMENSIONS]
     size = np.sqrt((found**2).mean(axis=0))
     found = found / np.where(size > 0, size, 1.0)
     sign = np.sign(found[np.abs(found).argmax(axis=0), np.arange(found.shape[1])])
@@ -177,19 +148,13 @@ def consensus(
 
 
 def similarity(motion: Motion) -> FloatArray:
-    """Cosine similarity of the agents' motion.
+    """(n, n) cosine similarity of speed, acceleration and sideways movement, none negative.
 
-    Args:
-        motion: of n agents.
-
-    Returns:
-        (n, n) similarity of speed, acceleration and sideways movement, each standardised over the
-        agents present; negative similarities and the diagonal are zero.
+    Each is standardised over the agents present.
     """
     if motion.ids.size == 0:
         return np.zeros((0, 0))
-    traits = np.stack([motion.speed, motion.acceleration, motion.sideways], axis=1)
-    traits = np.where(np.isnan(traits), 0.0, traits)
+    traits = np.nan_to_num(np.stack([motion.speed, motion.acceleration, motion.sideways], axis=1))
     spread = traits.std(axis=0)
     traits = (traits - traits.mean(axis=0)) / np.where(spread > 1e-9, spread, 1.0)
     size = np.sqrt((traits**2).sum(axis=1))

@@ -149,8 +149,9 @@ class PlaceNetwork:
             weights, biases, inputs = [], [], num_features
             for layer in LAYERS:
                 weight = saved(named, f"{prefix}.{layer}.weight", (inputs, None))
-                weights.append(_single(weight))
-                biases.append(_single(saved(named, f"{prefix}.{layer}.bias", (weight.shape[1],))))
+                weights.append(np.ascontiguousarray(weight, dtype=np.float32))
+                bias = saved(named, f"{prefix}.{layer}.bias", (weight.shape[1],))
+                biases.append(bias.astype(np.float32))
                 own, shown = biases[0].size, biases[-1].size
                 inputs = own if layer == "own" else own + 2 * shown + 1
                 if layer == "joint":
@@ -167,7 +168,3 @@ class PlaceNetwork:
 
 def _rectified(values: SingleArray) -> SingleArray:
     return np.maximum(values, 0.0)
-
-
-def _single(values: NDArray[Any]) -> SingleArray:
-    return np.ascontiguousarray(values, dtype=np.float32)

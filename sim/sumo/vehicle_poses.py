@@ -50,6 +50,7 @@ def find_poses(
         heading: (n,) receives the headings, rad in (-pi, pi].
 
     Examples:
+        >>> import numpy as np
         >>> from sim.road.cells import cells_of
         >>> axles = np.full((1, 4), np.nan)
         >>> agent, nowhere = np.zeros(1, np.int64), np.empty((0, 4))
