@@ -55,12 +55,8 @@ those that learn from 20. Drivers with another car-following law raise the accur
 third engine from .84 to .89 at the intersection, and lower macro-F1 on drivers with Krauss's law
 by .004 to .009."""
 
-WORLDS, WORLDS_SEED = 100, 77
+WORLDS, WORLDS_SEED = 60, 77
 """Random worlds that the predictor for recordings is trained on, and their seed."""
-
-HOME_EPISODES: Final = 8
-HOME_LIMITS_MPS: Final = (13.89, 8.33, 16.67, 19.44)
-"""Episodes of each scenario that it is trained on, and the limits that they take in turn, m/s."""
 
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
@@ -183,14 +179,10 @@ def train_all_predictors(work: Path, jobs: int) -> None:
             f"{', '.join(OPEN_DATA)} in {RECORDINGS}\n"
         )
         return
-    worlds, home = work / "recorded-worlds", work / "recorded-home"
+    worlds = work / "recorded-worlds"
     generate(worlds_of(WORLDS, WORLDS_SEED), worlds, jobs)
-    config = GenerateConfig(
-        scenarios=SCENARIOS, episodes=HOME_EPISODES, seed=WORLDS_SEED, limits_mps=HOME_LIMITS_MPS
-    )
-    generate(config, home, jobs)
     roads = generate_roads(work, WORLDS_SEED, False)
-    train_on_recordings([*recordings, worlds, home, *roads], weights)
+    train_on_recordings([*recordings, worlds, *roads], weights)
 
 
 PARTS: Final[dict[str, Callable[[Path, int], None]]] = {

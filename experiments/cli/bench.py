@@ -93,7 +93,9 @@ def classification(
 @bench.command("real-data", epilog="example: graphrqi bench real-data --data FOLDER --quick")
 def real_data(
     data: Data,
-    task: Annotated[str, option("behavior, or prediction: where vehicles go.")] = "behavior",
+    task: Annotated[
+        str, option("behavior, classification: beliefs without labels, or prediction.")
+    ] = "behavior",
     leave_out: Annotated[
         str, option("Of prediction: dataset, place or nothing.", "--leave-out")
     ] = "dataset",
@@ -104,10 +106,13 @@ def real_data(
     """Score methods or predictors on recordings, each left out of the training in turn."""
     from behaviors.errors import lookup
     from experiments.benchmarks import real_data as behavior
+    from experiments.benchmarks import recorded_beliefs
     from experiments.benchmarks import recorded_prediction as prediction
 
-    lookup({"behavior": 0, "prediction": 1}, task, "task")
-    if task == "prediction":
+    lookup({"behavior": 0, "classification": 1, "prediction": 2}, task, "task")
+    if task == "classification":
+        parts = recorded_beliefs.measure(data, jobs=jobs)
+    elif task == "prediction":
         parts = prediction.measure(data, leave_out, 1 if quick else 4)
     else:
         views = ("majority", "leak-probe", "unit-free") if quick else tuple(behavior.VIEWS)

@@ -165,20 +165,24 @@ def predict(
         option("From train --predictor (default: the weights that ship).", metavar="FOLDER"),
     ] = None,
     traffic: TrafficKind = None,
+    split: Annotated[
+        str | None, option("test, validation, train or all [default: test; all of recordings].")
+    ] = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Predict where everyone goes, and score it."""
     from experiments.console.tables import show_table
-    from experiments.score.predict import errors_table, predict_dataset
+    from experiments.score.predict import default_split, errors_table, predict_dataset
     from experiments.score.rows import stamped
 
     refuse_to_overwrite([source, net], [out, json])
     names = [word.strip() for word in predictors.split(",") if word.strip()]
     with _named_dataset(source, format, net) as (dataset, known):
         found = predict_dataset(
-            dataset, names, horizon_s, model, out=out, weights=weights, traffic=traffic, jobs=jobs,
+            dataset, names, horizon_s, model, out=out, weights=weights, traffic=traffic,
+            split=split or default_split(dataset), jobs=jobs,
             quiet=quiet,
         )  # fmt: skip
     rows = stamped(found, "predict", dataset=known)

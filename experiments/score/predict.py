@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import pyarrow as pa
 
-from behaviors.errors import InputError
+from behaviors.errors import InputError, lookup
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.admission import is_scene
@@ -38,7 +38,12 @@ from graphrqi.predict.scene.scene import LONGEST_S
 from graphrqi.stream import DEFAULT_MODEL
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset
-from sim.store.schema import EpisodeEntry
+from sim.store.schema import EpisodeEntry, Split
+
+SPLITS: Final[dict[str, Split | None]] = {
+    "test": "test", "validation": "validation", "train": "train", "all": None
+}  # fmt: skip
+"""Which episodes may be scored."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,21 +109,23 @@ def predict_dataset(
     out: Path | None = None,
     weights: Path | None = None,
     traffic: str | None = None,
+    split: str = "test",
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
-    """Predict every episode of a dataset's test split and return the errors.
+    """Predict every episode of one of a dataset's splits and return the errors.
 
     Episodes that are too short are left out, each in a line on stderr.
 
     Args:
-        source: a dataset; all of a scenario is predicted that has no test split.
+        source: a dataset.
         predictors: keys of ``PREDICTORS``, or "module:function".
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
         out: where to write the futures (`experiments.score.futures`); None: nowhere.
         weights: as `experiments.score.predictions.score_episode` takes them.
         traffic: as `experiments.score.labels.label_episode` takes it.
+        split: a key of `SPLITS`; of ``test``, all of a scenario is predicted that has none.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
 
@@ -130,19 +137,22 @@ def predict_dataset(
             short, or nobody is seen for long enough in any.
     """
     _check_request(predictors, horizon_s)
+    wanted = lookup(SPLITS, split, "split")
     if weights is not None:
         trained_network(weights)
     load_model(model)
     horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
     dataset = open_dataset(source)
     rows: list[Row] = []
-    entries = [
-        (scenario, entry)
-        for scenario in dataset.scenarios
-        for entry in dataset.episodes("test", scenario) or dataset.episodes(None, scenario)
-    ]
+    entries, told = [], {}
+    for scenario in dataset.scenarios:
+        some = dataset.episodes(wanted, scenario)
+        told[scenario] = split if some else "all"
+        if not some and split == "test":
+            some = dataset.episodes(None, scenario)
+        entries += [(scenario, entry) for entry in some]
     if not entries:
-        raise InputError(f"{source}: found no episode, expected at least 1")
+        raise InputError(f"{source}: found no {split} episode, expected at least 1")
     found: dict[str, list[Mapping[str, Errors]]] = {}
     short: list[tuple[EpisodeEntry, float]] = []
     least_s = shortest_s(horizon_s)
@@ -182,10 +192,15 @@ def predict_dataset(
             entry.id, entry.name, length_s, least_s, horizon_s,
         )  # fmt: skip
     for scenario, episodes in found.items():
-        whole = not dataset.episodes("test", scenario)
-        keys = {"scenario": scenario, "split": "all" if whole else "test"}
+        keys = {"scenario": scenario, "split": told[scenario]}
         rows += score_predictions(episodes, keys, horizons_s)
     return rows
+
+
+def default_split(source: Path) -> str:
+    """The split that is scored unless another is asked for: of recordings, all."""
+    entries = open_dataset(source).episodes()
+    return "all" if all(entry.recording is not None for entry in entries) else "test"
 
 
 def errors_table(rows: Sequence[Row]) -> list[Row]:

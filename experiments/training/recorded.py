@@ -25,9 +25,9 @@ from experiments.training.recordings import (
     RecordedPlace,
     happened,
     history_of,
-    moving,
     read_sources,
     recorded_instants,
+    scored,
     steady_motion,
 )
 from graphrqi.predict.networks.futures import TIME_S
@@ -39,6 +39,8 @@ from graphrqi.predict.recorded.network import SHIPPED, RecordedNetwork
 from graphrqi.predict.training.recorded import (
     EPOCHS,
     RecordedExamples,
+    earned_shares,
+    errors_by_share,
     guesses,
     train_recorded,
 )
@@ -46,16 +48,16 @@ from sim.files import whole_file
 from sim.frames import BoolArray, FloatArray, Tracks
 from sim.road import Road
 
-PER_DATASET: Final = 6_000
+PER_DATASET: Final = 1_200
 """Number of examples, a moving agent at an instant each, that are taken from a dataset, about."""
 
 LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
 """Shortest and longest time between the instants of a recording, s."""
 
-NOISE_M: Final = (0.02, 0.25)
+NOISE_M: Final = (0.02, 0.3)
 """Range of the noise added to the past, standard deviation of each coordinate, m, log-uniform."""
 
-NOISY_COPIES: Final = 2
+NOISY_COPIES: Final = 1
 """Noisy versions of each instant."""
 
 COARSER: Final = (2, 3, 5)
@@ -83,6 +85,9 @@ MIRRORED_SHARE: Final = 0.5
 
 ALONE_SHARE: Final = 0.08
 """Share of versions without neighbours, as where gaps are implausible."""
+
+FOLDS: Final = 3
+"""Groups of datasets that are left out in turn to see what corrections earn."""
 
 VALIDATION_EVERY: Final = 10
 """Every tenth recording scales the spreads and is not trained on."""
@@ -237,6 +242,7 @@ def recorded_examples(
         fading(motion, TIME_S)[counts].astype(np.float32),
         motion.to_own_frame(truth)[counts].astype(np.float32),
         measured[counts].astype(np.float32),
+        motion.stands[counts],
         steady[counts].astype(np.float32),
         np.full(int(counts.sum()), group),
         ahead.of(counts).in_single_precision(),
@@ -264,7 +270,7 @@ def examples_of(
     for stop in recorded_instants(tracks, every_s):
         history = history_of(tracks, stop)
         truth = happened(tracks, history, stop)
-        counts = moving(history) & np.isfinite(truth).all(axis=(1, 2))
+        counts = scored(history) & np.isfinite(truth).all(axis=(1, 2))
         if not counts.any():
             continue
         believable = plausible(history)
@@ -374,7 +380,21 @@ def train_on_recordings(
 def fit_network(
     found: Sequence[DatasetExamples], epochs: int, seed: int, quiet: bool = True
 ) -> RecordedNetwork:
-    """Train on what datasets give; their validation parts scale the spreads."""
+    """Train on what datasets give; their validation parts scale the spreads.
+
+    Networks that were trained without some of the datasets tell what corrections earn there.
+    """
+    errors = []
+    for fold in range(FOLDS if len(found) > FOLDS else 0):
+        others = [one for number, one in enumerate(found) if number % FOLDS != fold]
+        network = _fit(others, epochs, seed, True)
+        errors += [errors_by_share(network, one.training) for one in found[fold::FOLDS]]
+    network = _fit(found, epochs, seed, quiet)
+    return dataclasses.replace(network, earned=earned_shares(errors)) if errors else network
+
+
+def _fit(found: Sequence[DatasetExamples], epochs: int, seed: int, quiet: bool) -> RecordedNetwork:
+    """Train once."""
     training = RecordedExamples.join([one.training for one in found])
     apart = [one.validation for one in found if one.validation is not None]
     with Progress("training epochs", epochs, quiet) as progress:

@@ -19,9 +19,10 @@ import numpy as np
 from behaviors.errors import InputError
 from experiments.score.predictions import HISTORY_S, future
 from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.formats import get_reader, recognise, recording_files
 from sim.formats.common.recording import Recording
-from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
+from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.store.catalogue import is_dataset
@@ -36,6 +37,15 @@ AHEAD_S: Final = float(TIME_S[-1])
 MOVING_MPS, MOVED_M = 1.0, 1.0
 """Agents that count as moving have at least this speed, m/s, or moved by this distance within the
 last `PAST_S`, m."""
+
+CLASSES: Final = ("standing", "slow", "free", "following")
+"""Classes of vehicles by their past."""
+
+STANDING_MPS, SLOW_MPS = 0.5, 5.0
+"""Who stands is slower and has moved by less than half a metre; who is slow moves, m/s."""
+
+FOLLOWING_S, FOLLOWING_M = 3.0, 15.0
+"""Who follows has a leader within this time or distance."""
 
 VELOCITY_S: Final = 0.5
 """Past over which constant velocity averages, s."""
@@ -198,17 +208,35 @@ def history_of(tracks: Tracks, stop: int) -> Tracks:
     return tracks.window(stop, round(HISTORY_S / tracks.step_s) + 1)
 
 
-def moving(history: Tracks, past_s: float = PAST_S) -> BoolArray:
-    """(n,) who is scored, as far as the past decides."""
+def scored(history: Tracks) -> BoolArray:
+    """(n,) who is scored, as far as the past decides: vehicles seen for `PAST_S`."""
+    ago = history.time_s - history.time_s[-1]
+    first = history.valid.argmax(axis=1)
+    return np.asarray((history.kind != PEDESTRIAN) & (-ago[first] >= PAST_S - 1e-2))
+
+
+def moved_m(history: Tracks) -> FloatArray:
+    """(n,) how far each is from where it was `PAST_S` ago, m."""
     ago = history.time_s - history.time_s[-1]
     first = history.valid.argmax(axis=1)
     column = np.maximum(first, int(np.searchsorted(ago, -PAST_S - 1e-3)))
     then = history.xy[np.arange(first.size), column]
-    moved = np.linalg.norm(history.xy[:, -1] - then, axis=1) > MOVED_M
-    fast = history.speed[:, -1] >= MOVING_MPS
-    return np.asarray(
-        (history.kind != PEDESTRIAN) & (-ago[first] >= past_s - 1e-2) & (moved | fast)
-    )
+    return np.asarray(np.linalg.norm(history.xy[:, -1] - then, axis=1))
+
+
+def moving(history: Tracks) -> BoolArray:
+    """(n,) who moves among those that are scored."""
+    return scored(history) & ((moved_m(history) > MOVED_M) | (history.speed[:, -1] >= MOVING_MPS))
+
+
+def classes_of(history: Tracks) -> IntArray:
+    """(n,) codes into `CLASSES`, as recorded."""
+    speed = history.speed[:, -1]
+    leader, gap = inferred_leaders(history)
+    follows = (leader >= 0) & (gap < np.maximum(FOLLOWING_S * speed, FOLLOWING_M))
+    stands = (speed < STANDING_MPS) & (moved_m(history) < STANDING_MPS)
+    code = np.where(follows, 3, 2)
+    return np.where(stands, 0, np.where(speed < SLOW_MPS, 1, code))
 
 
 def steady_motion(history: Tracks, time_s: FloatArray) -> FloatArray:

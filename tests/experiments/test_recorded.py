@@ -9,7 +9,8 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks.recorded_prediction import RATIOS, measure
+from experiments.benchmarks import recorded_beliefs
+from experiments.benchmarks.recorded_prediction import measure
 from experiments.training.recorded import (
     MIRROR,
     mirrored,
@@ -17,9 +18,7 @@ from experiments.training.recorded import (
     recorded_examples,
     train_on_recordings,
 )
-from experiments.training.recordings import (
-    history_of,
-)
+from experiments.training.recordings import CLASSES, history_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from graphrqi.predict.networks.futures import TIME_S
@@ -128,11 +127,30 @@ def test_training_writes_weights_that_predict_uses(data, tmp_path):
 
 def test_the_bench_leaves_each_dataset_out(data):
     rows = [row for part in measure(data, "dataset", 1, 0, 200) for row in part]
-    keys = {"dataset", "family", "place", "predictor", "noise_m", "horizon_s"}
+    keys = {
+        "dataset", "family", "place", "predictor", "map", "noise_m", "class", "horizon_s"
+    }  # fmt: skip
     assert all(row.keys() == keys | {"metric", "value", "low", "high", "n"} for row in rows)
-    assert {row["predictor"] for row in rows} >= {"left-out", "graphrqi-predict", "fading"}
+    assert {row["predictor"] for row in rows} >= {"left-out", "graphrqi-predict", "base", "kalman"}
     assert {row["noise_m"] for row in rows} == {0.0, 0.1}
-    ratios = {row["metric"] for row in rows if "ratio" in str(row["metric"])}
-    assert ratios == {name + suffix for name, *_ in RATIOS for suffix in ("", "_by_place")}
+    ratios = [row for row in rows if row["metric"] == "ratio_to_cv"]
+    assert {row["horizon_s"] for row in ratios} == {0.5, 1.0, 3.0, 5.0}
+    assert {row["class"] for row in ratios} <= {"moving", *CLASSES}
     with pytest.raises(InputError, match="leave_out"):
         next(measure(data, "nobody", 1, 0))
+
+
+def test_beliefs_about_recorded_drivers_are_compared_between_their_halves(data):
+    rows = next(recorded_beliefs.measure(data / "ngsim_us101", jobs=1))
+    metrics = {row["metric"]: row["value"] for row in rows}
+    assert 0.0 <= metrics["share_unknown"] <= 1.0
+    assert {row["protocol"] for row in rows} == {"recorded"}
+
+
+def test_long_tracks_are_halved():
+    tracks = traffic()
+    cut, rows, middle = recorded_beliefs.cut_in_half(tracks)
+    assert cut.ids.size == tracks.ids.size + rows.size
+    seen = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1]))
+    assert not (cut.valid[seen[0]] & cut.valid[seen[1]]).any()
+    assert (cut.valid[seen[1]].argmax(axis=1) >= middle).all()

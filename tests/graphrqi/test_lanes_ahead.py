@@ -120,18 +120,40 @@ def test_a_map_that_is_turned_and_moved_with_the_traffic_tells_the_same(crossing
     np.testing.assert_allclose(before.features, after.features, atol=1e-6)
 
 
-def test_a_future_keeps_to_its_path_and_its_distance_from_it(crossing):
+def test_a_future_comes_to_its_path_and_keeps_near_it(crossing):
     history = driving(crossing, approach(crossing), back_m=20.0, aside_m=0.5)
     motion = Motion.of(history)
     ahead = lanes_ahead(history, motion, crossing)
     each = np.zeros((1, MOST, PER_PATH, PER_MODE))
     gone = np.linspace(1.0, 40.0, TIME_S.size)[None]
-    own = beside_paths(each, ahead, gone, np.ones(1), TIME_S)
+    own = beside_paths(each, ahead, gone, np.ones(1), motion.speed, TIME_S)
     for path in np.flatnonzero(ahead.exists[0]):
         line = ahead.points[0, path]
         fine = np.concatenate([np.linspace(a, b, 40) for a, b in itertools.pairwise(line)])
         off = np.linalg.norm(own[0, path, 0][:, None] - fine, axis=-1).min(axis=1)
-        np.testing.assert_allclose(off, abs(ahead.offset_m[0, path]), atol=0.1)
+        assert off[-1] < 0.8 + 0.3 * abs(ahead.offset_m[0, path])
+
+
+@pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "motorway_ramps"])
+def test_futures_along_lanes_begin_where_the_vehicle_is_as_it_moves(name):
+    """Place and velocity go on at time 0, beside lanes, before their begin and beyond their end."""
+    road = SCENARIOS[name]().road
+    graph = LaneGraph.of(road)
+    lanes = np.flatnonzero(graph.drivable & (graph.length > 12.0))[:20]
+    time_s = np.array([0.0, 1e-3])
+    for lane in lanes:
+        for back_m, aside_m, speed in ((-3.0, 0.4, 8.0), (6.0, -2.0, 8.0), (6.0, 3.0, 0.0)):
+            history = driving(road, lane, back_m=back_m, aside_m=aside_m, speed=speed)
+            motion = Motion.of(history)
+            ahead = lanes_ahead(history, motion, road)
+            each = np.ones((1, MOST, PER_PATH, PER_MODE))
+            gone = motion.speed[:, None] * time_s
+            own = beside_paths(each, ahead, gone, np.ones(1), motion.speed, time_s)
+            own = own[0, ahead.exists[0]]
+            np.testing.assert_allclose(own[..., 0, :], 0.0, atol=1e-6)
+            velocity = (own[..., 1, :] - own[..., 0, :]) / 1e-3
+            expected = np.broadcast_to([motion.speed[0], 0.0], velocity.shape)
+            np.testing.assert_allclose(velocity, expected, atol=0.05)
 
 
 def test_what_leaves_all_paths_is_predicted_as_without_a_map(crossing):

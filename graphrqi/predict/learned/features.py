@@ -8,8 +8,7 @@ without it.
 
 from __future__ import annotations
 
-import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,6 @@ from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
-from sim.compiled import in_place
 from sim.road.lane_graph import DIRECTIONS
 
 FloatArray = NDArray[np.float64]
@@ -55,9 +53,6 @@ FEATURES: Final = AROUND.stop + STOPS * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTI
 """Number of features."""
 
 
-PAST_END, AROUND_END = PAST.stop, AROUND.stop
-
-
 def features(scene: Scene) -> FloatArray:
     """(n, FEATURES) everything that is known of each driver but its behaviour.
 
@@ -66,181 +61,83 @@ def features(scene: Scene) -> FloatArray:
     neighbours; nearness and coming states of the next stop constraints on the path; nearness and
     size of the next lower limit, and which way the path turns.
     """
-    history, graph = scene.history, scene.graph
+    parts = [_own_states(scene), _past(scene), _neighbors(scene), _stops(scene), _way(scene)]
+    return np.concatenate(parts, axis=1)
+
+
+def _own_states(scene: Scene) -> FloatArray:
+    """(n, STATE) the driver and its lane."""
+    graph, states, on = scene.graph, scene.states, scene.on_path
+    speed, lane = scene.history.speed[:, -1], np.maximum(scene.lane, 0)
+    limit = np.where(on, limits(graph)[lane], 0.0)
+    left_m = np.clip(graph.length[lane] - scene.s, 0.0, FAR_M) / FAR_M
+    outside = (states.on_lane < 0) | ~graph.internal[lane]
+    columns = [
+        speed / 10.0, scene.accel / 3.0, limit / 20.0, speed / np.maximum(limit, 1.0),
+        scene.offset / 3.0, scene.lateral_speed, scene.history.length / 10.0, on,
+        on & (graph.left[lane] >= 0), on & (graph.right[lane] >= 0),
+        np.where(np.isfinite(states.free_factor), states.free_factor, 0.0), states.least_factor,
+        np.where(outside, left_m, 0.0),
+    ]  # fmt: skip
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _past(scene: Scene) -> FloatArray:
+    """(n, 3 PAST_S) what was seen of the own past."""
+    history = scene.history
     when = history.time_s[-1] - np.array(PAST_S)
     columns = np.searchsorted(history.time_s, when - 1e-6)
-    columns[history.time_s[0] > when + 1e-6] = -1
+    seen = history.valid[:, columns] & (history.time_s[0] <= when + 1e-6)
+    slower = (history.speed[:, columns] - history.speed[:, -1:]) / 5.0
+    turned = np.sin(history.heading[:, -1:] - history.heading[:, columns])
+    each = np.stack([seen, np.where(seen, slower, 0.0), np.where(seen, turned, 0.0)], axis=2)
+    return each.reshape(len(seen), 3 * len(PAST_S))
+
+
+def _neighbors(scene: Scene) -> FloatArray:
+    """(n, NEIGHBORS PER_NEIGHBOR) who drives around."""
+    states, speed, length = scene.states, scene.history.speed[:, -1], scene.history.length
+    leader, follower = states.leader, states.follower
+    second = np.where(leader >= 0, leader[leader], -1)
+    beyond = states.gap + states.gap[leader] + length[leader]
+    who = np.column_stack([leader, second, follower, states.adjacent])
+    far = np.column_stack([states.gap, beyond, states.gap[follower], states.adjacent_gap])
+    near = 1.0 - np.clip(far, -5.0, FAR_M) / FAR_M
+    faster = (speed[who] - speed[:, None]) / 10.0
+    each = np.stack([np.ones_like(near), near, faster, scene.accel[who] / 3.0], axis=2)
+    return np.where(who[..., None] >= 0, each, 0.0).reshape(len(who), NEIGHBORS * PER_NEIGHBOR)
+
+
+def _stops(scene: Scene) -> FloatArray:
+    """(n, STOPS (1 + 2 AHEAD_S)) the next stop constraints on the path, and their states to come.
+
+    They are looked for among those of the path in order, up to `FAR_M` ahead.
+    """
+    paths, n = scene.paths, scene.ids.size
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
-    valid, speed, heading = (
-        np.ascontiguousarray(x) for x in (history.valid, history.speed, history.heading)
-    )
-    now, length = speed[:, -1].copy(), history.length.copy()
-    states, paths = scene.states, scene.paths
-    out = np.zeros((scene.ids.size, FEATURES))
-    _describe_own_states(
-        now, length, scene.on_path, scene.lane, scene.s, scene.offset, scene.lateral_speed,
-        scene.accel, (states.free_factor, states.least_factor, states.on_lane),
-        (graph.left, graph.right, graph.internal, graph.length, limits(graph)), out,
-    )  # fmt: skip
-    _describe_past(valid, speed, heading, columns, out)
-    _describe_neighbors(
-        now, length, scene.accel, states.leader, states.gap, states.follower, states.adjacent,
-        states.adjacent_gap, np.empty(NEIGHBORS, np.int64), np.empty(NEIGHBORS), out,
-    )  # fmt: skip
-    _describe_paths(
-        scene.on_path, scene.s, length, scene.path, scene.stop_state, shown, paths.stop_x,
-        paths.stop_row, paths.turn, paths.start, paths.limit, out,
-    )  # fmt: skip
+    front = scene.s + scene.history.length / 2
+    room = paths.stop_x[scene.path] - front[:, None]
+    counts = (room > -1.0) & (room < FAR_M) & scene.on_path[:, None]
+    place = np.cumsum(counts, axis=1) - 1
+    row, at = np.nonzero(counts & (place < STOPS))
+    out = np.zeros((n, 1 + 2 * len(AHEAD_S), STOPS))
+    out[row, 0, place[row, at]] = 1.0 - np.maximum(room[row, at], 0.0) / FAR_M
+    state = scene.stop_state[paths.stop_row[scene.path[row], at]][:, shown]
+    both = np.stack([state == STOP, state == STOP_IF_COMFORTABLE], axis=2)
+    out[row, 1:, place[row, at]] = both.reshape(row.size, 2 * len(AHEAD_S))
+    return out.reshape(n, STOPS * (1 + 2 * len(AHEAD_S)))
+
+
+def _way(scene: Scene) -> FloatArray:
+    """(n, 2 + DIRECTIONS) the next lower limit, and which way the path turns."""
+    paths, n, on = scene.paths, scene.ids.size, scene.on_path
+    limit, start = paths.limit[scene.path], paths.start[scene.path]
+    lower = (limit < limit[:, :1] - 0.1) & np.isfinite(start) & on[:, None]
+    row, first = np.arange(n), lower.argmax(axis=1)
+    ahead = np.clip(start[row, first] - scene.s, 0.0, FAR_M)
+    out = np.zeros((n, 2 + len(DIRECTIONS)))
+    some = lower.any(axis=1)
+    out[some, 0] = 1.0 - ahead[some] / FAR_M
+    out[some, 1] = limit[row, first][some] / 20.0
+    out[row[on], 2 + paths.turn[scene.path[on]]] = 1.0
     return out
-
-
-@in_place()
-def _describe_own_states(
-    speed: Any, length: Any, on_path: Any, lane: Any, s: Any, offset: Any, lateral_speed: Any,
-    accel: Any, seen: Any, road: Any, out: Any,
-) -> None:  # fmt: skip
-    """Write the first `STATE` features.
-
-    Args:
-        speed: (n,) present speeds, m/s.
-        length: (n,) m.
-        on_path: (n,) and the next five: columns of the `Scene`.
-        lane: (n,).
-        s: (n,).
-        offset: (n,).
-        lateral_speed: (n,).
-        accel: (n,).
-        seen: (n,) speeds over limit, and lane, as in
-            `graphrqi.predict.scene.agent_states.AgentStates`.
-        road: columns of the `sim.road.lane_graph.LaneGraph`, and the (L,) speed limits, m/s.
-        out: (n, F) receives them; must be zero before.
-    """
-    free, least, on_lane = seen
-    left, right, internal, lane_length, limits = road
-    for i in range(lane.size):
-        on, v = max(lane[i], 0), speed[i]
-        limit = limits[on] if on_path[i] else 0.0
-        out[i, 0], out[i, 1], out[i, 2] = v / 10.0, accel[i] / 3.0, limit / 20.0
-        out[i, 3], out[i, 4] = v / max(limit, 1.0), offset[i] / 3.0
-        out[i, 5], out[i, 6] = lateral_speed[i], length[i] / 10.0
-        if on_path[i]:
-            out[i, 7], out[i, 8], out[i, 9] = 1.0, left[on] >= 0, right[on] >= 0
-        if math.isfinite(free[i]):
-            out[i, 10] = free[i]
-        out[i, 11] = least[i]
-        if on_lane[i] < 0 or not internal[on]:
-            out[i, 12] = min(max(lane_length[on] - s[i], 0.0), FAR_M) / FAR_M
-
-
-@in_place()
-def _describe_past(valid: Any, speed: Any, heading: Any, columns: Any, out: Any) -> None:
-    """Write the features of the own past.
-
-    Args:
-        valid: (n, T) and the next two: the history.
-        speed: (n, T).
-        heading: (n, T).
-        columns: (P,) the columns of it that are described, -1: before it begins.
-        out: (n, F) receives the features; must be zero before.
-    """
-    n, moments = speed.shape
-    last = moments - 1
-    for i in range(n):
-        c = STATE
-        for k in range(columns.size):
-            t = columns[k]
-            if t >= 0 and valid[i, t]:
-                out[i, c] = 1.0
-                out[i, c + 1] = (speed[i, t] - speed[i, last]) / 5.0
-                out[i, c + 2] = math.sin(heading[i, last] - heading[i, t])
-            c += 3
-
-
-@in_place()
-def _describe_neighbors(
-    speed: Any, length: Any, accel: Any, leader: Any, gap: Any, follower: Any, adjacent: Any,
-    adjacent_gap: Any, who: Any, far: Any, out: Any,
-) -> None:  # fmt: skip
-    """Write the features of the neighbours.
-
-    Args:
-        speed: (n,) present speeds, m/s.
-        length: (n,) m.
-        accel: (n,) present accelerations, m/s2.
-        leader: (n,) and the next four: who drives around each, as in
-            `graphrqi.predict.scene.agent_states.AgentStates`.
-        gap: (n,).
-        follower: (n,).
-        adjacent: (n, 4).
-        adjacent_gap: (n, 4).
-        who: (NEIGHBORS,) room to work in.
-        far: (NEIGHBORS,) likewise.
-        out: (n, F) receives the features; must be zero before.
-    """
-    for i in range(leader.size):
-        who[0], far[0] = leader[i], gap[i]
-        who[1] = who[2] = -1
-        if leader[i] >= 0 and leader[leader[i]] >= 0:
-            who[1] = leader[leader[i]]
-            far[1] = gap[i] + gap[leader[i]] + length[leader[i]]
-        if follower[i] >= 0:
-            who[2], far[2] = follower[i], gap[follower[i]]
-        for k in range(4):
-            who[3 + k], far[3 + k] = adjacent[i, k], adjacent_gap[i, k]
-        c = PAST_END
-        for k in range(NEIGHBORS):
-            other = who[k]
-            if other >= 0:
-                out[i, c], out[i, c + 1] = 1.0, 1.0 - min(max(far[k], -5.0), FAR_M) / FAR_M
-                out[i, c + 2] = (speed[other] - speed[i]) / 10.0
-                out[i, c + 3] = accel[other] / 3.0
-            c += PER_NEIGHBOR
-
-
-@in_place()
-def _describe_paths(
-    on_path: Any, s: Any, length: Any, path_of: Any, stop_state: Any, shown: Any, stop_x: Any,
-    stop_row: Any, turn: Any, start: Any, limit: Any, out: Any,
-) -> None:  # fmt: skip
-    """Write the next stop constraints, the next lower limit, and which way the path turns.
-
-    Args:
-        on_path: (n,) whether each is on a path.
-        s: (n,) distance along its first lane, m.
-        length: (n,) m.
-        path_of: (n,) path of each.
-        stop_state: (R, steps + 1) states of the stop constraints.
-        shown: (A,) columns of them that are described.
-        stop_x: (Q, G) and the next four: columns of the
-            `graphrqi.predict.scene.paths.PathTable`.
-        stop_row: (Q, G).
-        turn: (Q,).
-        start: (Q, P).
-        limit: (Q, P).
-        out: (n, F) receives the features; must be zero before.
-    """
-    (_, stops), (_, lanes) = stop_x.shape, start.shape
-    for i in range(s.size):
-        if not on_path[i]:
-            continue
-        path, front, found, c = path_of[i], s[i] + length[i] / 2, 0, AROUND_END
-        for g in range(stops):
-            room = stop_x[path, g] - front
-            if room <= -1.0:
-                continue
-            if room >= FAR_M or found == STOPS:
-                break
-            out[i, c + found] = 1.0 - max(room, 0.0) / FAR_M
-            for a in range(shown.size):
-                state = stop_state[stop_row[path, g], shown[a]]
-                first = c + STOPS * (1 + 2 * a) + found
-                out[i, first] = state == STOP
-                out[i, first + STOPS] = state == STOP_IF_COMFORTABLE
-            found += 1
-        c += STOPS * (1 + 2 * shown.size)
-        for k in range(lanes):
-            if limit[path, k] < limit[path, 0] - 0.1 and math.isfinite(start[path, k]):
-                out[i, c] = 1.0 - min(max(start[path, k] - s[i], 0.0), FAR_M) / FAR_M
-                out[i, c + 1] = limit[path, k] / 20.0
-                break
-        out[i, c + 2 + turn[path]] = 1.0

@@ -9,15 +9,13 @@ also has a probability and a spread, from which sets of a given coverage follow.
 from __future__ import annotations
 
 import functools
-import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S, Prediction
-from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, Tracks
 
 FloatArray = NDArray[np.float64]
@@ -80,15 +78,25 @@ def decode(raw: NDArray[np.floating], anchors: FloatArray, spread_scale: float) 
         anchors: (n, ANCHORS, KNOTS, 2) anchor trajectories, m.
         spread_scale: factor that makes the sets' coverage right, found on validation episodes.
     """
-    # in double precision: kernels are compiled again for single precision
     each = raw.astype(np.float64, copy=False).reshape(len(raw), MODES, PER_MODE)
-    n, knots = len(raw), TIME_S.size
-    own, spread = np.empty((n, MODES, knots, 2)), np.empty((n, MODES, knots))
-    probability = np.empty((n, MODES))
-    _decode(
-        each, anchors, TIME_S, spread_scale, np.empty(anchors.shape[1]), own, spread, probability
+    n, ends = len(raw), ANCHORS + 2 * KNOTS
+    weight = _shares(each[..., :ANCHORS])
+    residual = each[..., ANCHORS:ends].reshape(n, MODES, KNOTS, 2) * TIME_S[:, None]
+    blend = weight @ anchors.reshape(n, ANCHORS, 2 * KNOTS)
+    spread = np.exp(np.clip(each[..., ends:-1], -6.0, 4.0)) * TIME_S * spread_scale
+    probability = _shares(each[..., -1])
+    probability[:, 0] = probability.max(axis=1)
+    return Futures(
+        blend.reshape(residual.shape) + residual,
+        np.maximum(spread, LEAST_SPREAD_M),
+        probability / probability.sum(axis=1, keepdims=True),
     )
-    return Futures(own, spread, probability)
+
+
+def _shares(scores: FloatArray) -> FloatArray:
+    """Probabilities along the last axis."""
+    likely = np.exp(scores - scores.max(axis=-1, keepdims=True))
+    return np.asarray(likely / likely.sum(axis=-1, keepdims=True))
 
 
 def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
@@ -103,15 +111,18 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
         steps: how many, `STEP_S` apart.
     """
     matrix, start = _spline(steps)
-    # copies: kernels are compiled again for read-only arrays
-    now, speed, heading = (x[:, -1].copy() for x in (history.xy, history.speed, history.heading))
     n, modes, knots = futures.spread.shape
-    xy = np.empty((n, modes, steps, 2))
-    _find_positions(
-        futures.own, matrix, start, speed, heading, now, history.kind == PEDESTRIAN,
-        np.empty((2, steps)), xy,
-    )  # fmt: skip
+    speed, heading = history.speed[:, -1], history.heading[:, -1]
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
+    own = np.einsum("nkjc,jh->nkhc", futures.own, matrix, optimize=True)
+    own[..., 0] += (speed[:, None] * start)[:, None]
+    walks = history.kind == PEDESTRIAN
+    own[walks] = 0.0
+    own[walks, ..., 0] = (speed[walks, None] * time_s)[:, None]
+    cos, sin = (turn[:, None, None] for turn in (np.cos(heading), np.sin(heading)))
+    x, y = own[..., 0], own[..., 1]
+    xy = np.stack([x * cos - y * sin, x * sin + y * cos], axis=-1)
+    xy += history.xy[:, -1][:, None, None]
     spread = (futures.spread.reshape(-1, knots) @ np.abs(matrix)).reshape(n, modes, steps)
     return Prediction(history.ids, time_s, xy, futures.probability, spread)
 
@@ -133,93 +144,3 @@ def _spline(steps: int) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(matrix.T), np.asarray(
         (starting(inside) + beyond * starting(inside, 1))[:, 0]
     )
-
-
-@in_place()
-def _decode(
-    raw: Any, anchors: Any, time_s: Any, spread_scale: float, weight: Any, own: Any, spread: Any,
-    probability: Any,
-) -> None:  # fmt: skip
-    """Write the columns of `Futures`.
-
-    Args:
-        raw: (n, K, A + 3 J + 1) per future weights of the anchors, residuals at the knots,
-            logarithms of the spreads, and a score.
-        anchors: (n, A, J, 2) m.
-        time_s: (J,) of the knots, s.
-        spread_scale: factor of all spreads.
-        weight: (A,) room to work in.
-        own: (n, K, J, 2) receives the positions, m.
-        spread: (n, K, J) receives the spreads, m.
-        probability: (n, K) receives the probabilities.
-    """
-    n, modes, _ = raw.shape
-    _, count, knots, _ = anchors.shape
-    for i in range(n):
-        best = -np.inf
-        for k in range(modes):
-            best = max(best, raw[i, k, -1])
-            most, total = -np.inf, 0.0
-            for b in range(count):
-                most = max(most, raw[i, k, b])
-            for b in range(count):
-                weight[b] = math.exp(raw[i, k, b] - most)
-                total += weight[b]
-            for j in range(knots):
-                x = total * time_s[j] * raw[i, k, count + 2 * j]
-                y = total * time_s[j] * raw[i, k, count + 2 * j + 1]
-                for b in range(count):
-                    x += weight[b] * anchors[i, b, j, 0]
-                    y += weight[b] * anchors[i, b, j, 1]
-                own[i, k, j, 0], own[i, k, j, 1] = x / total, y / total
-                scale = math.exp(min(max(raw[i, k, count + 2 * knots + j], -6.0), 4.0))
-                spread[i, k, j] = max(scale * time_s[j] * spread_scale, LEAST_SPREAD_M)
-        total, largest = 0.0, 0.0
-        for k in range(modes):
-            probability[i, k] = math.exp(raw[i, k, -1] - best)
-            total += probability[i, k]
-            largest = max(largest, probability[i, k])
-        total += largest - probability[i, 0]
-        probability[i, 0] = largest
-        for k in range(modes):
-            probability[i, k] /= total
-
-
-@in_place(reordered=True)
-def _find_positions(
-    own: Any, matrix: Any, start: Any, speed: Any, heading: Any, now: Any, walks: Any, room: Any,
-    out: Any,
-) -> None:  # fmt: skip
-    """Find positions at every step from knots in the drivers' frames.
-
-    Args:
-        own: (n, K, J, 2) knots ahead and to the left, m.
-        matrix: (J, H) weight of each knot at each step.
-        start: (H,) weight of the present speed.
-        speed: (n,) m/s.
-        heading: (n,) rad.
-        now: (n, 2) present positions, m.
-        walks: (n,) who walks on instead.
-        room: (2, H) room to work in.
-        out: (n, K, H, 2) receives the positions, m.
-    """
-    n, modes, knots, _ = own.shape
-    steps = start.size
-    ahead, left = room[0], room[1]
-    for i in range(n):
-        cos, sin = math.cos(heading[i]), math.sin(heading[i])
-        for k in range(modes):
-            if walks[i]:
-                for h in range(steps):
-                    ahead[h], left[h] = speed[i] * (h + 1) * STEP_S, 0.0
-            else:
-                for h in range(steps):
-                    ahead[h], left[h] = speed[i] * start[h], 0.0
-                for j in range(knots):
-                    x, y = own[i, k, j, 0], own[i, k, j, 1]
-                    for h in range(steps):
-                        ahead[h] += matrix[j, h] * x
-                        left[h] += matrix[j, h] * y
-            for h in range(steps):
-                out[i, k, h, 0] = now[i, 0] + ahead[h] * cos - left[h] * sin
-                out[i, k, h, 1] = now[i, 1] + ahead[h] * sin + left[h] * cos

@@ -17,6 +17,7 @@ from graphrqi.predict.networks.futures import Futures
 from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.lanes_ahead import MOST, LanesAhead, along_way
 from graphrqi.predict.recorded.network import (
+    LIKELIEST,
     MODES,
     PER_MODE,
     PER_PATH,
@@ -26,6 +27,7 @@ from graphrqi.predict.recorded.network import (
 )
 
 FloatArray = NDArray[np.float64]
+Floats = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
@@ -33,6 +35,13 @@ LEAST_WITHOUT: Final = 0.4
 """Weight that the futures without a map keep beside all paths (measured with each of six datasets
 left out: two networks that err in different ways are better together. At 0 AV2 has .757 of constant
 velocity, at .25 .713, at .5 .692, without paths .723; Karlsruhe .889, .894, .918 and .999)."""
+
+KEPT_M: Final = 0.8
+"""Vehicles keep this distance from a lane's line at most, m (lines of maps are off by so much)."""
+
+RETURN_S, RETURN_M = 1.5, 7.5
+"""The rest of the distance, and of the velocity that differs, falls within this time, s, and way,
+m: who stands stays aside."""
 
 COMPARED_S: Final = (1.0, 2.0, 3.0, 4.0, 5.0)
 """Futures are compared at these times, s."""
@@ -62,8 +71,9 @@ def join_lanes(
     some = ahead.of(rows)
     each = raw[rows, :-1, :-1].reshape(rows.size, MOST, PER_PATH, PER_MODE).astype(np.float64)
     own = beside_paths(
-        each, some, along_way(free.own[rows, 0]), scale_of(speed[rows]) * trust[rows], time_s
-    )
+        each, some, along_way(free.own[rows, 0]), scale_of(speed[rows]) * trust[rows],
+        speed[rows], time_s,
+    )  # fmt: skip
     spread = spreads(each, speed[rows], time_s)
     chance = chance[rows]
     guesses = _with(own[:, :, 0], free.own[rows, :1])
@@ -85,7 +95,7 @@ def join_lanes(
     mean_spread = np.sqrt(np.einsum("nk,nkh->nh", weight, all_spread**2 + off))
     chosen, belongs = _covering(all_, weight, time_s)
     share, near_spread = _stand_for(all_, all_spread, weight, chosen, belongs)
-    first = share.max(axis=1, keepdims=True)
+    first = LIKELIEST * share.max(axis=1, keepdims=True)
     joined = Futures(free.own.copy(), free.spread.copy(), free.probability.copy())
     joined.own[rows] = _with(mean[:, None], all_[np.arange(rows.size)[:, None], chosen])
     joined.spread[rows] = _with(mean_spread[:, None], near_spread)
@@ -122,15 +132,19 @@ def _chances(score: FloatArray, exists: BoolArray, trust: FloatArray) -> FloatAr
 
 
 def beside_paths(
-    each: FloatArray, ahead: LanesAhead, gone: FloatArray, size: FloatArray, time_s: FloatArray
-) -> FloatArray:
+    each: FloatArray, ahead: LanesAhead, gone: FloatArray, size: FloatArray, speed: FloatArray,
+    time_s: FloatArray,
+) -> FloatArray:  # fmt: skip
     """(n, MOST, PER_PATH, H, 2) places along paths and aside of them, in the agents' frames, m.
+
+    Every future begins where the agent is, with its velocity: what differs at first fades.
 
     Args:
         each: (n, MOST, PER_PATH, PER_MODE) the network's numbers.
         ahead: the paths.
         gone: (n, H) how far the best guess without a map goes along its way, m.
         size: (n,) of the corrections, m.
+        speed: (n,) m/s.
         time_s: (H,) s.
     """
     n, most, futures, _ = each.shape
@@ -143,26 +157,42 @@ def beside_paths(
     begin, end = ahead.points[row, path, piece], ahead.points[row, path, piece + 1]
     step = end - begin
     unit = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-3)
-    aside = ahead.offset_m[:, :, None, None] + moved[..., 1]
+    kept, fading = beginnings(ahead, speed, time_s)
+    aside = kept[:, :, None, None] + moved[..., 1]
     left = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
-    return np.asarray(begin + (along - piece)[..., None] * step + aside[..., None] * left)
+    along_lane = begin + (along - piece)[..., None] * step + aside[..., None] * left
+    return np.asarray(along_lane + fading[:, :, None])
+
+
+def beginnings(ahead: LanesAhead, speed: Floats, time_s: Floats) -> tuple[FloatArray, FloatArray]:
+    """How agents come from where they are, as they move, to where their paths are.
+
+    Args:
+        ahead: the paths.
+        speed: (n,) m/s.
+        time_s: (H,) s.
+
+    Returns:
+        (n, MOST) distance to the left that is kept, m, and (n, MOST, H, 2) what is added, m.
+    """
+    begin, offset_m = ahead.points[:, :, 0], ahead.offset_m
+    step = ahead.points[:, :, 1] - begin
+    unit = step / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-3)
+    kept = np.clip(offset_m, -KEPT_M, KEPT_M)
+    left = np.stack([-unit[..., 1], unit[..., 0]], axis=-1)
+    apart = -(begin + kept[..., None] * left)
+    swift = -(speed / ahead.spacing_m)[:, None, None] * step
+    swift[..., 0] += speed[:, None]
+    rate = 1.0 / (RETURN_S + RETURN_M / np.maximum(speed, 0.01))[:, None, None]
+    grows = (swift + apart * rate)[:, :, None] * time_s[:, None]
+    fade = np.exp(-time_s[:, None] * rate[..., None])
+    return np.asarray(kept), np.asarray((apart[:, :, None] + grows) * fade)
 
 
 def _covering(
     futures: FloatArray, weight: FloatArray, time_s: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Choose futures that cover all others, and say which of them stands for each.
-
-    Each further choice is the one that most reduces the mean distance to the nearest chosen future.
-
-    Args:
-        futures: (n, K, H, 2) m.
-        weight: (n, K) probabilities.
-        time_s: (H,) s.
-
-    Returns:
-        (n, MODES - 1) which are chosen, and (n, K) the number of the nearest chosen one.
-    """
+    """Choose futures that cover all others, and say which of them stands for each."""
     at = np.searchsorted(time_s, np.asarray(COMPARED_S) - 1e-9)
     at = np.unique(np.minimum(at, time_s.size - 1))
     some = futures[:, :, at]
@@ -182,18 +212,7 @@ def _stand_for(
     futures: FloatArray, spread: FloatArray, weight: FloatArray, chosen: IntArray,
     belongs: IntArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Probability of the futures that each chosen one stands for, and their spread around it.
-
-    Args:
-        futures: (n, K, H, 2) m.
-        spread: (n, K, H) m.
-        weight: (n, K) probabilities.
-        chosen: (n, C) which are chosen.
-        belongs: (n, K) the number of the chosen one that stands for each.
-
-    Returns:
-        (n, C) probabilities and (n, C, H) spreads, m.
-    """
+    """Probability of the futures that each chosen one stands for, and their spread around it."""
     row = np.arange(len(futures))
     share = np.zeros(chosen.shape)
     around = np.empty((*chosen.shape, spread.shape[2]))

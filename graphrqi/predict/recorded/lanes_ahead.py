@@ -1,9 +1,9 @@
 """The paths along a map's lanes that agents of a recording may follow, as the network sees them.
 
 An agent may be on every lane whose centre line lies within `LANE_REACH_M` of it and leads within
-60 degrees of its own direction of travel; its paths are all ways that lead on from there. Paths
-that stay within `APART_M` of each other for as far as the agent goes are one. The `MOST` that fit
-best are kept.
+60 degrees of its own direction of travel. Lines go on straight beyond the ends of their lanes. An
+agent's paths are all ways that lead on from there. Paths that stay within `APART_M` of each other
+for as far as the agent goes are one. The `MOST` that fit best are kept.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class LanesAhead:
         exists: (n, MOST) which there are, those that fit best first.
         points: (n, MOST, G, 2) places along each in the agent's own frame, from beside it on, m.
         spacing_m: (n,) distance between them along the path, m.
-        offset_m: (n, MOST) how far the agent is to the left of each, m.
+        offset_m: (n, MOST) how far the agent is to the left of each lane's line, m.
         features: (n, MOST, PATH_FEATURES) what the network is told; 0 where there is none.
     """
 
@@ -258,12 +258,18 @@ def _near_lanes(road: Road, motion: Motion, drives: BoolArray) -> tuple[_Candida
     piece = cells.items[np.repeat(cells.first[cell], count) + number].astype(np.int64)
     apart = motion.xy[agent] - graph.segment_start[piece]
     ahead = graph.segment_direction[piece]
-    along = np.clip((apart * ahead).sum(axis=1), 0.0, pieces.length[piece])
-    away = np.linalg.norm(apart - along[:, None] * ahead, axis=1)
+    beyond = (apart * ahead).sum(axis=1)
+    away = np.linalg.norm(
+        apart - np.clip(beyond, 0.0, pieces.length[piece])[:, None] * ahead, axis=1
+    )
+    lane = pieces.lane[piece]
+    least = np.where(piece == graph.segment_first[lane], -LANE_REACH_M, 0.0)
+    more = np.where(piece == graph.segment_last[lane], LANE_REACH_M, 0.0)
+    along = np.clip(beyond, least, pieces.length[piece] + more)
     left = ahead[:, 0] * apart[:, 1] - ahead[:, 1] * apart[:, 0]
     turned = np.angle(np.exp(1j * (motion.heading[agent] - graph.segment_heading[piece])))
     fits = np.flatnonzero((away < LANE_REACH_M) & (np.cos(turned) > SAME_WAY))
-    lane = pieces.lane[piece[fits]]
+    lane = lane[fits]
     order = np.lexsort((away[fits], lane, agent[fits]))
     fits, lane = fits[order], lane[order]
     nearest = np.ones(fits.size, bool)
@@ -273,7 +279,7 @@ def _near_lanes(road: Road, motion: Motion, drives: BoolArray) -> tuple[_Candida
         agent=agent[fits],
         path=np.full(fits.size, -1),
         s=graph.segment_at[piece[fits]] + along[fits],
-        offset=np.copysign(away[fits], left[fits]),
+        offset=left[fits],
         turned=turned[fits],
     ), lane
 

@@ -1,9 +1,10 @@
 """The networks that predict recordings, in numpy, and their file.
 
 A small perceptron gives `MODES` futures per agent. Each is the base plus a polynomial of time along
-each axis of the agent's frame, times `scale_of` its speed. The first is the single best guess; the
-others cover what else may happen. Outside the range of speed, noise and rate that it was trained
-on, the futures come down to the base.
+each axis of the agent's frame, times `scale_of` its speed; it begins with the base's velocity. The
+first is the single best guess; the correction counts as much as it earned on recordings that were
+left out, by speed, noise and time. The others cover what else may happen. Outside the range of
+speed, noise and rate that it was trained on, the futures come down to the base.
 
 Where there is a map, a second perceptron looks at each path that an agent may follow
 (`graphrqi.predict.recorded.lanes_ahead`), and once at leaving them all. It gives each path a
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.predict.networks.futures import Futures
+from graphrqi.predict.networks.futures import TIME_S, Futures
 from graphrqi.predict.networks.perceptron import (
     LayerArrays,
     Layers,
@@ -40,6 +41,7 @@ from graphrqi.predict.networks.perceptron import (
 )
 from graphrqi.predict.recorded.features import feature_count, scale_of
 from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
+from graphrqi.predict.recorded.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
@@ -47,7 +49,7 @@ MODES: Final = 6
 """Futures per agent: what Argoverse 2 scores."""
 
 POWERS: Final = 4
-"""Powers of time, from 1 on, in the polynomial of each axis."""
+"""Powers of time, from 2 on, in the polynomial of each axis: all futures begin with the base."""
 
 HORIZON_S: Final = 5.0
 """Horizon that the network was trained for, s; its corrections stay constant after it."""
@@ -61,12 +63,24 @@ PER_PATH: Final = 6
 PATH_OUTPUTS: Final = PER_PATH * PER_MODE + 1
 """Numbers for each path: its futures, and its score."""
 
+LIKELIEST: Final = 1.05
+"""The first future is as likely as this many times the likeliest other one."""
+
 CLIP: Final = 3.0
 """Standardised inputs are clipped here: larger ones mislead the network at places that it was not
 trained on."""
 
 LEAST_SPREAD_M: Final = 0.05
 """Spreads are no smaller, m."""
+
+SPEEDS_MPS: Final = (0.5, 5.0, 12.0, 20.0)
+"""Where the classes of speed begin after the first, that of who stands, m/s."""
+
+NOISY_M: Final = 0.05
+"""Positions with more noise are noisy, m."""
+
+EARNED: Final = (2, len(SPEEDS_MPS) + 1, 2, TIME_S.size)
+"""Shape of the shares that corrections have earned."""
 
 MARGIN: Final = 0.15
 """Beyond the trained range the network gives way to the base over this share of the range's end."""
@@ -155,6 +169,8 @@ class RecordedNetwork:
         spread_scale: factor that makes the sets' coverage right, found on recordings apart.
         trained: the range that it was trained on.
         lanes: the network that looks at paths along lanes; None where no map was trained on.
+        earned: `EARNED` shares of the best guess's correction: without and with a map, by class
+            of speed, without and with noise, at each of `TIME_S`.
     """
 
     mean: FloatArray
@@ -164,6 +180,13 @@ class RecordedNetwork:
     spread_scale: float
     trained: TrainedRange
     lanes: LaneNetwork | None = None
+    earned: FloatArray = field(default_factory=lambda: np.ones(EARNED))
+
+    def share(self, motion: Motion, mapped: bool, time_s: FloatArray) -> FloatArray:
+        """(n, H) how much of the correction of the best guess counts, 0 to 1."""
+        table = self.earned[int(mapped)]
+        each = table[kind_of(motion.speed, motion.stands), (motion.noise_m > NOISY_M).astype(int)]
+        return np.stack([np.interp(time_s, TIME_S, one) for one in each]).reshape(-1, time_s.size)
 
     def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
         """(n, MODES, PER_MODE) raw numbers."""
@@ -174,14 +197,20 @@ class RecordedNetwork:
     def save(self, path: Path, card: dict[str, Any]) -> None:
         """Write the network with its card (data, split, scores) in the file's metadata."""
         trained = {name: getattr(self.trained, name) for name in TrainedRange.__slots__}
-        metadata = about(self.spread_scale, card, trained=trained)
+        earned = np.round(self.earned, 3).tolist()
+        metadata = about(self.spread_scale, card, trained=trained, earned=earned)
         save_layers(self, path, metadata, lanes=self.lanes)
+
+
+def kind_of(speed: NDArray[np.floating], stands: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) class of speed, 0 for who stands; see `SPEEDS_MPS`."""
+    return np.where(stands, 0, np.maximum(np.searchsorted(SPEEDS_MPS, speed, "right"), 1))
 
 
 def powers(time_s: FloatArray) -> FloatArray:
     """(POWERS, H) of time over the horizon; constant beyond it."""
     share = np.minimum(time_s / HORIZON_S, 1.0)
-    return np.asarray(share ** np.arange(1, POWERS + 1)[:, None])
+    return np.asarray(share ** np.arange(2, POWERS + 2)[:, None])
 
 
 def decode(
@@ -207,7 +236,7 @@ def decode(
     score = raw[..., 1:, -1].astype(np.float64)
     other = np.exp(score - score.max(axis=1, keepdims=True))
     other /= other.sum(axis=1, keepdims=True)
-    chance = np.concatenate([other.max(axis=1, keepdims=True), other], axis=1)
+    chance = np.concatenate([LIKELIEST * other.max(axis=1, keepdims=True), other], axis=1)
     return Futures(own, spreads(raw, speed, time_s), chance / chance.sum(axis=1, keepdims=True))
 
 
@@ -232,11 +261,14 @@ def load_network(path: Path) -> RecordedNetwork:
     try:
         told = {name: float(value) for name, value in content["trained"].items()}
         trained = TrainedRange(**told)
+        earned = np.array(content["earned"], dtype=np.float64)
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
     for name, value in told.items():
         if not 0.0 <= value < math.inf:
             raise InputError(f"{path}: trained.{name}: found {value:g}, expected 0 or more")
+    if earned.shape != EARNED or not ((earned >= 0.0) & (earned <= 1.0)).all():
+        raise InputError(f"{path}: earned: expected shares of the shape {EARNED}")
     layers = layers_in(path, arrays)
     if layers[0].size != feature_count():
         raise InputError(
@@ -249,7 +281,7 @@ def load_network(path: Path) -> RecordedNetwork:
         found = layers_in(path, arrays, "lanes")
         _check_shapes(path, found, PATH_OUTPUTS, layers[0].size + PATH_FEATURES)
         lanes = LaneNetwork(*found)
-    return RecordedNetwork(*layers, content["spread_scale"], trained, lanes)
+    return RecordedNetwork(*layers, content["spread_scale"], trained, lanes, earned)
 
 
 def _check_shapes(path: Path, layers: LayerArrays, answers: int, inputs: int | None = None) -> None:

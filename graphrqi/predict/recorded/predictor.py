@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 FAN_MPS2: Final = (0.0, 0.0, -1.0, 1.0, -2.5, 2.0)
 """Acceleration that each future adds to the base's outside the networks' trained range, m/s2."""
 
-FAN_PROBABILITY: Final = (0.3, 0.3, 0.13, 0.13, 0.07, 0.07)
+FAN_PROBABILITY: Final = (0.31, 0.29, 0.13, 0.13, 0.07, 0.07)
 """Probability of each."""
 
 BACK_M: Final = 11.0
@@ -70,6 +70,9 @@ def predict_recorded(
         raw = network.lanes(features, ahead)
         futures = join_lanes(raw, ahead, futures, motion.speed, trust, time_s)
     own, probability = futures.own, futures.probability
+    mapped = road is not None and network.lanes is not None
+    share = network.share(motion, mapped, time_s)[..., None]
+    own[:, 0] = base + share * (own[:, 0] - base)
     doubt = 1.0 - trust
     if doubt.any():
         own += doubt[:, None, None, None] * (_fan(motion, time_s) - base[:, None])

@@ -8,16 +8,12 @@ can be trusted; the ratios of all other drivers tell how far the classifier can 
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.rollout.driver_table import DriverTable
 from graphrqi.predict.rollout.route import ACCELERATION_SD
 from graphrqi.predict.scene.scene import Scene
-from sim.compiled import in_place
 
 FloatArray = NDArray[np.float64]
 
@@ -53,64 +49,20 @@ def agreement(
         (n, 3) logarithm of the ratio for the driver itself, its mean over all other drivers about
         whom there are beliefs, and its scaled sum over them.
     """
-    states, (n, count) = scene.states, probability.shape
-    out = np.empty((n, 3))
-    _find_log_ratios(
-        probability, scene.accel, asked, scene.on_path, states.free_factor, states.least_factor,
-        np.log(table.behavior[:, 0]), np.empty(n, np.bool_), np.empty(count), out,
-    )  # fmt: skip
-    return out
-
-
-@in_place()
-def _find_log_ratios(
-    probability: Any, accel: Any, asked: Any, on_path: Any, free_factor: Any, least_factor: Any,
-    wish: Any, known: Any, lost: Any, out: Any,
-) -> None:  # fmt: skip
-    """See `agreement`.
-
-    Args:
-        probability: (n, B) beliefs.
-        accel: (n,) present acceleration, m/s2.
-        asked: (B, n) acceleration of each behaviour, m/s2.
-        on_path: (n,) whose acceleration counts.
-        free_factor: (n,) speed over limit driven freely; NaN if never.
-        least_factor: (n,) largest speed over limit.
-        wish: (B,) logarithm of each behaviour's wished speed over limit.
-        known: (n,) room to work in.
-        lost: (B,) likewise.
-        out: (n, 3) receives what `agreement` returns.
-    """
-    n, count = probability.shape
-    for i in range(n):
-        out[i, 0], known[i] = 0.0, False
-        for b in range(count):
-            known[i] |= probability[i, b] > 1.0 / count + 1e-6
-        if not known[i]:
-            continue
-        fastest = math.log(max(least_factor[i], 0.1))
-        free = math.log(max(free_factor[i], 0.1))
-        least = np.inf
-        for b in range(count):
-            miss = (accel[i] - asked[b, i]) / ACCELERATION_SD
-            lost[b] = min(0.5 * (miss * miss), MOST_ACCELERATION) if on_path[i] else 0.0
-            if not math.isnan(free_factor[i]):
-                apart = (free - wish[b]) / WISH_SD
-                lost[b] += min(0.5 * apart * apart, MOST_WISH)
-            excess = max(fastest - wish[b] - OVER, 0.0) / WISH_SD
-            lost[b] += min(0.5 * excess * excess, MOST_WISH)
-            least = min(least, lost[b])
-        believed, blind = 0.0, 0.0
-        for b in range(count):
-            likelihood = math.exp(least - lost[b])
-            believed += max(probability[i, b], LEAST_BELIEF) * likelihood
-            blind += likelihood / count
-        out[i, 0] = math.log(believed / blind)
-    total, drivers = 0.0, 0
-    for i in range(n):
-        total += out[i, 0]
-        drivers += known[i]
-    for i in range(n):
-        rest = total - out[i, 0]
-        out[i, 1] = rest / max(drivers - known[i], 1)
-        out[i, 2] = min(max(rest / SUM_SCALE, -SUM_SCALE), SUM_SCALE)
+    states, count = scene.states, probability.shape[1]
+    known = (probability > 1.0 / count + 1e-6).any(axis=1)
+    wish = np.log(table.behavior[:, 0])
+    miss = (scene.accel[:, None] - asked.T) / ACCELERATION_SD
+    lost = np.where(scene.on_path[:, None], np.minimum(0.5 * miss**2, MOST_ACCELERATION), 0.0)
+    free = np.log(np.maximum(states.free_factor, 0.1))[:, None]
+    apart = np.minimum(0.5 * ((free - wish) / WISH_SD) ** 2, MOST_WISH)
+    lost = lost + np.where(np.isnan(free), 0.0, apart)
+    fastest = np.log(np.maximum(states.least_factor, 0.1))[:, None]
+    excess = np.maximum(fastest - wish - OVER, 0.0) / WISH_SD
+    lost += np.minimum(0.5 * excess**2, MOST_WISH)
+    likelihood = np.exp(lost.min(axis=1, keepdims=True) - lost)
+    believed = (np.maximum(probability, LEAST_BELIEF) * likelihood).sum(axis=1)
+    own = np.where(known, np.log(believed / likelihood.mean(axis=1)), 0.0)
+    rest = own.sum() - own
+    mean = rest / np.maximum(known.sum() - known, 1)
+    return np.stack([own, mean, np.clip(rest / SUM_SCALE, -SUM_SCALE, SUM_SCALE)], axis=1)

@@ -209,11 +209,7 @@ def _locate(
 
 @in_place(inner=True, reordered=True)
 def _rank(place: Any, ranking: Any, ends: Any, spare: Any, drivers: int) -> None:
-    """Sort drivers by place within each lane; they are nearly in order since the last step.
-
-    Lanes follow each other as they come. A pass counts the drivers of each lane, a second one puts
-    each driver in its place, so that the cost is that of the drivers and not of the road.
-    """
+    """Sort drivers by place within each lane; they are nearly in order since the last step."""
     for u in range(spare[drivers, USED]):
         lane = spare[u, USED]
         ends[FIRST, lane], ends[LAST, lane] = 0, -1
@@ -293,10 +289,7 @@ def _choose_accelerations(
     who: Any, motion: Any, route: Any, present: Any, following: Any, place: Any, ignores: Any,
     stop_state: Any, column: Any, paths: Any, step_s: float,
 ) -> None:  # fmt: skip
-    """Write the acceleration that each driver chooses, m/s2, before its residual.
-
-    It is made a part of `_roll`, because sums are ordered otherwise in a function of its own.
-    """
+    """Write the acceleration that each driver chooses, m/s2, before its residual."""
     stop_x, stop_row, kinds = paths.stop_x, paths.stop_row, paths.kinds
     _, stops = stop_x.shape
     for j in range(who.size):

@@ -69,20 +69,12 @@ def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
 
 
 def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
-    """(..., n, 2) whether drivers ignore red lights, and pedestrians at crossings.
-
-    Args:
-        runs_red: (..., n) probability that each runs red lights.
-        yields: (..., n) probability that each yields to pedestrians.
-    """
+    """(..., n, 2) whether drivers ignore red lights, and pedestrians at crossings."""
     return np.stack([runs_red > 0.5, yields < 0.5], axis=-1)
 
 
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving.
-
-    Where limits are unknown or do not rule, the wished speed is the highest one seen.
-    """
+    """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving."""
     states = scene.states
     found = np.empty((len(following), states.free_factor.size, following.shape[2]))
     _correct(following, states.free_factor, states.least_factor, found)
@@ -94,15 +86,7 @@ def _personal(scene: Scene, following: FloatArray) -> FloatArray:
 
 @in_place()
 def _correct(following: Any, free_factor: Any, least_factor: Any, out: Any) -> None:
-    """Correct the wished speeds among parameters.
-
-    Args:
-        following: (M, n, F), or (M, 1, F) if the same for all; the first is the wished speed over
-            the limit.
-        free_factor: (n,) speed over limit driven freely; NaN if never.
-        least_factor: (n,) largest speed over limit.
-        out: (M, n, F) receives the parameters.
-    """
+    """Correct the wished speeds among parameters."""
     ways, given, fields = following.shape
     n = free_factor.size
     for m in range(ways):

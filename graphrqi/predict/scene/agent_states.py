@@ -7,18 +7,16 @@ speed that each driver wishes to drive is estimated.
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.scene.paths import limits
-from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
-from sim.road.lane_search import adjacent_vehicles, perceive
+from sim.road.lane_search import LaneView, adjacent_vehicles, perceive
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -91,189 +89,104 @@ def agent_states(history: Tracks, road: Road) -> AgentStates:
     ago = np.arange(0.0, np.ptp(history.time_s) + 1e-6, PAST_EVERY_S)[::-1]
     columns = np.searchsorted(history.time_s, history.time_s[-1] - ago - 1e-6)
     drives = history.kind != PEDESTRIAN
-    # copies and contiguous arrays: kernels are compiled again for strided or read-only ones
-    valid, xy = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.xy)
-    heading, speed = np.ascontiguousarray(history.heading), np.ascontiguousarray(history.speed)
-    instant, agent = (x.copy() for x in np.nonzero((valid[:, columns] & drives[:, None]).T))
+    # copies: kernels are compiled again for strided or read-only arrays
+    instant, agent = (x.copy() for x in np.nonzero((history.valid[:, columns] & drives[:, None]).T))
     begins = np.searchsorted(instant, np.arange(columns.size + 1))
     column = columns[instant]
-    past_xy, past_heading = xy[agent, column], heading[agent, column]
+    past_xy, past_heading = history.xy[agent, column], history.heading[agent, column]
     past_length = history.length[agent]
-    found = LaneGraph.of(road).project(past_xy, past_heading)
+    found = graph.project(past_xy, past_heading)
     view = perceive(
         past_xy, past_heading, past_length, np.ones(agent.size, np.bool_), found.lane, found.s,
         found.offset, np.arange(agent.size), begins, graph,
     )  # fmt: skip
-    n, limit = len(valid), limits(graph)
-    free, least = np.full(n, np.nan), np.zeros(n)
-    _find_wished_speeds(
-        history.time_s, valid, speed, columns, (instant, agent, found.lane),
-        (view.lane, view.gap, view.stop_distance, view.crossing_distance), limit, np.zeros((2, n)),
-        free, least,
-    )  # fmt: skip
-    now = begins[-2]
+    n, limit = len(history.valid), limits(graph)
+    free, least = _wished_speeds(history, columns, instant, agent, limit[found.lane], view)
+    rows = np.arange(begins[-2], begins[-1])
+    i, on, offset = agent[rows], found.lane[rows], found.offset[rows].copy()
+    first = _recent(history)
+    span = history.time_s[-1] - history.time_s[first[i]]
+    along = graph.segment_direction[view.segment[rows]]
+    moved = past_xy[rows] - history.xy[i, first[i]]
+    sideways = moved[:, 1] * along[:, 0] - moved[:, 0] * along[:, 1]
+    sideways = np.divide(sideways, span, out=np.zeros_like(span), where=span > 1e-6)
+    outside = np.abs(offset) > graph.width[on] / 2 + NEAR_LANE_M
+    outside |= (view.missed[rows] >= BEYOND_M) | (np.cos(view.lane_heading[rows]) <= 0.5)
+    drives_on, aside = np.where(outside, -1, on), offset.copy()
+    for beside, sign in ((graph.left[on], 1.0), (graph.right[on], -1.0)):
+        going = ~outside & (beside >= 0) & (sign * sideways > CHANGING_MPS)
+        going &= sign * aside > -CHANGING_FROM_M
+        drives_on = np.where(going, beside, drives_on)
+        shift = sign * (graph.width[on] + graph.width[beside]) / 2
+        offset = np.where(going, aside - shift, offset)
     adjacent, adjacent_gap = adjacent_vehicles(
-        view.lane[now:], found.s[now:], past_length[now:], graph
+        view.lane[rows], found.s[rows], past_length[rows], graph
     )
-    states = AgentStates(
-        lane=np.full(n, -1), s=np.zeros(n), offset=np.zeros(n), lateral_speed=np.zeros(n),
-        accel=np.zeros(n), free_factor=free, least_factor=least, on_lane=np.full(n, -1),
-        limit=np.full(n, np.nan), leader=np.full(n, -1), gap=np.full(n, np.inf),
-        follower=np.full(n, -1), adjacent=np.full((n, 4), -1), adjacent_gap=np.full((n, 4), np.inf),
-    )  # fmt: skip
-    since = np.zeros(n, np.int64)
-    _measure_accelerations(history.time_s, valid, speed, since, states.accel)
-    _describe_present(
-        now, (agent, found.lane, found.s, found.offset, past_xy),
-        (
-            view.lane, view.segment, view.missed, view.lane_heading, view.leader, view.gap,
-            view.follower,
-        ),
-        (adjacent, adjacent_gap), (history.time_s, since, xy),
-        (graph.width, graph.left, graph.right, graph.segment_direction, limit),
-        (states.lane, states.s, states.offset, states.lateral_speed),
-        (
-            states.on_lane, states.limit, states.leader, states.gap, states.follower,
-            states.adjacent, states.adjacent_gap,
-        ),
-    )  # fmt: skip
-    return states
+    seen = view.lane[rows] >= 0
+
+    def of_all(values: NDArray[Any], nothing: float, where: Any = None) -> NDArray[Any]:
+        """The present rows' values as those of all agents."""
+        out = np.full((n, *values.shape[1:]), nothing, dtype=values.dtype)
+        out[i] = values if where is None else np.where(where, values, nothing)
+        return out
+
+    def row_of(other: IntArray) -> IntArray:
+        """The agents that rows name, -1 for none."""
+        return np.where(other >= 0, agent[other], -1)
+
+    leader, follower = view.leader[rows], view.follower[rows]
+    beside_row = np.where(adjacent >= 0, i[adjacent], -1) if i.size else adjacent
+    return AgentStates(
+        lane=of_all(drives_on, -1),
+        s=of_all(found.s[rows], 0.0),
+        offset=of_all(offset, 0.0),
+        lateral_speed=of_all(sideways, 0.0),
+        accel=present_acceleration(history),
+        free_factor=free,
+        least_factor=least,
+        on_lane=of_all(on, -1, seen),
+        limit=of_all(limit[on], np.nan, seen),
+        leader=of_all(row_of(leader), -1),
+        gap=of_all(view.gap[rows], np.inf, leader >= 0),
+        follower=of_all(row_of(follower), -1),
+        adjacent=of_all(beside_row, -1),
+        adjacent_gap=of_all(adjacent_gap, np.inf, adjacent >= 0),
+    )
+
+
+def _recent(history: Tracks) -> IntArray:
+    """(n,) the first column of the last `RECENT_S` in which each was seen."""
+    begin = int(np.searchsorted(history.time_s, history.time_s[-1] - RECENT_S - 1e-6))
+    return np.asarray(begin + history.valid[:, begin:].argmax(axis=1))
 
 
 def present_acceleration(history: Tracks) -> FloatArray:
     """(n,) accelerations over the last `RECENT_S` of a history, m/s2; 0 where unknown."""
-    n = history.ids.size
-    valid, speed = np.ascontiguousarray(history.valid), np.ascontiguousarray(history.speed)
-    accel = np.zeros(n)
-    _measure_accelerations(history.time_s, valid, speed, np.zeros(n, np.int64), accel)
-    return accel
+    first, row = _recent(history), np.arange(history.ids.size)
+    span = history.time_s[-1] - history.time_s[first]
+    gained = history.speed[:, -1] - history.speed[row, first]
+    known = history.valid[:, -1] & (span > 1e-6)
+    return np.asarray(np.divide(gained, span, out=np.zeros(row.size), where=known))
 
 
-@in_place()
-def _measure_accelerations(time_s: Any, valid: Any, speed: Any, since: Any, accel: Any) -> None:
-    """Measure the present accelerations over the last `RECENT_S`.
-
-    Args:
-        time_s: (T,) and the next two: columns of the history.
-        valid: (n, T).
-        speed: (n, T).
-        since: (n,) receives the first of those columns in which each agent was seen.
-        accel: (n,) receives the accelerations, m/s2; must be 0 before, which stays where unknown.
-    """
-    last = time_s.size - 1
-    begin = last
-    while begin > 0 and time_s[last] - time_s[begin - 1] <= RECENT_S + 1e-6:
-        begin -= 1
-    for i in range(len(valid)):
-        if not valid[i, last]:
-            continue
-        first = begin
-        while not valid[i, first]:
-            first += 1
-        since[i], span = first, time_s[last] - time_s[first]
-        if span > 1e-6:
-            accel[i] = (speed[i, last] - speed[i, first]) / span
-
-
-@in_place()
-def _find_wished_speeds(
-    time_s: Any, valid: Any, speed: Any, columns: Any, rows: Any, view: Any, limit: Any, sums: Any,
-    free: Any, least: Any,
-) -> None:  # fmt: skip
-    """Find how fast drivers were seen driving.
-
-    Args:
-        time_s: (T,) and the next two: columns of the history.
-        valid: (n, T).
-        speed: (n, T).
-        columns: (C,) the moments that are looked at, ascending.
-        rows: (m,) each: moment, agent and lane of each vehicle seen.
-        view: what it saw of these: lane, gap, distances to the next stop line and crossing.
-        limit: (L,) speed limits, m/s.
-        sums: (2, n) room to work in; must be 0 before.
-        free: (n,) receives the mean speed over limit while driving freely; must be NaN before,
-            which stays where that was never seen.
-        least: (n,) receives the largest speed over limit seen; must be 0 before.
-    """
-    moment, agent, lane = rows
-    on_lane, gap, stop, crossing = view
-    for j in range(agent.size):
-        if on_lane[j] < 0:
-            continue
-        i, now = agent[j], moment[j]
-        t = columns[now]
-        ratio = speed[i, t] / limit[lane[j]]
-        least[i] = max(least[i], ratio)
-        if now == 0 or not valid[i, columns[now - 1]]:
-            continue
-        before = columns[now - 1]
-        change = (speed[i, t] - speed[i, before]) / (time_s[t] - time_s[before])
-        clear = max(FREE_HEADWAY_S * speed[i, t], FREE_GAP_M)
-        room = min(min(gap[j] / clear * FREE_GAP_M, stop[j]), crossing[j])
-        if room > FREE_GAP_M and abs(change) < STEADY_MPS2:
-            sums[0, i] += ratio
-            sums[1, i] += 1.0
-    for i in range(free.size):
-        if sums[1, i] > 0.0:
-            free[i] = sums[0, i] / sums[1, i]
-
-
-@in_place()
-def _describe_present(
-    now: int, found: Any, view: Any, beside: Any, history: Any, road: Any, place: Any, around: Any
-) -> None:
-    """Write what was found of the vehicles that are seen at present.
-
-    Args:
-        now: where those rows begin.
-        found: (m,) agent, lane, distances along it and to its left, m, and (m, 2) position of each
-            row.
-        view: (m,) each: columns of the `sim.road.lane_search.LaneView` of the rows.
-        beside: (p, 4) each, of the present rows: those beside and gaps to them, m.
-        history: (T,) times, s, (n,) first column of recent motion, (n, T, 2) positions, m.
-        road: (L,) widths, m, lanes to the left and right, (S, 2) directions of the straight pieces,
-            (L,) speed limits, m/s.
-        place: (n,) each: columns of the `AgentStates` that receive the places of agents.
-        around: (n,) or (n, 4) each: those that receive the lanes they are on and their neighbours;
-            all as of agents off the road before.
-    """
-    agent, row_lane, row_s, row_offset, row_xy = found
-    seen_lane, segment, missed, turned, seen_leader, seen_gap, seen_follower = view
-    beside_row, beside_gap = beside
-    time_s, since, xy = history
-    width, left, right, direction, limit = road
-    lane, s, offset, lateral_speed = place
-    on_lane, lane_limit, leader, gap, follower, adjacent, adjacent_gap = around
-    for j in range(now, agent.size):
-        i, on = agent[j], row_lane[j]
-        s[i], offset[i] = row_s[j], row_offset[j]
-        if seen_lane[j] >= 0:
-            on_lane[i], lane_limit[i] = on, limit[on]
-        if seen_leader[j] >= 0:
-            leader[i], gap[i] = agent[seen_leader[j]], seen_gap[j]
-        if seen_follower[j] >= 0:
-            follower[i] = agent[seen_follower[j]]
-        for k in range(4):
-            if beside_row[j - now, k] >= 0:
-                adjacent[i, k] = agent[now + beside_row[j - now, k]]
-                adjacent_gap[i, k] = beside_gap[j - now, k]
-        first = since[i]
-        span, sideways = time_s[time_s.size - 1] - time_s[first], 0.0
-        if span > 1e-6:
-            g = segment[j]
-            ux, uy = direction[g, 0], direction[g, 1]
-            east, north = row_xy[j, 0] - xy[i, first, 0], row_xy[j, 1] - xy[i, first, 1]
-            sideways = (north * ux - east * uy) / span
-            lateral_speed[i] = sideways
-        outside = abs(offset[i]) > width[on] / 2 + NEAR_LANE_M
-        if outside or missed[j] >= BEYOND_M or math.cos(turned[j]) <= 0.5:
-            continue
-        lane[i] = on
-        for side in range(2):
-            to, sign = left[on], 1.0
-            if side == 1:
-                to, sign = right[on], -1.0
-            going = to >= 0 and sign * sideways > CHANGING_MPS
-            if going and sign * row_offset[j] > -CHANGING_FROM_M:
-                lane[i] = to
-                offset[i] = row_offset[j] - sign * (width[on] + width[to]) / 2
+def _wished_speeds(
+    history: Tracks, columns: IntArray, instant: IntArray, agent: IntArray, limit: FloatArray,
+    view: LaneView,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """(n,) mean speed over limit while driving freely, NaN if never seen, and (n,) the largest."""
+    n, column, on = history.ids.size, columns[instant], view.lane >= 0
+    before = columns[np.maximum(instant - 1, 0)]
+    speed = history.speed[agent, column]
+    ratio = speed / limit
+    least = np.zeros(n)
+    np.maximum.at(least, agent[on], ratio[on])
+    seen = on & (instant > 0) & history.valid[agent, before]
+    span = np.where(seen, history.time_s[column] - history.time_s[before], 1.0)
+    change = (speed - history.speed[agent, before]) / span
+    clear = np.maximum(FREE_HEADWAY_S * speed, FREE_GAP_M)
+    room = np.minimum(view.gap / clear * FREE_GAP_M, view.stop_distance)
+    room = np.minimum(room, view.crossing_distance)
+    freely = seen & (room > FREE_GAP_M) & (np.abs(change) < STEADY_MPS2)
+    total = np.bincount(agent[freely], ratio[freely], minlength=n)
+    count = np.bincount(agent[freely], minlength=n)
+    return np.divide(total, count, out=np.full(n, np.nan), where=count > 0), least

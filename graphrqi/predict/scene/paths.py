@@ -301,12 +301,7 @@ class _LaneLists:
         return probability, turn
 
     def within(self, lane: int, reach_m: float) -> list[int]:
-        """Lanes that a driver may come to, on its way or by changing lanes (Dijkstra's search).
-
-        Args:
-            lane: where it is.
-            reach_m: how far it goes beyond the end of that lane, m.
-        """
+        """Lanes that a driver may come to, on its way or by changing lanes (Dijkstra's search)."""
         gone = {lane: 0.0}  # to the end of each lane
         waiting = [(0.0, lane)]
         while waiting:

@@ -220,20 +220,7 @@ def _follow_programs(
     lane: Any, plans_near: Any, seen: Any, time_s: Any, programs: Any, of_signal: Any, done: Any,
     state: Any,
 ) -> None:  # fmt: skip
-    """Let the signals near drivers follow their programmes where these explain the past.
-
-    A frame shows the signals of its own time or, in some sources, of one step before.
-
-    Args:
-        lane: (n,) lane of each agent, -1: none.
-        plans_near: (L, W) plans that somebody on each lane may come to, -1 after the last.
-        seen: (S, T) signals in the last frames.
-        time_s: (T,) of these frames, s.
-        programs: the `SignalPrograms`.
-        of_signal: (4,) state of a stop constraint for each signal.
-        done: (P,) room to work in; must be false before.
-        state: (S, H + 1) receives the states.
-    """
+    """Let the signals near drivers follow their programmes where these explain the past."""
     frames = time_s.size
     for i in range(lane.size):
         if lane[i] < 0:
@@ -286,20 +273,7 @@ def _crossings_ahead(history: Tracks, road: Road, graph: LaneGraph, state: State
 def _block_crossings(
     xy: Any, heading: Any, speed: Any, crossings: Any, centre: Any, half: Any, state: Any
 ) -> None:
-    """Block the lanes of crossings while pedestrians are in them or about to be.
-
-    Pedestrians walk on at their present velocity. One blocks a lane while within its width, or
-    walking towards it and at most `PEDESTRIAN_REACH_S` away.
-
-    Args:
-        xy: (p, 2) pedestrians, m.
-        heading: (p,) rad.
-        speed: (p,) m/s.
-        crossings: the `CrossingArrays`.
-        centre: (Z,) where along its crossing each lane has its centre, m.
-        half: (Z,) half of the lane's width, m.
-        state: (Z, H + 1) receives `STOP` where a lane is blocked.
-    """
+    """Block the lanes of crossings while pedestrians are in them or about to be."""
     point_first, points = crossings.point_first, crossings.points
     meet_first, meet = crossings.meet_first, crossings.meet
     x0, y0, size, columns, rows, first, items = crossings.cells
@@ -338,23 +312,7 @@ def _block_yielding(
     speed: Any, length: Any, lane: Any, s: Any, path: Any, paths: Any, foes: Any,
     entry_signal: Any, signals: Any, state: Any,
 ) -> None:  # fmt: skip
-    """Block yielding places while a vehicle with priority comes.
-
-    Vehicles with priority keep their speed and take the given paths.
-
-    Args:
-        speed: (n,) m/s.
-        length: (n,) m.
-        lane: (n,) lane of each, -1: none.
-        s: (n,) distance along it, m.
-        path: (n,) path of each.
-        paths: the `graphrqi.predict.scene.paths.PathColumns`.
-        foes: columns of the `graphrqi.predict.scene.priority.Priority`: where the conflicts of each
-            lane begin, their yielding places, and where the movements cross, m.
-        entry_signal: (L,) signal group that guards entering each lane, -1: none.
-        signals: (S, H + 1) states of the signals.
-        state: (Y, H + 1) receives `STOP` where a place is blocked.
-    """
+    """Block yielding places while a vehicle with priority comes."""
     foe_first, foe_place, foe_s = foes
     path_lane, path_start = paths.lane, paths.start
     last = state.shape[1] - 1

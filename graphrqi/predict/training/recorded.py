@@ -25,11 +25,14 @@ from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.lanes_ahead import LanesAhead
 from graphrqi.predict.recorded.network import (
     CLIP,
+    EARNED,
     MODES,
+    NOISY_M,
     PER_MODE,
     RecordedNetwork,
     TrainedRange,
     decode,
+    kind_of,
 )
 from graphrqi.predict.training.fit import layers_of, silu_module, spread_factor
 from graphrqi.predict.training.recorded_lanes import LaneTraining
@@ -91,6 +94,7 @@ class RecordedExamples:
         truth: (m, KNOTS, 2) where they went, likewise.
         measured: (m, 4) speed, m/s, noise of positions, m, and of velocities, m/s, and time
             between frames, s.
+        stands: (m,) whether each stands.
         steady: (m,) mean error of constant velocity, m.
         group: (m,) which dataset each is from.
         ahead: the paths along lanes, in single precision; none where there is no map.
@@ -100,6 +104,7 @@ class RecordedExamples:
     base: Float32Array
     truth: Float32Array
     measured: Float32Array
+    stands: NDArray[np.bool_]
     steady: Float32Array
     group: IntArray
     ahead: LanesAhead
@@ -163,6 +168,49 @@ def train_recorded(
     return replace(network, spread_scale=right_spread(network, validation))
 
 
+SHARES: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of a correction that are tried."""
+
+LEAST_CASES, MOST_LOST = 100, 1.02
+"""A dataset is heard on a class of cases with so many; nowhere may a share cost more, over the
+base's error."""
+
+
+def errors_by_share(network: RecordedNetwork, examples: RecordedExamples) -> FloatArray:
+    """(SHARES + 1, 2, EARNED[1:]) sums of errors of left-out examples by share, and their number.
+
+    Args:
+        network: one that was not trained on them.
+        examples: of one dataset.
+    """
+    bins = kind_of(examples.measured[:, 0], examples.stands)
+    noisy = (examples.measured[:, 1] > NOISY_M).astype(np.int64)
+    found = np.zeros((len(SHARES) + 1, *EARNED))
+    guessed = (guesses(replace(network, lanes=None), examples), guesses(network, examples))
+    mapped = examples.ahead.exists.any(axis=1)
+    for way, guess in enumerate(guessed):
+        who = mapped if way else np.ones(len(examples), bool)
+        at: Any = (way, bins[who], noisy[who])
+        for row, share in enumerate(SHARES):
+            told = examples.base + share * (guess - examples.base)
+            np.add.at(found[row], at, np.linalg.norm(told - examples.truth, axis=-1)[who])
+        np.add.at(found[-1], at, 1.0)
+    return found
+
+
+def earned_shares(errors: Sequence[FloatArray]) -> FloatArray:
+    """`EARNED` shares that are best on datasets left out, and hardly cost anything on any of them.
+
+    Args:
+        errors: of each dataset, from `errors_by_share`.
+    """
+    sums, heard = np.stack([one[:-1] for one in errors]), np.stack([one[-1] for one in errors])
+    over = np.log((sums + 1e-6) / (sums[:, :1] + 1e-6))
+    over = np.where((heard >= LEAST_CASES)[:, None], over, 0.0)
+    mean = np.where(over.max(axis=0) <= np.log(MOST_LOST), over.mean(axis=0), 0.0)
+    return np.asarray(np.asarray(SHARES)[mean.argmin(axis=0)])
+
+
 def _moments(values: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of each column; 1 for those that hardly vary."""
     scale = values.std(axis=0, dtype=np.float64)
@@ -208,7 +256,11 @@ def _fit(
     chance /= chance.sum()
     batches = max(1, min(PER_EPOCH, len(training)) // BATCH)
     fitted = [*module.parameters(), *(() if lanes is None else lanes.module.parameters())]
-    paths = None if lanes is None else lanes.examples(training.ahead, training.truth)
+    paths = (
+        None
+        if lanes is None
+        else lanes.examples(training.ahead, training.truth, training.measured[:, 0])
+    )
     optimizer = adamw(fitted, LEARNING_RATE, WEIGHT_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, max_lr=LEARNING_RATE, total_steps=batches * epochs + 1, pct_start=0.1

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.recorded.along_lanes import beginnings
 from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
 from graphrqi.predict.recorded.network import (
     PATH_OUTPUTS,
@@ -51,7 +53,8 @@ class PathExamples(NamedTuple):
         exists: (m, MOST) which there are.
         points: (m, MOST, POINTS, 2) m.
         spacing: (m,) m.
-        offset: (m, MOST) m.
+        kept: (m, MOST) distance to the left that is kept, m.
+        fading: (m, MOST, KNOTS, 2) how vehicles come to their paths, m.
         true: (m,) the path that was followed, MOST for none.
     """
 
@@ -59,7 +62,8 @@ class PathExamples(NamedTuple):
     exists: torch.Tensor
     points: torch.Tensor
     spacing: torch.Tensor
-    offset: torch.Tensor
+    kept: torch.Tensor
+    fading: torch.Tensor
     true: torch.Tensor
 
     def of(self, batch: torch.Tensor) -> PathExamples:
@@ -87,7 +91,9 @@ class LaneTraining:
         """What has been learned."""
         return LaneNetwork(self.mean, self.scale, *layers_of(self.module))
 
-    def examples(self, ahead: LanesAhead, truth: NDArray[np.floating]) -> PathExamples:
+    def examples(
+        self, ahead: LanesAhead, truth: NDArray[np.floating], speed: NDArray[np.floating]
+    ) -> PathExamples:
         """The paths of training examples, who went to ``truth`` (m, KNOTS, 2), m."""
         import torch
 
@@ -95,7 +101,8 @@ class LaneTraining:
         nothing = np.empty((len(truth), 0))
         arrays = (
             lane_inputs(nothing, ahead, mean, scale), ahead.exists, ahead.points, ahead.spacing_m,
-            ahead.offset_m, true_paths(ahead, truth),
+            *beginnings(ahead, speed, TIME_S.astype(np.float32)),
+            true_paths(ahead, truth),
         )  # fmt: skip
         return PathExamples(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
 
@@ -169,9 +176,10 @@ def along_paths(
     )
     step = end - begin
     unit = step / step.norm(dim=-1, keepdim=True).clamp(min=1e-3)
-    aside = paths.offset[:, :, None, None] + moved[..., 1]
+    aside = paths.kept[:, :, None, None] + moved[..., 1]
     left = torch.stack([-unit[..., 1], unit[..., 0]], dim=-1)
-    return begin + (along - piece)[..., None] * step + aside[..., None] * left
+    along_lane = begin + (along - piece)[..., None] * step + aside[..., None] * left
+    return along_lane + paths.fading[:, :, None]
 
 
 def true_paths(ahead: LanesAhead, truth: NDArray[np.floating]) -> IntArray:

@@ -1,0 +1,209 @@
+"""Recordings without labels: do beliefs about drivers say what they do later?
+
+Each driver's track is halved. What a stream believes at the end of the first half is compared with
+how the driver follows in the second, and with what is believed at the end of that, when the driver
+counts as a new one. Nothing is true or false here: a belief that says something about a driver is
+one that comes again and that goes with its driving.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from experiments.data.parallel import in_parallel
+from experiments.score.rows import Cell, Row, tidy_row
+from experiments.training.recordings import RecordedPlace, read_sources
+from graphrqi.model_files import load_model
+from graphrqi.posterior import aggressive_share
+from graphrqi.predict.recorded.gaps import inferred_leaders
+from graphrqi.stream import DEFAULT_MODEL, load_stream
+from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
+
+LEAST_LIFE_S: Final = 10.0
+"""Shorter tracks have no halves that tell anything (five seconds each)."""
+
+LEAST_SEEN_S: Final = 3.0
+"""Drivers that are seen for less do not count in shares."""
+
+MOVING_MPS, LONGEST_HEADWAY_S = 2.0, 10.0
+"""Slower ones have no time headway, and longer ones do not follow."""
+
+EVERY_S: Final = 1.0
+"""Time between the instants at which headways are measured, s."""
+
+LEAST_DRIVERS: Final = 10
+"""Fewer drivers make no correlation."""
+
+RESAMPLES: Final = 500
+"""Bootstrap resamples of drivers."""
+
+
+def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
+    """The same scene, in which long drivers are new ones from the middle of their tracks on.
+
+    Returns:
+        Tracks in which the agent of row r has the id 2 r, and 2 r + 1 in its second half; the (n,)
+        rows of those that are halved, and the (n,) first column of each second half.
+    """
+    first = tracks.valid.argmax(axis=1)
+    last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
+    begin_s, end_s = tracks.time_s[first], tracks.time_s[last]
+    long = tracks.valid.any(axis=1) & (tracks.kind != PEDESTRIAN)
+    rows = np.flatnonzero(long & (end_s - begin_s >= LEAST_LIFE_S - 1e-6))
+    middle = np.searchsorted(tracks.time_s, 0.5 * (begin_s + end_s)[rows])
+    late = np.zeros(tracks.valid.shape, dtype=bool)
+    late[rows] = np.arange(tracks.time_s.size) >= middle[:, None]
+    source = np.concatenate([np.arange(tracks.ids.size), rows])
+    ids = np.concatenate([2 * np.arange(tracks.ids.size), 2 * rows + 1])
+    valid = np.concatenate([tracks.valid & ~late, tracks.valid[rows] & late[rows]])
+    order = np.argsort(ids)
+    source, valid = source[order], valid[order]
+    xy = np.where(valid[..., None], tracks.xy[source], np.nan)
+    heading, speed = (
+        np.where(valid, one[source], np.nan) for one in (tracks.heading, tracks.speed)
+    )
+    cut = dataclasses.replace(
+        tracks, ids=ids[order], names=tuple(map(str, ids[order].tolist())),
+        kind=tracks.kind[source], length=tracks.length[source], width=tracks.width[source], xy=xy,
+        heading=heading, speed=speed, valid=valid, behavior=None, events=(),
+    )  # fmt: skip
+    return cut, rows, middle
+
+
+def last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
+    """(N,) probability of the aggressive style when each was last seen, and (N,) whether told.
+
+    NaN where a stream of recorded traffic gives no answer.
+    """
+    stream = load_stream(model, traffic="recorded")
+    last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
+    style, told = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
+    for step, frame in enumerate(tracks.frames()):
+        stream.push(frame)
+        leaving = np.flatnonzero((last == step) & tracks.valid[:, step])
+        if not leaving.size:
+            continue
+        posterior = stream.posterior()
+        here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
+        at = np.searchsorted(posterior.ids, tracks.ids[here])
+        style[here] = aggressive_share(posterior.probability[at])
+        told[here] = posterior.told[at]
+    return style, told
+
+
+def later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatArray:
+    """(n,) mean time headway of some drivers from their middles on, s; NaN where they follow none.
+
+    Args:
+        tracks: the recording.
+        rows: (n,) whose.
+        middle: (n,) the first column of each.
+    """
+    total, count = np.zeros(rows.size), np.zeros(rows.size)
+    for column in range(0, tracks.time_s.size, max(1, round(EVERY_S / tracks.step_s))):
+        leader, gap = inferred_leaders(tracks, column)
+        speed = tracks.speed[rows, column]
+        counts = tracks.valid[rows, column] & (column >= middle) & (leader[rows] >= 0)
+        counts &= np.nan_to_num(speed) > MOVING_MPS
+        headway = np.maximum(gap[rows], 0.0) / np.maximum(np.nan_to_num(speed), MOVING_MPS)
+        counts &= headway < LONGEST_HEADWAY_S
+        total += np.where(counts, headway, 0.0)
+        count += counts
+    mean = np.divide(total, count, out=np.full(rows.size, np.nan), where=count > 0)
+    return np.asarray(mean)
+
+
+def drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
+    """What is believed of the drivers of one recording, and what they do.
+
+    Returns:
+        (n, 3) aggressive style after each half and later headway of those that are halved; (m, 2)
+        style at the end and whether told of all that were seen for `LEAST_SEEN_S`.
+    """
+    tracks = one.tracks
+    if tracks.time_s.size < 2:
+        return np.zeros((0, 3)), np.zeros((0, 2))
+    cut, rows, middle = cut_in_half(tracks)
+    halves = np.zeros((0, 3))
+    if rows.size:
+        style, _ = last_beliefs(cut, model)
+        at = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1]))
+        halves = np.column_stack([*style[at], later_headways(tracks, rows, middle)])
+    style, told = last_beliefs(tracks, model)
+    seen_s = tracks.valid.sum(axis=1) * tracks.step_s
+    shown = np.isfinite(style) & (seen_s >= LEAST_SEEN_S - 1e-6)
+    return halves, np.column_stack([style, told])[shown]
+
+
+def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
+    """Rank correlation with its 95 % interval over resampled drivers; NaN where one is constant.
+
+    Examples:
+        >>> spearman(np.arange(20.0), np.arange(20.0) ** 3)[0]
+        1.0
+    """
+    from scipy.stats import rankdata
+
+    def correlation(a: FloatArray, b: FloatArray) -> float:
+        ranks = rankdata(a), rankdata(b)
+        if np.ptp(ranks[0]) == 0.0 or np.ptp(ranks[1]) == 0.0:
+            return float("nan")
+        return round(float(np.corrcoef(*ranks)[0, 1]), 12)
+
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, one.size, (RESAMPLES, one.size))
+    value = correlation(one, other)
+    if not np.isfinite(value):
+        return value, value, value
+    low, high = np.nanquantile([correlation(one[i], other[i]) for i in drawn], [0.025, 0.975])
+    return value, float(low), float(high)
+
+
+def measure(data: Path, model: str = DEFAULT_MODEL, jobs: int | None = None) -> Iterator[list[Row]]:
+    """Measure beliefs about the drivers of recordings.
+
+    Args:
+        data: a folder of datasets of recordings, or one of them.
+        model: a shipped model's name or a folder.
+        jobs: processes; None for one per core.
+
+    Yields:
+        The rows of each dataset: shares told and aggressive, and the correlations.
+
+    Raises:
+        InputError: if there is nothing to read, or the model does not load.
+    """
+    load_model(model)
+    places: dict[str, list[RecordedPlace]] = {}
+    for one in read_sources([data], maps=False):
+        places.setdefault(one.dataset, []).append(one)
+    if not places:
+        raise InputError(f"{data}: found no recording, expected at least 1")
+    for name in sorted(places):
+        found = list(in_parallel(drivers_of, [(one, model) for one in places[name]], jobs))
+        halves, lives = (np.concatenate(each) for each in zip(*found, strict=True))
+        yield list(_rows({"dataset": name, "protocol": "recorded", "method": model}, halves, lives))
+
+
+def _rows(keys: dict[str, Cell], halves: FloatArray, lives: FloatArray) -> Iterator[Row]:
+    """The figures of a dataset."""
+    answered = lives[lives[:, 1] > 0.5, 0]
+    for metric, values in (
+        ("share_unknown", 1.0 - lives[:, 1]), ("share_aggressive", (answered > 0.5).astype(float))
+    ):  # fmt: skip
+        if values.size:
+            error = 1.96 * float(values.std()) / np.sqrt(values.size)
+            mean = float(values.mean())
+            yield tidy_row(
+                keys, metric, mean, max(mean - error, 0.0), min(mean + error, 1.0), values.size
+            )
+    for metric, column in (("spearman_split_half", 1), ("spearman_later_headway", 2)):
+        both = halves[np.isfinite(halves[:, 0]) & np.isfinite(halves[:, column])]
+        if len(both) >= LEAST_DRIVERS:
+            yield tidy_row(keys, metric, *spearman(both[:, 0], both[:, column]), len(both))
