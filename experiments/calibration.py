@@ -95,8 +95,8 @@ def write_calibration(
     Args:
         source: a dataset, a recording or a folder of recordings.
         out: folder: new or empty.
-        format: as in `calibrate_recordings`.
-        net: as in `calibrate_recordings`.
+        format: as in `_calibrate_recordings`.
+        net: as in `_calibrate_recordings`.
         quiet: whether to show no progress.
 
     Raises:
@@ -104,8 +104,8 @@ def write_calibration(
         OSError: if something cannot be written.
     """
     with new_folder(out) as folder:
-        calibrated = calibrate_recordings(source, format, net, quiet)
-        table = pa.Table.from_pylist(driver_rows(calibrated), schema=SCHEMA)
+        calibrated = _calibrate_recordings(source, format, net, quiet)
+        table = pa.Table.from_pylist(_driver_rows(calibrated), schema=SCHEMA)
         pq.write_table(table, folder / "drivers.parquet")
         for law in Law:
             text = calibrated.population(law).to_toml()
@@ -115,20 +115,10 @@ def write_calibration(
     return calibrated
 
 
-def calibrate_recordings(
+def _calibrate_recordings(
     source: Path, format: str | None = None, net: Path | None = None, quiet: bool = True
 ) -> Calibrated:
-    """Calibrate all drivers of a dataset, a recording or a folder of recordings.
-
-    Args:
-        source: where they are.
-        format: key of the recordings' format; None to recognise it by the content.
-        net: their map; None for what comes with them.
-        quiet: whether to show no progress.
-
-    Raises:
-        InputError: if a file is broken, or nobody follows or drives freely for long enough.
-    """
+    """Calibrate all drivers of a dataset, a recording or a folder of recordings."""
     names: list[str] = []
     drivers: list[RecordedDriver] = []
     with as_dataset(source, format, net) as folder:
@@ -152,7 +142,7 @@ def calibrate_recordings(
     return Calibrated(label, tuple(names), tuple(drivers), laws)
 
 
-def driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
+def _driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
     """A row for each driver, law and number; columns as `SCHEMA`."""
     rows: list[dict[str, Any]] = []
     for law, fitted in calibrated.laws.items():

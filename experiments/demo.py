@@ -1,15 +1,13 @@
 """The whole loop on two scenarios: generate, train, classify, predict, report.
 
 ``python -m experiments.demo`` (or ``make demo``) leaves ``runs/demo``: the data, the models, all
-figures as rows in ``rows.json``, the main ones in ``metrics.json``, and one page, ``report.html``.
+figures as rows in ``rows.json``, and one page, ``report.html``.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from experiments.console.exit_codes import exit_on_user_error
 from experiments.console.notices import show_notices
@@ -25,7 +23,6 @@ from experiments.score.predict import errors_table, predict_dataset
 from experiments.score.rows import Row, dataset_id, stamped
 from experiments.training.classifier import train_model
 from graphrqi.model_files import save_model
-from sim.files import write_whole
 from sim.store.dataset import open_dataset
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection")
@@ -38,12 +35,6 @@ EPISODES: Final = 20
 """Per scenario: 12 to train, 4 to validate, 4 to test."""
 DURATION_S: Final = 150.0
 HORIZON_S: Final = 5.0
-
-SCORES: Final = (
-    "weighted_accuracy", "balanced_accuracy", "macro_f1", "style_balanced_accuracy",
-    "majority_weighted_accuracy",
-)  # fmt: skip
-"""Figures of the answers in ``metrics.json``."""
 
 
 def run_demo(
@@ -87,35 +78,7 @@ def run_demo(
     known = dataset_id(dataset)
     rows = [*stamped(scores, "train", seed, known), *stamped(errors, "predict", seed, known)]
     write_rows(rows, out / "rows.json")
-    write_whole(out / "metrics.json", (json.dumps(metrics_of(rows), indent=1) + "\n").encode())
     return rows
-
-
-def metrics_of(rows: Sequence[Row]) -> dict[str, Any]:
-    """The main figures as a tree, which ``metrics.json`` holds.
-
-    Args:
-        rows: as from `run_demo`.
-
-    Returns:
-        ``classification.<scenario>.<method>.<metric>`` and
-        ``prediction.<scenario>.<predictor>.{ade_m,fde_m}.{1s,3s,5s}``; each ends in value, low,
-        high, n and split.
-    """
-    tree: dict[str, Any] = {"classification": {}, "prediction": {}}
-    for row in rows:
-        if row["metric"] in SCORES and "method" in row:
-            path = ["classification", row["scenario"], row["method"], row["metric"]]
-        elif row["metric"] in ("ade_m", "fde_m") and row["behavior"] == "all":
-            horizon = f"{row['horizon_s']:g}s"
-            path = ["prediction", row["scenario"], row["predictor"], row["metric"], horizon]
-        else:
-            continue
-        place = tree
-        for key in path[:-1]:
-            place = place.setdefault(str(key), {})
-        place[str(path[-1])] = {key: row[key] for key in ("value", "low", "high", "n", "split")}
-    return tree
 
 
 def main() -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -15,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from behaviors.errors import InputError
+from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
 from experiments.score.answers import Answers, score_answers
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
 
 COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""
-
-SHOWN_EVERY_S: Final = 0.2
-"""Time between two updates of the live line, s of the clock on the wall."""
 
 
 @dataclass
@@ -96,41 +92,6 @@ class _Beliefs:
         )
 
 
-def live_line(
-    name: str, time_s: float, duration_s: float, agents: int, factor: float, ms_per_frame: float
-) -> str:
-    """What is shown while a scenario runs.
-
-    Examples:
-        >>> live_line("straight_road", 12.0, 300.0, 41, 9.0, 6.25)
-        'straight_road: 12.0 of 300 s, 41 agents, 9x real time, 6.2 ms a frame'
-    """
-    return (
-        f"{name}: {time_s:.1f} of {duration_s:g} s, {agents} agents, {factor:.0f}x real time, "
-        f"{ms_per_frame:.1f} ms a frame"
-    )
-
-
-@contextmanager
-def _live(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A line on the terminal that can be replaced; nothing in a log."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda text: None
-        return
-    from rich.console import Console
-
-    last = 0.0
-    with Console(stderr=True).status("starting") as status:
-
-        def show(text: str) -> None:
-            nonlocal last
-            if time.monotonic() - last >= SHOWN_EVERY_S:
-                last = time.monotonic()
-                status.update(text)
-
-        yield show
-
-
 def run_scenario(
     config: GenerateConfig,
     model: str | None = None,
@@ -145,7 +106,7 @@ def run_scenario(
         config: scenario, engine, options and seed.
         model: name or folder of the model that classifies; None not to classify.
         predict: whether to predict too, and score it.
-        quiet: whether to show no live line.
+        quiet: whether to show no progress.
         window: which agents are classified and predicted; None for everybody.
         out: folder for the episode as a dataset; None not to keep it.
 
@@ -167,7 +128,8 @@ def run_scenario(
 
         stream = load_stream(model, window)
     started, spent_s, due_s = time.monotonic(), 0.0, WARM_UP_S
-    with _live(quiet) as show:
+    steps = round(scenario.duration_s / scenario.step_s)
+    with Progress(f"{scenario.name}: frames", steps, quiet) as progress:
         for frame in summary.count(_frames(config, task, scenario, agents, out), scenario.step_s):
             begun = time.monotonic()
             if stream is not None:
@@ -179,13 +141,7 @@ def run_scenario(
                     beliefs.instants[len(kept)] = posterior
                     due_s += EVERY_S
             spent_s += time.monotonic() - begun
-            factor = frame.time_s / max(time.monotonic() - started, 1e-9)
-            show(
-                live_line(
-                    scenario.name, frame.time_s, scenario.duration_s, len(frame), factor,
-                    1e3 * spent_s / summary.frames,
-                )
-            )  # fmt: skip
+            progress.advance()
     factor = summary.time_s / max(time.monotonic() - started, 1e-9)
     keys: dict[str, Cell] = {"scenario": scenario.name, "engine": config.engine}
     mean_speed = summary.distance_m / summary.driving_s if summary.driving_s else None

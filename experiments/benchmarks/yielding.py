@@ -60,7 +60,7 @@ VAGUE_M: Final = 1.5
 """Spread assumed for predictors that give none, m."""
 
 
-def approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
+def _approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
     """Rows of the drivers about two seconds before an occupied crossing, and the way left, m."""
     graph, paths = scene.graph, scene.paths
     zones = graph.cross_lane.size
@@ -95,7 +95,7 @@ def travelled(xy: FloatArray, start: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(steps[..., 0], steps[..., 1]).sum(axis=-1))
 
 
-def wait_chance(
+def _wait_chance(
     prediction: Prediction, scene: Scene, row: IntArray, room: FloatArray
 ) -> FloatArray:
     """(m,) predicted chance that each driver has not entered the crossing at `DECIDED_S`."""
@@ -130,7 +130,7 @@ def encounters(
         if not history.ids.size:
             continue
         scene = make_scene(history, road, LEARNED_S)
-        row, room = approaching(scene)
+        row, room = _approaching(scene)
         rows = np.searchsorted(tracks.ids, history.ids[row])
         truth = future(tracks, rows, stop, ahead)
         new = np.array([int(i) not in met for i in history.ids[row]], dtype=bool) & np.isfinite(
@@ -198,7 +198,7 @@ def encounter_chances(
         waited.append(stayed)
         chance[BELIEFS].append(posterior.of(scene.ids[row]) @ YIELDS)
         for name, function in functions.items():
-            chance[name].append(wait_chance(function(scene, posterior), scene, row, room))
+            chance[name].append(_wait_chance(function(scene, posterior), scene, row, room))
     if not waited:
         return NO_ENCOUNTERS
     return EncounterChances(

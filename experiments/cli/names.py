@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ast
-import importlib.util
+import importlib
 import inspect
 import platform
 from contextlib import suppress
 from importlib import metadata
-from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
 from behaviors.populations import POPULATIONS, read_population
@@ -28,17 +26,8 @@ REGISTRIES: Final[dict[str, str]] = {
 }
 """The registries, as "module:attribute", by what they hold."""
 
-SUMMARIES: Final[dict[str, Literal["entry", "function", "module"]]] = {
-    "scenario": "entry",
-    "engine": "function",
-    "method": "entry",
-    "solver": "module",
-    "predictor": "function",
-    "classifier": "function",
-    "format": "module",
-}
-"""What says in one line what an entry of a registry is: the entry itself, which is imported; or the
-docstring of its function (or class) or of its module, which is read without importing it."""
+BY_MODULE: Final = ("solver", "format")
+"""Kinds of things whose modules say in one line what they are; others say it themselves."""
 
 
 def names_of(what: str) -> list[str]:
@@ -62,10 +51,10 @@ def names_of(what: str) -> list[str]:
 def registered_names() -> list[Row]:
     """Every registered name: what it names, where it comes from, and one line on what it is."""
     found: list[Row] = []
-    for what, summary in SUMMARIES.items():
+    for what in REGISTRIES:
         registry = _registry(what)
         for name in registry:
-            about = _about(registry, name, summary)
+            about = _about(registry, name, what)
             found.append(
                 {"what": what, "name": name, "from": registry.origin(name), "about": about}
             )
@@ -82,32 +71,15 @@ def _registry(what: str) -> Registry[object]:
     return registry
 
 
-def _about(registry: Registry[Any], name: str, summary: str) -> str:
+def _about(registry: Registry[Any], name: str, what: str) -> str:
     """One line on an entry: its summary, or the first line of a docstring without its marks."""
     source = registry.source(name)
-    if summary == "entry" or source is None:
-        try:
-            return _summary(registry[name])
-        except InputError as error:  # a plugin that does not load
-            return str(error)
-    module, attribute = source.split(":")
-    written = importlib.util.find_spec(module)
-    assert written is not None, module
-    assert written.origin is not None, module
-    tree: ast.Module | ast.FunctionDef | ast.ClassDef = ast.parse(
-        Path(written.origin).read_bytes(), written.origin
-    )
-    if summary == "function":
-        tree = next(
-            node
-            for node in tree.body
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == attribute
-        )
-    return _first_line(ast.get_docstring(tree))
-
-
-def _summary(entry: Any) -> str:
-    """One line on an entry that has a summary or is, or is made by, a documented function."""
+    try:
+        if what in BY_MODULE and source is not None:
+            return _first_line(importlib.import_module(source.split(":")[0]).__doc__)
+        entry = registry[name]
+    except InputError as error:  # a plugin that does not load
+        return str(error)
     if hasattr(entry, "summary"):
         return str(entry.summary)
     made_by = getattr(entry, "function", entry)

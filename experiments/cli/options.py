@@ -30,12 +30,8 @@ def in_a_folder(path: Path | None) -> Path | None:
     raise InputError(f"{path}: found no folder {path.parent}, expected one")
 
 
-def table_to_write(path: Path | None) -> Path | None:
-    """Refuse a table of another ending than those written, or whose folder is missing.
-
-    Raises:
-        InputError: naming the ending or the folder.
-    """
+def _table_to_write(path: Path | None) -> Path | None:
+    """Refuse a table of another ending than those written, or whose folder is missing."""
     if path is not None:
         from experiments.score.tables import check_ending
 
@@ -124,7 +120,7 @@ ScenarioName = Annotated[
 TableFile = Annotated[
     Path | None,
     file_option("File for the answers themselves: .parquet or .csv.", "--out",
-                callback=table_to_write),
+                callback=_table_to_write),
 ]  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def measured(episode: Episode) -> Tracks:
     return in_metres(episode.tracks, image_scale(episode.tracks))
 
 
-def episode_samples(
+def _episode_samples(
     folder: Path,
     entry: EpisodeEntry,
     number: int,
@@ -133,7 +133,7 @@ def gather(
             "generate more episodes"
         )
     what = f"{method}: observing {split} episodes"
-    found = list(in_parallel(episode_samples, arguments, jobs, what, quiet))
+    found = list(in_parallel(_episode_samples, arguments, jobs, what, quiet))
     parts = [part for part in found if not isinstance(part, str)]
     left_out = [reason for reason in found if isinstance(reason, str)]
     if not parts:

@@ -95,17 +95,8 @@ def planned(config: GenerateConfig) -> Iterator[ShardTask]:
         first = last + 1
 
 
-def make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> Made:
-    """Make a shard; episodes that cannot be made are left out of it, and named.
-
-    Args:
-        out: the dataset.
-        configuration: what `configuration_of` gives.
-        task: which shard.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+def _make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> Made:
+    """Make a shard; episodes that cannot be made are left out of it, and named."""
     failed = []
     with EpisodeWriter(place_of(out), configuration) as writer:
         for index in task.indices:
@@ -117,7 +108,7 @@ def make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> M
     return Made(tuple(writer.entries), writer.files, tuple(failed))
 
 
-def configuration_of(config: GenerateConfig) -> dict[str, Any]:
+def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
     """What a dataset says of how it was made, but for the number of its episodes.
 
     A map or scenario of the user's own counts with the checksum of its road.
@@ -161,13 +152,13 @@ def generate(
     jobs = checked_jobs(jobs)
     config.check()
     place = place_of(out)
-    configuration = configuration_of(config)
+    configuration = _configuration_of(config)
     wanted = config.episodes * len(config.scenarios)
     with sole_writer(place), Progress("generating episodes", wanted, quiet) as shown:
         run = _Run(place, configuration, wanted, shown)
         missing = run.look(config)
         with run.stoppable():
-            make = partial(make_shard, place.url, configuration)
+            make = partial(_make_shard, place.url, configuration)
             for task, made in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
                 run.add(made or Made((), {}, (f"{task}: killed their worker twice",)))
         run.finish({**configuration, "episodes": config.episodes}, out, bool(missing))

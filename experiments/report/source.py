@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -14,9 +13,6 @@ from behaviors.errors import InputError
 from experiments.score.rows import Row, checked_rows, read_rows
 from graphrqi.model_files import FILE, load_model
 from sim.store.catalogue import is_dataset
-
-NOT_ROWS: Final = frozenset({"metrics.json"})
-"""JSON files of a folder that hold no rows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +55,7 @@ def read_source(path: Path) -> Source:
         card = load_model(path).card
         rows = checked_rows(card.get("scores", []), f"{path / FILE}: card.scores")
     else:
-        files = [file for file in sorted(path.glob("*.json")) if file.name not in NOT_ROWS]
-        rows = [row for file in files for row in read_rows(file)]
+        rows = [row for file in sorted(path.glob("*.json")) for row in read_rows(file)]
     return Source(path, path.resolve().name, table_of(rows, path))
 
 

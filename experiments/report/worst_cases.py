@@ -81,23 +81,14 @@ def take_excerpts(folder: Path, jobs: int | None = None, quiet: bool = True) -> 
     ]  # fmt: skip
     found: dict[str, list[Excerpt]] = {}
     with Progress("looking at unseen episodes", len(arguments), quiet) as progress:
-        for one in in_parallel(excerpt_of, arguments, jobs):
+        for one in in_parallel(_excerpt_of, arguments, jobs):
             found.setdefault(one.scenario, []).append(one)
             progress.advance()
     return [_joined(parts) for parts in found.values()]
 
 
-def excerpt_of(folder: Path, entry: EpisodeEntry, draw: bool) -> Excerpt:
-    """Look at one episode and write its replay.
-
-    Args:
-        folder: of the run.
-        entry: the episode.
-        draw: whether pictures are wanted.
-
-    Returns:
-        What it shows.
-    """
+def _excerpt_of(folder: Path, entry: EpisodeEntry, draw: bool) -> Excerpt:
+    """Look at one episode and write its replay."""
     model = str(folder / "model")
     dataset = open_dataset(folder / "data")
     scene = gather(dataset, entry, model=model, predictor=DEFAULT_PREDICTOR)

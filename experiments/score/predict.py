@@ -61,28 +61,11 @@ class EpisodePrediction:
     length_s: float
 
 
-def evaluate_episode(
+def _evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
     model: str, keep: bool = False, weights: Path | None = None, traffic: str | None = None,
 ) -> EpisodePrediction:  # fmt: skip
-    """Predict one episode of a dataset with a classifier's beliefs.
-
-    Args:
-        folder: of the dataset.
-        entry: which episode.
-        predictors: keys of ``PREDICTORS``, or "module:function".
-        horizons_s: ascending, s.
-        model: the classifier: a shipped one's name or a folder.
-        keep: whether the futures themselves are wanted.
-        weights: as `experiments.score.predictions.score_episode` takes them.
-        traffic: as `experiments.score.labels.label_episode` takes it.
-
-    Returns:
-        Its errors and futures; neither if it is too short.
-
-    Raises:
-        InputError: if the episode or the model cannot be read.
-    """
+    """Predict one episode of a dataset with a classifier's beliefs."""
     dataset = open_dataset(folder)
     tracks, road = measured(dataset.read(entry)), dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
@@ -183,7 +166,7 @@ def predict_dataset(
         nullcontext() if out is None else table_file(out, PREDICTIONS) as file,
     ):
         for (scenario, entry), one in zip(
-            entries, in_parallel(evaluate_episode, arguments, jobs), strict=True
+            entries, in_parallel(_evaluate_episode, arguments, jobs), strict=True
         ):
             if one.errors:
                 found.setdefault(scenario, []).append(one.errors)

@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from experiments.demo import METHODS, PREDICTORS, SCENARIOS, SCORES, run_demo
+from experiments.demo import METHODS, PREDICTORS, SCENARIOS, run_demo
 from experiments.report.findings import findings
 from experiments.report.page import write_report
 from experiments.report.source import read_source
@@ -22,23 +22,21 @@ def run(tmp_path_factory):
     return out
 
 
-def test_metrics_have_every_number_with_its_interval_and_split(run):
-    metrics = json.loads((run / "metrics.json").read_text())
-    assert set(metrics) == {"classification", "prediction"}
+def test_every_figure_has_its_interval_and_split(run):
+    rows = json.loads((run / "rows.json").read_text())
     for scenario in SCENARIOS:
-        assert list(metrics["classification"][scenario]) == list(METHODS)
-        for scores in metrics["classification"][scenario].values():
-            assert set(scores) == set(SCORES)
-            for score in scores.values():
-                assert set(score) == {"value", "low", "high", "n", "split"}
-                assert 0.0 <= score["value"] <= 1.0
-                assert score["split"] == "test"
-        assert list(metrics["prediction"][scenario]) == list(PREDICTORS)
-        for kinds in metrics["prediction"][scenario].values():
-            assert set(kinds) == {"ade_m", "fde_m"}
-            for horizons in kinds.values():
-                assert list(horizons) == ["1s", "3s", "5s"]
-                assert horizons["1s"]["value"] < horizons["5s"]["value"]
+        scores = [r for r in rows if r["metric"] == "macro_f1" and r["scenario"] == scenario]
+        assert [row["method"] for row in scores] == list(METHODS)
+        assert all(0.0 <= row["value"] <= 1.0 and row["split"] == "test" for row in scores)
+        for name in PREDICTORS:
+            errors = {
+                row["horizon_s"]: row["value"]
+                for row in rows
+                if row["metric"] == "ade_m" and row["scenario"] == scenario
+                if row["predictor"] == name and row["behavior"] == "all"
+            }
+            assert list(errors) == [1.0, 3.0, 5.0]
+            assert errors[1.0] < errors[5.0]
 
 
 def test_the_model_is_left_and_loads(run):
