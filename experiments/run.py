@@ -111,9 +111,8 @@ def run_scenario(
         out: folder for the episode as a dataset; None not to keep it.
 
     Returns:
-        Tidy rows: ``agents``, ``mean_speed_mps``, ``collisions``, ``simulated_s``,
-        ``real_time_factor`` and ``ms_per_frame``, then the scores of the last answer about each
-        driver and those of the predictions.
+        Tidy rows of the traffic and of the time per frame, then the scores of the last answers and
+        of the predictions.
 
     Raises:
         InputError: if an option is wrong or the engine cannot run.

@@ -40,7 +40,7 @@ Disturbance = tuple[str, float] | None
 def keys_of(
     protocol: str, scenario: str, method: str, window_s: float | None, variation: str = ""
 ) -> dict[str, Cell]:
-    """What a row says was measured; an infinite window is a driver's whole track.
+    """Keys of a row; an infinite window is a driver's whole track.
 
     Examples:
         >>> keys_of("inductive", "city", "svm", float("inf"))["variation"]

@@ -51,7 +51,7 @@ SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
 
 MAP_FREE: Final = ("constant-velocity", "graphrqi-predict")
-"""What is compared without a map."""
+"""Predictors that are compared without a map."""
 
 QUICK: Final = ("constant-velocity", "car-following", "lstm", "graphrqi-predict")
 """Predictors of a small run: one of each kind, and those whose ratios are given."""
@@ -103,12 +103,13 @@ BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "shuffled": shuffled_posterior,
     "uniform": no_beliefs,
 }
-"""What predictors are told of the drivers present, from what the classifier believes."""
+"""Beliefs about the drivers present that predictors are given, from the classifier's
+posteriors."""
 
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What one episode contributes.
+    """Contribution of one episode.
 
     Attributes:
         errors: of predictors that are given the road.
@@ -176,7 +177,7 @@ def measure(
 
 
 def _with_beliefs(figures: Figures, kind: str) -> dict[str, Errors]:
-    """Errors by predictor, of those that were told these beliefs."""
+    """Errors by predictor, of those that were given these beliefs."""
     return {name: errors for (name, told), errors in figures.items() if told == kind}
 
 

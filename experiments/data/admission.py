@@ -1,4 +1,4 @@
-"""What is done to every recording first: it is put into metres, and doubted if it is no scene."""
+"""First steps with every recording: conversion to metres, and a check of its plausibility."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SCALED: Final = "scale_estimated"
 """Option of episodes that were in pixels and are in metres by an estimated scale."""
 
 DOUBTED: Final = "no_scene"
-"""Option of episodes whose recording is no scene that can be believed: what makes it none."""
+"""Option of episodes whose recording is not a plausible scene: the reason."""
 
 
 def is_scene(entry: EpisodeEntry) -> bool:

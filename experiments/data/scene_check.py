@@ -1,9 +1,8 @@
-"""Whether a recording is a scene that can be believed, told from its positions and sizes.
+"""Plausibility of a recording as a scene, by its positions and sizes.
 
-Recordings are passed on in which actors of several scenes lie on top of each other, times were made
-up, or ids were given to one agent after another. Nothing can be said about how anybody drives
-there. A finding counts only where there is enough evidence that it is no noise of a sensor, up to
-half a metre, and no dense traffic.
+Some recordings overlay actors of several scenes, have invented times, or reuse ids. Nothing can be
+said about how anybody drives there. A finding counts only with enough evidence against sensor
+noise (up to half a metre) and dense traffic.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ LONGEST_CORE_M, LEAST_CORE_M = 2.5, 0.25
 sources without sizes."""
 
 OVERLAPPING, OVERLAPPING_BOXES = 0.02, 0.2
-"""No scene if more than this share of the vehicles overlaps; where outlines are not known, as boxes
-in an image overlap without touching, it is the second one."""
+"""A recording is not plausible if more than this share of its vehicles overlaps; the second value
+holds where outlines are unknown."""
 
 NEAREST_M: Final = 1.0
 """No scene, whatever the outlines, if half of the vehicles have another centre nearer than this."""
 
 OVERLAPPING_IDS: Final = 6
-"""So many different vehicles have to overlap before it counts: a tracker sees one truck as two."""
+"""Least number of different vehicles that overlap; a tracker may see one truck as two."""
 
 MOVING_MPS: Final = 3.0
 """Only faster vehicles tell anything about speeds."""
@@ -66,7 +65,7 @@ STILL_M: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SceneCheck:
-    """What was found.
+    """Findings of the check.
 
     Attributes:
         is_scene: whether what the frames show can be believed.
@@ -89,7 +88,7 @@ class SceneCheck:
 
 @dataclass(frozen=True, slots=True)
 class _Overlaps:
-    """What looks at a recording show.
+    """Findings of looks at a recording.
 
     Attributes:
         nearest_m: of every vehicle at every look, to the next centre.
@@ -185,7 +184,7 @@ def _looks(time_s: FloatArray) -> list[int]:
 
 
 def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
-    """Which vehicles lie within others, and how near centres are."""
+    """Find which vehicles lie within others, and how near centres are."""
     nearest: list[FloatArray] = []
     hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
     sides = np.stack([tracks.length, tracks.width], axis=1)

@@ -1,9 +1,9 @@
 """Makes datasets: many episodes, by many workers, each shard written as a whole or not at all.
 
 Every episode has its own seed, derived from the configuration's seed, the scenario's name and the
-episode's index. So what an episode holds depends neither on the number of workers nor on the order
-nor on how many episodes there are. Running the same command again makes the shards that are
-missing; the catalogue is written last.
+episode's index. An episode's content does not depend on the number of workers, the order or the
+number of episodes. Running the same command again makes the shards that are missing; the catalogue
+is written last.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from sim.store.shards import Shard, ShardName, metadata_of, opened
 from sim.store.writing import EpisodeWriter, checksum, made_with
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
-"""What a dataset's folder may hold beside its tables."""
+"""Other content of a dataset's folder beside its tables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +56,13 @@ class ShardTask:
 
     @property
     def name(self) -> ShardName:
-        """What the shard is called."""
+        """Name of the shard."""
         first, last = block_of(self.indices[0])
         split = split_of(self.indices[0])
         return ShardName(scenario_name(self.scenario), split, f"{first:06}-{last:06}")
 
     def __str__(self) -> str:
-        """Which episodes they are, for messages."""
+        """Name of the episodes, for messages."""
         return f"{self.name.scenario} episodes {', '.join(map(str, self.indices))}"
 
 
@@ -109,7 +109,7 @@ def _make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> 
 
 
 def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
-    """What a dataset says of how it was made, but for the number of its episodes.
+    """Configuration as the dataset stores it, without the number of episodes.
 
     A map or scenario of the user's own counts with the checksum of its road.
     """
@@ -141,7 +141,7 @@ def generate(
             of this machine.
 
     Returns:
-        What its catalogue says.
+        Header of its catalogue.
 
     Raises:
         InputError: if an option is wrong, the folder holds something else or is being written to,
@@ -286,7 +286,7 @@ def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Sha
 
 
 def _shown(configuration: Mapping[str, Any], name: str) -> str:
-    """What a configuration gives; of a population, its name."""
+    """Value of a configuration; of a population, its name."""
     value = configuration.get(name, "not given")
     if name == "population" and isinstance(value, Mapping):
         value = value.get("name")

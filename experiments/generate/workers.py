@@ -142,7 +142,7 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 
 SAFE: Final = re.compile(r"(tls|inproc)://.+|tcp://(127\.0\.0\.1|localhost|\[::1\]):\d+")
-"""Addresses at which nobody else can listen, or run code as this user."""
+"""Addresses at which no other user can listen, or run code as this user."""
 
 
 def _check_workers(client: Any, address: str) -> None:

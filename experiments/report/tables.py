@@ -30,7 +30,7 @@ NAMES: Final = {
     "coverage_90": "in 90 % set",
     "cpu_ms": "CPU, ms",
 }
-"""What metrics are called on a page; those that are not listed keep their own name."""
+"""Names of metrics on a page; others keep their own name."""
 
 FIRST: Final = (
     "weighted_accuracy", "majority_weighted_accuracy", "balanced_accuracy", "macro_f1",
@@ -66,7 +66,7 @@ class Table:
 
 
 def name_of(metric: str) -> str:
-    """What a metric is called on a page.
+    """Name of a metric on a page.
 
     Examples:
         >>> name_of("ade_m"), name_of("lane_changes_per_km")

@@ -31,8 +31,8 @@ BOTH: Final = "graphrqi-plus"
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
 """Speed limits of the training data, episode by episode. A third of the training episodes have
-another limit than usual, so that speeds are compared with the free-flow speed of the place; the
-episodes for validation and scoring have the usual limit."""
+another limit, so that speeds are compared with the local free-flow speed. Episodes for validation
+and scoring have the usual limit."""
 
 
 def train_model(

@@ -61,7 +61,7 @@ class WorldRoad:
         """The text of the SUMO net.
 
         Raises:
-            InputError: if there is no such family or control.
+            InputError: if no such family or control exists.
         """
         if self.family == "straight":
             return straight_net(self.lanes, self.limit_mps, self.length_m)

@@ -57,7 +57,7 @@ PIXEL_STEP: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What sees the traffic.
+    """Sensor that records the traffic.
 
     Attributes:
         step_s: time between frames, s.
@@ -88,7 +88,7 @@ class Sensor:
     turned_rad: float = 0.0
 
     def seen(self, tracks: Tracks, rng: np.random.Generator) -> Tracks:
-        """What the sensor records of traffic at its frame rate, with the same labels.
+        """Recording of traffic by the sensor at its frame rate, with the same labels.
 
         Headings and speeds follow from the positions, as in most recordings. Names begin with the
         agent's id; behind a slash follows the number of the track where an agent has several.

@@ -173,7 +173,7 @@ def limited_net(name: str, limit_mps: float) -> str:
         The text of a SUMO net.
 
     Raises:
-        InputError: if there is no such net.
+        InputError: if no such net exists.
     """
     if name not in SHIPPED:
         raise InputError(f"net: found {name!r}, expected one of {', '.join(SHIPPED)}")
