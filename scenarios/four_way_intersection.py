@@ -34,7 +34,7 @@ def four_way_intersection(
     limit_mps: float = LIMIT_MPS,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
-    """Four arms of 250 m, 50 km/h; by default fixed-time signals of 60 s and 2 lanes each way.
+    """Four arms of 250 m at 50 km/h; by default with fixed-time signals.
 
     Args:
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all arms.

@@ -24,7 +24,7 @@ def roundabout(
     limit_mps: float = LIMIT_MPS,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
-    """Four arms of 200 m, 50 km/h, round a ring of 20 m radius with one lane, 30 km/h.
+    """Four arms at 50 km/h, round a ring of 20 m radius with one lane at 30 km/h.
 
     Args:
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all arms.

@@ -1,4 +1,4 @@
-"""What the ego vehicle observes: itself, the others, their behaviours and the traffic graph."""
+"""Observations of the ego vehicle: itself, the others, their behaviours and the traffic graph."""
 
 from __future__ import annotations
 
@@ -103,8 +103,8 @@ def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[
 def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
     """The stop line and the crossing ahead of a front bumper, which is at ``front`` m on its lane.
 
-    Returns distance to the stop line, m; (3,) whether its signal is red, yellow, green; distance to
-    the next crossing, m; whether a pedestrian is on it or at its kerb.
+    Returns distance to the stop line, m; (3,) whether its signal is red, yellow, green. Also
+    returned: distance to the next crossing, m, and whether a pedestrian is on it or at its kerb.
     """
     network, lane = road.network_info, ego.lane_index
     info = network.info[lane]

@@ -1,8 +1,8 @@
 """A window of interest: the part of the traffic that somebody wants to know about.
 
 A stream or a predictor that is given a window never sees the agents outside it, and costs what the
-agents inside cost. So do its answers: a vehicle just outside is nobody's leader. Choose a window
-that is wider than what is asked about by what drivers there react to, some 100 m.
+agents inside cost. Its answers are limited likewise: a vehicle just outside is not a leader.
+Choose a window that is wider than what is asked about by what drivers there react to, some 100 m.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DEFAULT_RADIUS_M: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Which agents are of interest at a time: those that every given condition admits.
+    """Selection of agents at a time: those that satisfy every given condition.
 
     Attributes:
         region: smallest x and y and largest x and y, m; None for everywhere.

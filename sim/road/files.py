@@ -78,4 +78,4 @@ def _is_commonroad(path: Path) -> bool:
         with opened(path) as file:
             return b"<commonRoad" in file.read(ROOT_BYTES)
     except (OSError, EOFError, InputError, zlib.error):
-        return False  # whoever reads it says why
+        return False  # its reader reports the error

@@ -33,7 +33,7 @@ OFF_END_M = 5.0
 
 
 class LaneView(NamedTuple):
-    """What m rows of vehicles see along their lanes; distances are +inf and indices -1 for none.
+    """Neighbours of m vehicles along their lanes; distances are +inf and indices -1 for none.
 
     Attributes:
         lane: (m,) lane that the vehicle's centre is on.
@@ -81,7 +81,7 @@ def perceive(
         graph: the road.
 
     Returns:
-        What each row sees.
+        Neighbours of each row.
     """
     m = s.size
     on_lane, forward, segment = np.full(m, -1), np.full(m, -1), np.empty(m, np.int64)
@@ -113,7 +113,7 @@ def perceive(
 def adjacent_vehicles(
     lane: IntArray, s: FloatArray, length: FloatArray, graph: LaneGraph
 ) -> tuple[IntArray, FloatArray]:
-    """Who is ahead and behind on the lanes beside, at one instant.
+    """Find the vehicles ahead and behind on the lanes beside, at one instant.
 
     Args:
         lane: (p,) lane that each vehicle is on, -1: none.

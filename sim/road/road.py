@@ -170,7 +170,7 @@ class LanePosition:
 
 @dataclass(frozen=True, slots=True)
 class MapKnowledge:
-    """Which facts a map provides; anything else is unknown.
+    """Facts that a map provides; all others are unknown.
 
     Attributes:
         limits: whether it has speed limits.
@@ -353,7 +353,7 @@ class Road:
     def first_come(self, one: int, two: int) -> bool:
         """Whether neither of two connections has priority: the vehicle that comes first goes first.
 
-        So it is where signals never let both go, and where each yields to the other (all-way
+        This holds where signals never let both go, and where each yields to the other (all-way
         stops).
 
         Args:

@@ -60,8 +60,8 @@ ONCOMING_RAD: Final = math.radians(150.0)
 class ConflictKind(StrEnum):
     """How two road users meet; the members' order is the code order.
 
-    The angle is that between the headings at the place that both drove over, where the time between
-    them was least; if they share none, between the headings when they were nearest to a collision.
+    The angle is between the headings at the shared position with the least time between the two.
+    Without a shared position, it is that of their nearest approach to a collision.
 
     - following: below 30 degrees, one behind the other when they first share a place
     - merging: below 30 degrees there or in the end, but one came in from aside
@@ -91,8 +91,8 @@ DECIDED: Final = (MERGING, CROSSING, ONCOMING, WALKING)
 class Conflicts:
     """The k encounters of an episode, by begin, then by ids. Ids are -1 where there is none.
 
-    Times to collision count at instants at which the straight prediction holds: until then, neither
-    body would leave its straight path by more than half its width as fast as it turns now.
+    Times to collision count only while each body's present turn keeps it within half its width of
+    its straight path.
 
     Attributes:
         first: (k,) id of one agent, the smaller one.
@@ -168,10 +168,10 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     """Every encounter of two road users.
 
     An encounter lasts while the areas overlap that the two would sweep within ``within_s`` at
-    constant velocity; for bodies that go the same way, while a collision is that near. It lasts,
-    too, from when one leaves a place to when the other comes there, if that is no longer than
-    ``within_s``; a body follows only the last one of those that went the same way. Encounters of a
-    pair are one if no more than that lies between them. Pedestrians do not meet each other.
+    constant velocity. For bodies on the same way it lasts while a collision is that near. It also
+    lasts between one's leaving a position and the other's arrival, up to ``within_s``. A body
+    follows only the last of those on the same way. Encounters of a pair are one if no more than
+    that lies between them. Pedestrians do not meet each other.
 
     Args:
         tracks: an episode or a recording.
@@ -228,7 +228,7 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     depth = -separation(outlines.rows(rows[0, touch]), outlines.rows(rows[1, touch]))
     contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
     aside_s = np.where(aside & (kind != FOLLOWING)[of_place], places.gap_s, np.inf)
-    aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # what grazes is no contact
+    aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # a graze is not a contact
     close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k)
     close += np.bincount(of_place[is_near_miss(np.inf, 0.0, aside_s)], minlength=k)
     mass = np.array([MASS_KG[each] for each in KINDS])[tracks.kind[agents]]

@@ -28,12 +28,12 @@ from sim.safety.kernels import SLABS, measure
 
 NEAR_MISS_TTC_S: Final = 1.5
 """A near miss has a time to collision below this, s (van der Horst 1990, A time-based analysis of
-road user behaviour in normal and critical encounters, Delft; Hydén 1987, Lund, agrees in towns)."""
+road user behaviour in normal and critical encounters, Delft)."""
 
 NEAR_MISS_MPS: Final = 3.0
-"""So short a time to collision is a near miss only if the two approach each other faster than this,
-m/s: the size of their relative velocity. From slower approaches a driver stops within half a metre
-(Hydén 1987: how serious a conflict is depends on the speed as well as on the time)."""
+"""Such a time to collision is a near miss only above this closing speed, m/s: the norm of the
+relative velocity. From slower approaches a driver stops within half a metre (Hydén 1987: how
+serious a conflict is depends on the speed as well as on the time)."""
 
 NEAR_MISS_PET_S: Final = 1.0
 """A near miss has a post-encroachment time below this, s (Allen, Shin, Cooper 1978)."""

@@ -44,7 +44,7 @@ _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "highway": ("highway-env",),
     "highway-krauss": ("highway-env",),
 }
-"""Which packages, beside ours, numpy and pyarrow, determine an engine's bytes."""
+"""Packages that determine an engine's bytes, beside this one, numpy and pyarrow."""
 
 
 def made_with(*engines: str) -> dict[str, str]:
@@ -120,8 +120,8 @@ class EpisodeWriter:
             The catalogue's entry of the episode.
 
         Raises:
-            InputError: if a frame holds an agent that is not among ``agents``, a number that is not
-                finite, or a time that does not increase; or if there are too many rows.
+            InputError: if a frame has an unknown agent, a value that is not finite, or a time that
+                does not increase, or there are too many rows.
             OSError: if something cannot be written.
         """
         try:
@@ -163,7 +163,7 @@ class EpisodeWriter:
         road: Path | Road | None = None,
         styles: Mapping[str, Style] = MappingProxyType({}),
     ) -> EpisodeEntry:
-        """Write tracks that come from elsewhere as one episode, exactly as they are.
+        """Write recorded tracks as one episode, exactly as they are.
 
         Args:
             meta: where the recording comes from.
@@ -326,7 +326,7 @@ def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iter
         configuration: what the dataset is made from.
 
     Yields:
-        What takes its episodes.
+        Sink of its episodes.
 
     Raises:
         InputError: if there is something already.

@@ -21,7 +21,7 @@ ACTION_S: Final = 4.0
 
 
 class Action(StrEnum):
-    """What a driver can be made to do."""
+    """Actions that a driver can be made to take."""
 
     BRAKE = "brake"
     """Brakes as hard as the driver ordinarily does, and stands if there is time left."""
