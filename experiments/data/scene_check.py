@@ -126,19 +126,20 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         (False, True)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
-    seen: BoolArray = np.asarray(tracks.valid.any(axis=1))
+    rows = tracks.as_rows()
+    seen: BoolArray = np.diff(rows.index.first) > 0
     count = int(seen.sum())
     if not count:
         return SceneCheck(True, (), 0.0, math.nan, math.nan, 0.0, math.nan)
     looks = _looks(tracks.time_s)
     overlaps = _overlaps(tracks, looks)
-    looked = max(int(tracks.valid[:, looks].sum()), 1)
+    looked = max(int(np.isin(rows.index.step, looks).sum()), 1)
     jumps = int(_jumps(tracks).sum())
     paces, speeds = _speeds(tracks, looks)
     pace = math.exp(float(np.mean(paces))) if paces.size else math.nan
-    xy = np.where(tracks.valid[..., None], tracks.xy, np.nan)[seen]
-    first = xy[np.arange(count), tracks.valid[seen].argmax(axis=1)]
-    still = float((np.nanmax(np.hypot(*(xy - first[:, None]).T), axis=0) <= STILL_M).mean())
+    agent = rows.index.agent
+    away = np.hypot(*(rows.xy - rows.xy[np.searchsorted(agent, agent)]).T)
+    still = (count - np.unique(agent[away > STILL_M]).size) / count
     doubts, remarks = [], []
     of_overlap = overlaps.hits / looked
     nearest_m = float(np.median(overlaps.nearest_m)) if overlaps.nearest_m.size else math.nan
@@ -189,16 +190,17 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
     nearest: list[FloatArray] = []
     hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
     sides = np.stack([tracks.length, tracks.width], axis=1)
+    seen = tracks.as_rows()
     for step in looks:
-        rows = np.flatnonzero(tracks.valid[:, step])
-        if rows.size < 2:
+        here = seen.at(step)
+        if here.size < 2:
             continue
-        xy = tracks.xy[rows, step]
+        rows, xy = seen.index.agent[here], seen.xy[here]
         tree = cKDTree(xy)
         nearest.append(np.asarray(tree.query(xy, k=2)[0])[:, 1])
         pairs = tree.query_pairs(LONGEST_CORE_M * math.sqrt(2.0), output_type="ndarray")
         one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-        away, heading = xy[other] - xy[one], tracks.heading[rows[one], step]
+        away, heading = xy[other] - xy[one], seen.heading[here[one]]
         cos, sin = np.cos(heading), np.sin(heading)
         along = np.abs(cos * away[:, 0] + sin * away[:, 1])
         across = np.abs(cos * away[:, 1] - sin * away[:, 0])
@@ -212,20 +214,27 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
 
 def _jumps(tracks: Tracks) -> BoolArray:
     """(N,) which agents go faster than any vehicle from one frame to the next."""
-    moved = np.hypot(*np.diff(tracks.xy, axis=1).T).T
-    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
-    far = FASTEST_MPS * np.diff(tracks.time_s) + JUMP_M
-    return np.asarray((both & (moved > far)).any(axis=1))
+    rows = tracks.as_rows()
+    agent, step = rows.index.agent, rows.index.step
+    at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+    moved = np.hypot(*(rows.xy[at + 1] - rows.xy[at]).T)
+    far = FASTEST_MPS * np.diff(tracks.time_s)[step[at]] + JUMP_M
+    return np.bincount(agent[at[moved > far]], minlength=tracks.ids.size) > 0
 
 
 def _speeds(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, FloatArray]:
     """Logarithms of displacements over what stated speeds make them, and speeds, look by look."""
     paces, speeds = [], []
+    rows = tracks.as_rows()
     for first, last in itertools.pairwise(looks):
-        rows = np.flatnonzero(tracks.valid[:, first] & tracks.valid[:, last])
+        then, before = rows.at(last), rows.at(first)
+        _, one, other = np.intersect1d(
+            rows.index.agent[before], rows.index.agent[then], return_indices=True
+        )
+        before, then = before[one], then[other]
         passed_s = tracks.time_s[last] - tracks.time_s[first]
-        travelled = np.hypot(*(tracks.xy[rows, last] - tracks.xy[rows, first]).T)
-        stated = 0.5 * (tracks.speed[rows, first] + tracks.speed[rows, last]) * passed_s
+        travelled = np.hypot(*(rows.xy[then] - rows.xy[before]).T)
+        stated = 0.5 * (rows.speed[before] + rows.speed[then]) * passed_s
         moving = travelled * stated > (MOVING_MPS * passed_s) ** 2
         if moving.any():
             paces.append(float(np.median(np.log(travelled[moving] / stated[moving]))))
