@@ -192,7 +192,7 @@ def train(
         The trained model.
 
     Raises:
-        InputError: if there is no such method or solver, no sample, or the seed is out of range.
+        InputError: for an unknown method or solver, no sample, or a seed out of range.
     """
     chosen = METHODS[method]
     _ = SOLVERS[solver]  # refuses an unknown name before anything is trained

@@ -148,7 +148,7 @@ def load_model(name_or_folder: str | Path) -> Model:
         The model.
 
     Raises:
-        InputError: if there is no such model, or it is broken, of another version or other classes.
+        InputError: if the model is missing, broken, of another version or of other classes.
 
     Examples:
         >>> load_model("graphrqi-plus").method.name

@@ -235,6 +235,6 @@ def load_stream(
         A fresh stream.
 
     Raises:
-        InputError: if there is no such model or kind of traffic.
+        InputError: if the model or the kind of traffic is unknown.
     """
     return BehaviorStream(load_model(name_or_folder), window=window, traffic=traffic)

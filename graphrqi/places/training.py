@@ -90,7 +90,7 @@ class Examples:
         samples: of drivers that are each seen since they appeared; several moments of each.
 
     Raises:
-        InputError: if there is no labelled sample.
+        InputError: if no sample is labelled.
     """
 
     def __init__(self, samples: Samples) -> None:
@@ -199,7 +199,7 @@ def train_place_network(
         The network.
 
     Raises:
-        InputError: if nobody has a behaviour.
+        InputError: if no driver has a behaviour.
     """
     options = options or NetworkOptions()
     examples = Examples(training)
