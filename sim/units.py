@@ -15,6 +15,7 @@ FACTORS: Final = {
     "ft/s": 0.3048,
     "mph": 0.44704,
     "km/h": 1 / 3.6,
+    "knots": 0.514444,
     "km": 1000.0,
     "deg": math.pi / 180,
 }

@@ -216,7 +216,7 @@ def _jumps(tracks: Tracks) -> BoolArray:
     """(N,) which agents go faster than any vehicle from one frame to the next."""
     rows = tracks.as_rows()
     agent, step = rows.index.agent, rows.index.step
-    at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+    at = np.flatnonzero(~rows.index.begins[1:])
     moved = np.hypot(*(rows.xy[at + 1] - rows.xy[at]).T)
     far = FASTEST_MPS * np.diff(tracks.time_s)[step[at]] + JUMP_M
     return np.bincount(agent[at[moved > far]], minlength=tracks.ids.size) > 0

@@ -423,7 +423,12 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
         knows = entry.columns or entry.head is not NOTHING
         strange = [file for file in files if knows and not entry.recognises(file)]
         # A file with the format's own name is read even if it is broken, but not as another's.
-        others = [file for file in strange if not entry.own_names or _is_of_another(file)]
+        others = [
+            file
+            for file in strange
+            if not entry.own_names
+            or any(_named(file, one.files) and one.recognises(file) for one in FORMATS.values())
+        ]
         files = [file for file in files if file not in set(others)]
         if entry.one:
             first = {file.parent: file for file in reversed(files)}
@@ -432,11 +437,6 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
     return files, others
-
-
-def _is_of_another(file: Path) -> bool:
-    """Whether a file looks like a format whose files have such names."""
-    return any(_named(file, entry.files) and entry.recognises(file) for entry in FORMATS.values())
 
 
 def _check_there(path: Path) -> None:
@@ -513,9 +513,3 @@ def read_formats(
                     tracks = at_rate(tracks, rate_hz)
                 own_name = folder.removesuffix(f"{recording.name}/") + recording.name
                 yield name, replace(recording, name=own_name, tracks=tracks, file=called)
-
-
-__all__ = [
-    "FORMATS", "Format", "first_file", "formats_in", "get_reader", "get_writer", "left_out_files",
-    "new_index", "read_formats", "read_recordings", "recognise", "recording_files",
-]  # fmt: skip

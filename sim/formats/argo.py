@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
 from sim.formats.common.label_file import DriverLabel
-from sim.formats.common.motion import motion
+from sim.formats.common.motion import row_motion
 from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
 from sim.formats.common.tables import read_table
 from sim.frames import Tracks
@@ -144,15 +144,17 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
     Returns:
         The same agents; headings and speeds are told anew from the motion.
     """
-    xy = tracks.xy.copy()
+    rows = tracks.as_rows()
+    agent, xy = rows.index.agent, rows.xy.copy()
     rotation, shift = np.eye(2), np.zeros(2)
     turn, step = np.eye(2), np.zeros(2)
     for t in range(1, tracks.time_s.size):
-        both = tracks.valid[:, t - 1] & tracks.valid[:, t]
-        if np.count_nonzero(both) >= MIN_AGENTS:
-            turn, step = rigid_motion(tracks.xy[both, t - 1], tracks.xy[both, t])
+        before, here = rows.at(t - 1), rows.at(t)
+        _, one, other = np.intersect1d(agent[before], agent[here], return_indices=True)
+        if one.size >= MIN_AGENTS:
+            turn, step = rigid_motion(rows.xy[before[one]], rows.xy[here[other]])
         shift = rotation @ step + shift
         rotation = rotation @ turn
-        xy[:, t] = tracks.xy[:, t] @ rotation.T + shift
-    heading, speed = motion(xy, tracks.time_s, 0.0)
-    return replace(tracks, xy=xy, heading=heading, speed=speed)
+        xy[here] = rows.xy[here] @ rotation.T + shift
+    heading, speed = row_motion(agent, xy, tracks.time_s[rows.index.step], 0.0)
+    return tracks.changed(replace(rows, xy=xy, heading=heading, speed=speed))

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
@@ -142,19 +143,8 @@ def _poses(path: Path) -> FloatArray:
     east = scale * EARTH_M * np.radians(longitude)
     north = scale * EARTH_M * np.log(np.tan(np.radians(90.0 + latitude) / 2))
     place = np.stack([east - east[0], north - north[0], altitude - altitude[0]], axis=1)
-    turn = _turned(yaw, 2) @ _turned(pitch, 1) @ _turned(roll, 0)
+    turn = Rotation.from_euler("xyz", np.stack([roll, pitch, yaw], axis=1)).as_matrix()
     return np.concatenate([turn, place[:, :, None]], axis=2)
-
-
-def _turned(angle: FloatArray, axis: int) -> FloatArray:
-    """(n, 3, 3) matrices of rotations about an axis by angles in rad."""
-    one, other = [(1, 2), (2, 0), (0, 1)][axis]
-    matrix = np.zeros((angle.size, 3, 3))
-    matrix[:, axis, axis] = 1.0
-    matrix[:, one, one] = matrix[:, other, other] = np.cos(angle)
-    matrix[:, other, one] = np.sin(angle)
-    matrix[:, one, other] = -np.sin(angle)
-    return matrix
 
 
 def _camera_to_car(path: Path) -> FloatArray:

@@ -16,7 +16,7 @@ from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise
 from sim.formats.argoverse.forecasting2 import SCHEMA
-from sim.formats.common.motion import hold_heading, motion
+from sim.formats.common.motion import hold_heading, row_motion
 from sim.frames import KINDS, AgentKind, Tracks
 from tests.sim.scenes import (
     COMMONROAD,
@@ -307,12 +307,11 @@ def test_pairs_of_cars_on_a_line(tmp_path: Path) -> None:
 
 
 def test_motion_holds_the_heading_at_rest() -> None:
-    x = np.array([0.0, 1.0, 2.0, 2.0, 2.0, np.nan, 2.0])
-    xy = np.stack([x, np.zeros(7)], axis=1)[None]
-    heading, speed = motion(xy, np.arange(7.0), rest_heading=9.0)
-    assert speed[0, :5].tolist() == [1.0, 1.0, 0.5, 0.0, 0.0]
-    assert heading[0, [0, 1, 2, 3, 4, 6]].tolist() == [0.0] * 6
-    assert np.isnan(heading[0, 5])
+    x = np.array([0.0, 1.0, 2.0, 2.0, 2.0, 2.0])
+    xy, time_s = np.stack([x, np.zeros(6)], axis=1), np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0])
+    heading, speed = row_motion(np.zeros(6, dtype=np.int64), xy, time_s, rest_heading=9.0)
+    assert speed[:5].tolist() == [1.0, 1.0, 0.5, 0.0, 0.0]
+    assert heading.tolist() == [0.0] * 6
     agent = np.array([0, 0, 0, 1, 1, 1])
     moving = np.array([False, False, False, False, True, False])
     held = hold_heading(agent, np.arange(6.0), moving, rest_heading=9.0)

@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, Rows, first_sizes, left_out, recorded
@@ -150,13 +151,8 @@ def _rotations(table: Table) -> FloatArray:
             f"{table.path}: columns {', '.join(_TURN)}: found length {length[bad[0]]:g} in row "
             f"{bad[0]}, expected 1"
         )
-    w, x, y, z = (quaternion / length[:, None]).T
-    matrix = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(matrix), 2, 0)
+    w, x, y, z = quaternion.T
+    return np.asarray(Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix())
 
 
 def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:

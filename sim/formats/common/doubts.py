@@ -142,7 +142,7 @@ class _Steps:
     def of(cls, tracks: Tracks) -> _Steps:
         rows = tracks.as_rows()
         agent, step = rows.index.agent, rows.index.step
-        at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+        at = np.flatnonzero(~rows.index.begins[1:])
         moved = rows.xy[at + 1] - rows.xy[at]
         time_s = tracks.time_s[step[at + 1]] - tracks.time_s[step[at]]
         return cls(at, agent[at], time_s, moved, np.hypot(moved[:, 0], moved[:, 1]))

@@ -239,15 +239,11 @@ def _sound(path: Path, rows: Rows, doubts: list[str]) -> tuple[Rows, FloatArray]
         doubts.append(f"{lost.sum()} of {lost.size} rows are left out: they have no position")
     if kept.all():
         return rows, sizes
-    return _kept(rows, kept), sizes
-
-
-def _kept(rows: Rows, kept: NDArray[np.bool_]) -> Rows:
-    """Some of the rows."""
     given = {k: v[kept] for k in ("heading", "speed") if (v := getattr(rows, k)) is not None}
-    return replace(
+    rows = replace(
         rows, agent=rows.agent[kept], time_s=rows.time_s[kept], xy=rows.xy[kept], **given
     )
+    return rows, sizes
 
 
 def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tuple[Tracks, Stated]:

@@ -26,7 +26,7 @@ from sim.formats.common.driving_scene import STATES, DrivingScene, SceneAgent, r
 from sim.formats.common.recording import Recording
 from sim.frames import AgentKind, Signal
 from sim.input_files import read_bytes, stem
-from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane, with_neighbours
+from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane
 
 FloatArray = NDArray[np.float64]
 
@@ -211,7 +211,6 @@ def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]
     for name, feature in features.items():
         if _word(feature["type"]) == "CROSSWALK" and "polygon" in feature:
             scene.crosswalks[_word(name)] = _points(feature["polygon"])
-    scene.lanes = with_neighbours(scene.lanes)
     return numbers
 
 

@@ -16,14 +16,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 PACKAGE: Final = "waymo.open_dataset"
 
-_KINDS: Final = {
-    "double": descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE,
-    "float": descriptor_pb2.FieldDescriptorProto.TYPE_FLOAT,
-    "int32": descriptor_pb2.FieldDescriptorProto.TYPE_INT32,
-    "int64": descriptor_pb2.FieldDescriptorProto.TYPE_INT64,
-    "bool": descriptor_pb2.FieldDescriptorProto.TYPE_BOOL,
-    "string": descriptor_pb2.FieldDescriptorProto.TYPE_STRING,
-}
+_PLAIN: Final = ("double", "float", "int32", "int64", "bool", "string")
+"""Kinds of fields that are no messages."""
 
 MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
     "ObjectState": {
@@ -97,26 +91,19 @@ def scenario_class() -> Any:
         message = file.message_type.add(name=name)
         for label, (number, kind) in fields.items():
             repeated, plain = kind.startswith("*"), kind.removeprefix("*")
-            field = message.field.add(
-                name=label,
-                number=number,
-                label=(
-                    descriptor_pb2.FieldDescriptorProto.LABEL_REPEATED
-                    if repeated
-                    else descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL
-                ),
-            )
+            field = message.field.add(name=label, number=number)
+            field.label = field.LABEL_REPEATED if repeated else field.LABEL_OPTIONAL
             values = ENUMS.get(f"{name}.{plain}")
-            if plain in _KINDS:
-                field.type = _KINDS[plain]
+            if plain in _PLAIN:
+                field.type = getattr(field, f"TYPE_{plain.upper()}")
             elif values is not None:
-                field.type = descriptor_pb2.FieldDescriptorProto.TYPE_ENUM
+                field.type = field.TYPE_ENUM
                 field.type_name = f".{PACKAGE}.{name}.{plain}"
                 enum = message.enum_type.add(name=plain)
                 for value, word in enumerate(values):
                     enum.value.add(name=word, number=value)
             else:
-                field.type = descriptor_pb2.FieldDescriptorProto.TYPE_MESSAGE
+                field.type = field.TYPE_MESSAGE
                 field.type_name = f".{PACKAGE}.{plain}"
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)

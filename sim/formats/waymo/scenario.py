@@ -33,7 +33,7 @@ from sim.formats.waymo.tfrecord import read_records
 from sim.frames import AgentKind
 from sim.input_files import plain_name, read_bytes, stem
 from sim.invalid_fields import first_wrong_field
-from sim.road.maps.waymo import WaymoLane, with_neighbours
+from sim.road.maps.waymo import WaymoLane
 
 FloatArray = NDArray[np.float64]
 
@@ -140,7 +140,6 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
             scene.crosswalks[str(feature.id)] = outline
     for shown in scenario.dynamic_map_states:
         scene.lights.append({s.lane: s.state for s in shown.lane_states})
-    scene.lanes = with_neighbours(scene.lanes)
     return scene
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from sim.checked_arrays import frozen
 from sim.geometry import offset_line
 from sim.input_files import read_bytes, read_once
 from sim.invalid_fields import first_wrong_field
@@ -105,9 +106,7 @@ def _by_id(path: Path, parts: Mapping[str, Any]) -> dict[int, Any]:
 
 
 def _array(line: list[_Point]) -> NDArray[np.float64]:
-    points = np.array([(point.x, point.y) for point in line])
-    points.flags.writeable = False
-    return points
+    return frozen(np.array([(point.x, point.y) for point in line]))
 
 
 def _lanelet(segment: _Segment) -> Lanelet:

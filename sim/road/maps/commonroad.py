@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -339,14 +339,10 @@ def _yielding(
     if not any(sign.yields or sign.goes_first for sign in signs.values()):
         return False
     for intersection in root.iterfind("intersection"):
-        coming = [i for one in _incomings(path, intersection) for i in one if i in lanelets]
+        coming = _refs(path, intersection, "incoming/incomingLanelet")
+        coming = tuple(i for i in coming if i in lanelets)
         first = tuple(i for i in coming if not lanelets[i].must_yield)
         for i in coming:
             if lanelets[i].must_yield:
                 lanelets[i] = replace(lanelets[i], yields_to=first)
     return True
-
-
-def _incomings(path: Path, intersection: Element) -> Iterator[tuple[int, ...]]:
-    for incoming in intersection.iterfind("incoming"):
-        yield _refs(path, incoming, "incomingLanelet")

@@ -27,8 +27,8 @@ from behaviors.errors import InputError
 from sim.input_files import read_once
 from sim.road import Crossing, Road
 from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets, with_junctions
+from sim.road.maps.sources import FREE_WORDS, limit_of
 from sim.road.maps.transverse_mercator import to_metres, zone_of
-from sim.units import in_si
 from sim.xml_tree import read_tree, whole_number
 
 FloatArray = NDArray[np.float64]
@@ -46,11 +46,8 @@ WALKING: Final = frozenset({"walkway", "stairs", "shared_walkway"})
 CROSSING: Final = frozenset({"crosswalk"})
 NOT_FOR_CARS: Final = frozenset({"bicycle_lane", "bikelane", "bus_lane", "rail"})
 """Subtypes of lanelets; all others are driven by cars."""
-
-UNITS: Final = {"": "km/h", "km/h": "km/h", "kmh": "km/h", "mph": "mph", "m/s": ""}
-"""Units of speed limits, as `sim.units.in_si` takes them; without one they are km/h."""
-
-_SPEED: Final = re.compile(r"^\s*(?:de\s*:?\s*)?([0-9]{1,3}(?:\.[0-9]{1,6})?)\s*([a-z/]*)\s*$")
+UNLIMITED: Final = FREE_WORDS | {"signals", "variable"}
+"""Limits that are no number."""
 
 
 @read_once
@@ -274,17 +271,13 @@ def _only_people(tags: Mapping[str, str]) -> bool:
 
 def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
     """Speed limit of a lanelet, m/s; NaN where there is none."""
-    text = tags.get("speed_limit") or tags.get("maxspeed") or rule
-    if not text:
+    text = (tags.get("speed_limit") or tags.get("maxspeed") or rule or "").strip().lower()
+    if not text or text in UNLIMITED or text.startswith("0"):
         return math.nan
-    match = _SPEED.match(text.lower().replace(",", "."))
-    unit = UNITS.get(match.group(2)) if match else None
-    if match is None or unit is None:
-        if text.lower() in ("none", "unlimited", "signals", "variable"):
-            return math.nan
+    limit = limit_of(re.sub(r"^de\s*(?=[0-9])", "", text))
+    if limit is None:
         raise InputError(f"{path}: speed limit: found {text[:40]!r}, expected as in 50 km/h")
-    limit = in_si(float(match.group(1)), unit)
-    return limit if limit > 0 else math.nan
+    return limit
 
 
 @dataclass(frozen=True)

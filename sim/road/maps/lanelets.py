@@ -24,7 +24,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from sim.geometry import distances_along, meeting, points_at
+from sim.checked_arrays import frozen
+from sim.geometry import distances_along, meeting, pieces_of, points_at
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 
 FloatArray = NDArray[np.float64]
@@ -122,8 +123,7 @@ def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
             np.stack([np.interp(every, share, line[:, axis]) for axis in (0, 1)], axis=1)
             for line, share in zip((left, right), shares, strict=True)
         )
-    middle = (left + right) / 2
-    middle.flags.writeable = False
+    middle = frozen((left + right) / 2)
     step = np.diff(middle, axis=0)
     # across the lane: a border's points need not lie opposite each other
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
@@ -139,12 +139,6 @@ def _shares(line: FloatArray) -> FloatArray:
     """(P,) how much of a line's length comes before each of its points."""
     along = distances_along(line)
     return along / along[-1] if along[-1] > 0 else np.linspace(0.0, 1.0, len(line))
-
-
-def pieces(line: FloatArray) -> FloatArray:
-    """(k, 2) the steps along a line that lead anywhere, m."""
-    step = np.diff(line, axis=0)
-    return np.asarray(step[np.hypot(step[:, 0], step[:, 1]) > 1e-9])
 
 
 def road_of_lanelets(
@@ -310,7 +304,8 @@ def _with_priority(
 
 def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection:
     first = lanelets[chain[0]]
-    before, after = pieces(first.centerline)[-1:], pieces(lanelets[chain[-1]].centerline)[:1]
+    before = pieces_of(first.centerline).direction[-1:]
+    after = pieces_of(lanelets[chain[-1]].centerline).direction[:1]
     turned = 0.0
     if before.size and after.size:
         (bx, by), (ax, ay) = before[0], after[0]

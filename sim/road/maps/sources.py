@@ -90,8 +90,7 @@ def _single(text: str) -> float | None:
         return WALK_MPS
     number = _NUMBER.fullmatch(text)
     if number and number[2] in UNITS:
-        value = float(number[1].replace(",", "."))
-        limit = value * 0.514444 if number[2] == "knots" else in_si(value, UNITS[number[2]])
+        limit = in_si(float(number[1].replace(",", ".")), UNITS[number[2]])
         return limit if limit > 0 else None
     place = _PLACE.fullmatch(text)
     if place and place[3]:

@@ -6,7 +6,6 @@ recording's origin (Lanelet2), and shifted maps. Unknown facts are stored with t
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 from collections.abc import Mapping
@@ -18,7 +17,8 @@ import numpy as np
 from pydantic import ConfigDict, ValidationError, create_model
 
 from behaviors.errors import InputError
-from sim.input_files import read_bytes
+from sim.checked_arrays import frozen
+from sim.input_files import read_bytes, read_once
 from sim.invalid_fields import first_wrong_field
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 from sim.road.maps.lanelets import check_lines
@@ -95,6 +95,7 @@ def _fields(part: Lane | Crossing) -> dict[str, Any]:
     return {**fields, "centerline": part.centerline.tolist()}
 
 
+@read_once
 def read_stored(path: Path, name: str | None = None) -> Road:
     """Read such a file.
 
@@ -108,15 +109,6 @@ def read_stored(path: Path, name: str | None = None) -> Road:
     Raises:
         InputError: if the file is missing or broken; names the place in it.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: found no file, expected a road ({SUFFIX})")
-    stat = path.stat()
-    return _read(path.absolute(), name, stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=16)
-def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road:
-    """The road in a file: read once as long as the file stays as it is."""
     try:
         stored = _Stored.model_validate_json(read_bytes(path)).model_dump()
     except ValidationError as error:
@@ -142,8 +134,7 @@ def _read(path: Path, name: str | None, changed_ns: int, size: int) -> Road:
 
 def _with_line(part: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of a lane or crossing, its line as an array and an unknown limit as NaN."""
-    line = np.array(part["centerline"], dtype=np.float64).reshape(-1, 2)
-    line.flags.writeable = False
+    line = frozen(np.array(part["centerline"], dtype=np.float64).reshape(-1, 2))
     limit = {"speed_limit_mps": math.nan} if part.get("speed_limit_mps", 0.0) is None else {}
     return {**part, "centerline": line, **limit}
 

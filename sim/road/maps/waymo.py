@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.checked_arrays import frozen
 from sim.road import Crossing, Road
 from sim.road.maps.lanelets import MAX_COORDINATE_M, Lanelet, road_of_lanelets, with_junctions
 from sim.units import FACTORS
@@ -95,7 +96,7 @@ def waymo_road(
     Raises:
         InputError: if an id is twice, or the map is larger than any.
     """
-    by_id = {lane.id: lane for lane in lanes if len(lane.line) >= 2}
+    by_id = _with_neighbours({lane.id: lane for lane in lanes if len(lane.line) >= 2})
     if len({lane.id for lane in lanes}) != len(lanes):
         raise InputError(f"{path}: map_features: found an id twice, expected each once")
     if not any(lane.type != BIKE_LANE for lane in by_id.values()):
@@ -105,7 +106,7 @@ def waymo_road(
     found = {
         i: Lanelet(
             id=i,
-            centerline=_kept(by_id[i].line),
+            centerline=frozen(np.array(by_id[i].line, dtype=np.float64)),
             width_m=_width(by_id[i], by_id),
             successors=following[i],
             internal=bool(by_id[i].interpolating),
@@ -123,12 +124,6 @@ def waymo_road(
     if all(lane.interpolating is None for lane in by_id.values()):
         found = with_junctions(found)
     return road_of_lanelets(path, name, found, crossings, signal_groups=tuple(map(str, lights)))
-
-
-def _kept(line: FloatArray) -> FloatArray:
-    line = np.array(line, dtype=np.float64)
-    line.flags.writeable = False
-    return line
 
 
 def _limit(path: Path, lane: WaymoLane) -> float:
@@ -181,17 +176,16 @@ def _crossing(path: Path, label: str, outline: FloatArray) -> Crossing:
     _, _, axes = np.linalg.svd(outline - middle, full_matrices=False)
     along, across = ((outline - middle) @ axis for axis in axes)
     ends = np.array([along.min(), along.max()])
-    line = _kept(middle + ends[:, None] * axes[0])
+    line = frozen(middle + ends[:, None] * axes[0])
     return Crossing(label, line, float(np.ptp(across)), (), priority=False)
 
 
-def with_neighbours(lanes: Sequence[WaymoLane]) -> list[WaymoLane]:
-    """Lanes with symmetric neighbours."""
-    known = {lane.id: lane for lane in lanes}
-    told = dict(known)
-    for lane in lanes:
-        if lane.left in known and known[lane.left].right is None:
+def _with_neighbours(lanes: Mapping[int, WaymoLane]) -> dict[int, WaymoLane]:
+    """Lanes with the neighbours of each also told to the other."""
+    told = dict(lanes)
+    for lane in lanes.values():
+        if lane.left in lanes and lanes[lane.left].right is None:
             told[lane.left] = replace(told[lane.left], right=lane.id)
-        if lane.right in known and known[lane.right].left is None:
+        if lane.right in lanes and lanes[lane.right].left is None:
             told[lane.right] = replace(told[lane.right], left=lane.id)
-    return [told[lane.id] for lane in lanes]
+    return told
