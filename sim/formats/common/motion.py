@@ -39,6 +39,26 @@ UNIT_NEAR: Final = 0.03
 """How near, relatively, to a unit's factor."""
 
 
+def motion(
+    xy: FloatArray, time_s: FloatArray, rest_heading: float
+) -> tuple[FloatArray, FloatArray]:
+    """Heading and speed from positions, as `row_motion` has them.
+
+    Args:
+        xy: (n, t, 2) m; NaN where not valid.
+        time_s: (t,) s.
+        rest_heading: rad.
+
+    Returns:
+        (n, t) heading, rad, and (n, t) speed, m/s; NaN where not valid.
+    """
+    agent, step = np.nonzero(np.isfinite(xy[..., 0]))
+    found = row_motion(agent, xy[agent, step], time_s[step], rest_heading)
+    heading, speed = np.full(xy.shape[:2], np.nan), np.full(xy.shape[:2], np.nan)
+    heading[agent, step], speed[agent, step] = found
+    return heading, speed
+
+
 def row_motion(
     agent: NDArray[np.int64], xy: FloatArray, time_s: FloatArray, rest_heading: float
 ) -> tuple[FloatArray, FloatArray]:

@@ -184,8 +184,9 @@ def _with_neighbours(lanes: Mapping[int, WaymoLane]) -> dict[int, WaymoLane]:
     """Lanes with the neighbours of each also told to the other."""
     told = dict(lanes)
     for lane in lanes.values():
-        if lane.left in lanes and lanes[lane.left].right is None:
-            told[lane.left] = replace(told[lane.left], right=lane.id)
-        if lane.right in lanes and lanes[lane.right].left is None:
-            told[lane.right] = replace(told[lane.right], left=lane.id)
+        left, right = (None if i is None else lanes.get(i) for i in (lane.left, lane.right))
+        if left is not None and left.right is None:
+            told[left.id] = replace(told[left.id], right=lane.id)
+        if right is not None and right.left is None:
+            told[right.id] = replace(told[right.id], left=lane.id)
     return told
