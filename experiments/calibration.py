@@ -58,7 +58,7 @@ class Calibrated:
     Attributes:
         source: what was calibrated, in words.
         recording: (N,) name of the recording of each driver.
-        drivers: (N,) who they are.
+        drivers: (N,) their ids.
         laws: the calibration under each law.
     """
 

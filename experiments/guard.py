@@ -25,10 +25,10 @@ from experiments.console.notices import LOGGER
 T = TypeVar("T")
 
 MEMORY_BYTES, MEMORY_PER_BYTE = 2**31 - 2**28, 16
-"""Memory that a child may use: so many bytes, and so many for each byte of the files it reads."""
+"""Memory that a child may use: bytes, and bytes for each byte of the files it reads."""
 
 TIME_S, TIME_S_PER_BYTE = 50.0, 5e-6
-"""Time that a child may take for each answer, s: so much, and so much for each byte it reads."""
+"""Time that a child may take for each answer, s, and the time for each byte it reads, s."""
 
 THREADS: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 """Settings of the child: each thread of a library would reserve memory of its own."""

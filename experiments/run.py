@@ -72,7 +72,7 @@ class _Beliefs:
     instants: dict[int, Posterior] = field(default_factory=dict)
 
     def take(self, posterior: Posterior) -> None:
-        """Keep what is believed now."""
+        """Keep the present posteriors."""
         for row, agent in enumerate(posterior.ids.tolist()):
             self.latest[agent] = posterior, row
 
@@ -214,8 +214,8 @@ def read_window(text: str | None) -> Window | None:
     """A window as an option says it; None where it says nothing.
 
     Args:
-        text: an agent's id, with a distance, m, if wanted (``17:80``), or an area's smallest x and
-            y and largest x and y, m (``0,0,100,50``).
+        text: an agent's id, with an optional distance, m (``17:80``), or an area's bounds, m
+            (``0,0,100,50``).
 
     Returns:
         The window.

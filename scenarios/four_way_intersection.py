@@ -81,7 +81,7 @@ priority_intersection: Final = functools.partial(four_way_intersection, control=
 """The east-west road has priority."""
 
 all_way_stop: Final = functools.partial(four_way_intersection, control="allway_stop")
-"""Everybody stops."""
+"""All vehicles stop."""
 
 right_before_left: Final = functools.partial(four_way_intersection, control="right_before_left")
 """Those who come from the right go first."""

@@ -54,7 +54,7 @@ def roundabout(
 
 
 def way_round(arm: str, places: int) -> tuple[str, ...]:
-    """The edges from an arm to the one so many places on, against the clock.
+    """The edges from an arm to the n-th next one, counter-clockwise.
 
     Args:
         arm: where it begins.

@@ -2,8 +2,9 @@
 
 Modules with kernels are imported on first use only, so that importing the package compiles and
 loads nothing. A kernel's cache is as old as the newest Python file of its folder and of the
-kernels' folders that it calls. numba itself checks the kernel's own file only. ``NUMBA_CACHE_DIR``
-says where caches lie, ``NUMBA_DISABLE_JIT=1`` runs the same functions uncompiled.
+kernels' folders that it calls. By default, numba checks the kernel's own file only.
+``NUMBA_CACHE_DIR`` says where caches lie, ``NUMBA_DISABLE_JIT=1`` runs the same functions
+uncompiled.
 """
 
 from __future__ import annotations
@@ -116,8 +117,8 @@ def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F
 def shared(function: F) -> F:
     """Compile a scalar function that several kernels call, such as a driver model.
 
-    It is stored in the cache files of the kernels that call it, and has no cache of its own. numba
-    names a cache after the function alone, and would load code compiled with other options.
+    It is stored in the cache files of the kernels that call it. Its own cache would be named after
+    the function alone, and could hold code compiled with other options.
     """
     return _compiled(function, kept=False, no_cpython_wrapper=True)
 

@@ -189,7 +189,7 @@ class Tracks:
         speed: (N, T) m/s; NaN where not valid.
         valid: (N, T) whether the agent is present at that time.
         signals: (S, T) codes into ``SIGNALS``.
-        behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None if nobody is labelled.
+        behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None without labels.
         events: every event, in time order.
     """
 
@@ -240,7 +240,7 @@ class Tracks:
         """Tracks that cost what was seen, whatever agents times times are.
 
         Args:
-            rows: where everyone was.
+            rows: positions of all agents.
             facts: the attributes of tracks but ``xy``, ``heading``, ``speed`` and ``valid``.
 
         Returns:
@@ -404,7 +404,7 @@ class Tracks:
         """The same tracks with other facts; `dataclasses.replace` is for arrays of all places.
 
         Args:
-            rows: where everyone was; None to keep that.
+            rows: positions of all agents; None to keep them.
             facts: attributes but ``xy``, ``heading``, ``speed`` and ``valid``.
         """
         kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in DENSE}
@@ -452,9 +452,8 @@ class Tracks:
         """A pandas table with a row for each time at which each agent is present.
 
         Returns:
-            A data frame by agent and time with the columns id, name, kind, time_s (s), x and y
-            (m), heading (rad), speed (m/s), length and width (m). The column behavior is missing
-            without labels.
+            A data frame by agent and time: id, name, kind, time_s (s), x, y (m), heading (rad),
+            speed (m/s), length, width (m). The column behavior is missing without labels.
 
         Raises:
             InputError: if pandas is not installed.

@@ -82,7 +82,7 @@ class AgentSpec:
         speed_mps: walking speed of a pedestrian, m/s; 0 for those that drive.
         seed: seed of the agent's own chance decisions.
         jaywalks: whether a pedestrian crosses anywhere and on red.
-        style_label: the style of a driver of whom no more is known; see `style`.
+        style_label: the style of a driver whose behaviour is unknown; see `style`.
     """
 
     id: int

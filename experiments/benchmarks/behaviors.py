@@ -29,7 +29,7 @@ from sim.frames import Event, EventKind, Frame, Tracks
 from sim.scenario import Scenario, sample_agents
 
 FREE_HEADWAY_S: Final = 6.0
-"""A road is free for who has this much headway or more."""
+"""A road is free for a driver with this headway or more."""
 
 STEADY_MPS2: Final = 0.3
 """Largest acceleration of a driver at the speed that it has chosen, m/s2."""
@@ -63,7 +63,7 @@ ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
 """Encounters of a driver with a pedestrian that wants to cross."""
 
 NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
-"""Encounters in which somebody did not wait, though a rule says so: waits of 0 s."""
+"""Encounters in which an agent did not wait in spite of a rule: waits of 0 s."""
 
 
 @dataclass(frozen=True, slots=True)

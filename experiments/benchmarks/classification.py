@@ -413,10 +413,10 @@ def noise(data: Data) -> Iterator[list[Row]]:
 
 
 def leak_probe(data: Data) -> Iterator[list[Row]]:
-    """A forest that sees who and when: on everyone's windows, and on each driver's first.
+    """A forest on agent numbers and times: on all windows, and on each driver's first.
 
-    A number and a time together tell how long a driver has been in sight, and slow ones stay
-    longer. When its first window ends, each has been in sight for as long.
+    A number and a time together give the time in sight, and slow drivers stay longer. When its
+    first window ends, each has been in sight for as long.
     """
     many = data.many
     known, asked = (

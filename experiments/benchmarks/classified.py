@@ -170,11 +170,7 @@ def _streamed(
 
 
 def _looked(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
-    """Samples without features for each labelled driver and age that it reaches, and the answers.
-
-    A whole track is scored if it lasts ``AGES_S[0]``, so that all ages are scored on the same
-    drivers or fewer.
-    """
+    """Samples without features for each labelled driver and reached age, and the answers."""
     n = tracks.ids.size
     codes = np.full(n, -1, dtype=np.int8) if tracks.behavior is None else tracks.behavior
     first_s = np.full(n, np.nan)

@@ -88,8 +88,7 @@ def measure_loop(
     Args:
         engines: keys of ``ENGINES``.
         duration_s: simulated, s.
-        repeats: how often the same frames are gone through; of each stage of each frame the least
-            time counts, as whatever else the machine does only adds to it.
+        repeats: passes over the same frames; the least time of each stage of each frame counts.
 
     Yields:
         Rows of each engine: ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of

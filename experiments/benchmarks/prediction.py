@@ -93,7 +93,7 @@ def true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
 
 
 def no_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
-    """Nothing is believed of anybody: every behaviour is as likely as the others."""
+    """Uniform posteriors: every behaviour is equally likely."""
     return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
 
@@ -137,7 +137,8 @@ def measure(
         duration_s: of each, s; None for the scenario's own.
         predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
         model: the classifier whose beliefs are used.
-        told: keys of `BELIEFS`; () for all. The classifier's are always among them.
+        told: names of the beliefs, keys of `BELIEFS`; () for all. The classifier's are always
+            among them.
         jobs: processes; None for one per core.
 
     Yields:

@@ -26,7 +26,7 @@ from graphrqi.stream import DEFAULT_MODEL, load_stream
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 
 LEAST_LIFE_S: Final = 10.0
-"""Shorter tracks have no halves that tell anything (five seconds each)."""
+"""The halves of shorter tracks are too short (five seconds each)."""
 
 LEAST_SEEN_S: Final = 3.0
 """Drivers that are seen for less do not count in shares."""

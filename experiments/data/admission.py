@@ -18,12 +18,12 @@ DOUBTED: Final = "no_scene"
 
 
 def is_scene(entry: EpisodeEntry) -> bool:
-    """Whether an episode is a scene that can be believed, as far as `admitted` said."""
+    """Whether an episode is plausible as a scene, as recorded by `admitted`."""
     return DOUBTED not in entry.options
 
 
 def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
-    """A recording in metres, and what makes it no scene that can be believed.
+    """A recording in metres, and the reasons why it is not plausible as a scene.
 
     Args:
         recording: as read.

@@ -1,8 +1,8 @@
 """Plausibility of a recording as a scene, by its positions and sizes.
 
-Some recordings overlay actors of several scenes, have invented times, or reuse ids. Nothing can be
-said about how anybody drives there. A finding counts only with enough evidence against sensor
-noise (up to half a metre) and dense traffic.
+Some recordings overlay actors of several scenes, have invented times, or reuse ids. Their drivers
+cannot be classified. A finding counts only with enough evidence against sensor noise (up to half a
+metre) and dense traffic.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ OVERLAPPING_IDS: Final = 6
 """Least number of different vehicles that overlap; a tracker may see one truck as two."""
 
 MOVING_MPS: Final = 3.0
-"""Only faster vehicles tell anything about speeds."""
+"""Only faster vehicles count for speeds."""
 
 LOOKS: Final = 10
 """Fewest looks that say that a speed or a size is wrong."""
@@ -54,7 +54,8 @@ FASTEST_MPS, JUMP_M = 90.0, 5.0
 """Vehicles jump that go faster than this, m/s, and farther than this, m."""
 
 JUMPING, JUMPING_IDS = 0.1, 3
-"""No scene if more than this share of the ids jumps, and so many different ones."""
+"""A recording is not plausible if more than this share of the ids jumps, and this many different
+ones."""
 
 SIZED: Final = 3
 """Fewest vehicles whose sizes say that a unit is wrong."""
@@ -68,7 +69,7 @@ class SceneCheck:
     """Findings of the check.
 
     Attributes:
-        is_scene: whether what the frames show can be believed.
+        is_scene: whether the recording is plausible.
         findings: what was found amiss, a sentence each; also what is not enough to doubt a scene.
         overlapping: share of the vehicles that overlap another, over all looks.
         nearest_m: median distance from a vehicle to the next centre, m; NaN of lone vehicles.
@@ -102,7 +103,7 @@ class _Overlaps:
 
 
 def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
-    """Whether a recording is a scene that can be believed.
+    """Whether a recording is plausible as a scene.
 
     Args:
         tracks: positions in metres.

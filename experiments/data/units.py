@@ -176,16 +176,7 @@ def image_scale(tracks: Tracks) -> Scale:
 
 
 def _horizon(above: FloatArray, size: FloatArray, top: float) -> float:
-    """How far above the middle the horizon is; infinite where sizes do not show it.
-
-    Agents of one kind are the smaller the nearer to the horizon they are. It is where sizes that
-    are corrected for that have the least absolute deviation, since all kinds occur at all heights.
-
-    Args:
-        above: (n,) height of each agent above the middle.
-        size: (n,) its size.
-        top: the greatest height of anybody.
-    """
+    """How far above the middle the horizon is; infinite where sizes do not show it."""
     nearest = top / (1.0 - SMALLEST)
     if not nearest > 0.0:
         return math.inf
@@ -200,13 +191,7 @@ def _horizon(above: FloatArray, size: FloatArray, top: float) -> float:
 
 
 def _pace(ground: FloatArray, tracks: Tracks, size: float) -> float:
-    """Median speed of those that move, in units per second; 0 if none moves.
-
-    Args:
-        ground: (n, T, 2) smoothed places on the ground.
-        tracks: for their times.
-        size: of an agent.
-    """
+    """Median speed of those that move, in units per second; 0 if none moves."""
     if tracks.time_s.size < 2:
         return 0.0
     span = max(1, round(SPAN_S / tracks.step_s))

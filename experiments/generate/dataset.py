@@ -109,10 +109,7 @@ def _make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> 
 
 
 def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
-    """Configuration as the dataset stores it, without the number of episodes.
-
-    A map or scenario of the user's own counts with the checksum of its road.
-    """
+    """Configuration as the dataset stores it, without the number of episodes."""
     engines = ("sumo", "highway") if RANDOM_WORLD in config.scenarios else (config.engine,)
     dumped = config.model_dump(mode="json", exclude_none=True, exclude={"episodes"})
     own = {
@@ -179,11 +176,7 @@ class _Run:
         self._there = 0
 
     def look(self, config: GenerateConfig) -> list[ShardTask]:
-        """The shards that are missing.
-
-        Raises:
-            InputError: if there is anything that this run would not write.
-        """
+        """The shards that are missing."""
         if is_dataset(self._place.path):
             self._check_same(config)
         _remove_partial(self._place)
@@ -221,11 +214,7 @@ class _Run:
         self._there += len(made.entries)
 
     def finish(self, configuration: Mapping[str, Any], out: Path, new: bool) -> None:
-        """Write the catalogue, if there is something new.
-
-        Raises:
-            InputError: if an episode could not be made.
-        """
+        """Write the catalogue, if there is something new."""
         complete = is_dataset(out) and open_dataset(out).header.configuration == configuration
         if self._there and (new or not complete):
             write_catalogue(self._place, configuration, self._rows, self._files)

@@ -117,7 +117,7 @@ def _cluster(address: str) -> Iterator[Executor]:
     if not SAFE.fullmatch(address):
         raise InputError(
             f"cluster {address}: found an unencrypted address of another machine or none, expected "
-            "tls://HOST:PORT or tcp://127.0.0.1:PORT: who reaches a scheduler runs code as you"
+            "tls://HOST:PORT or tcp://127.0.0.1:PORT: its clients run code as you"
         )
     try:
         from distributed import Client

@@ -118,7 +118,7 @@ def tables_of(rows: pd.DataFrame, across: Sequence[str] = ()) -> Iterator[Table]
         across: keys that get columns of their own beside the metric.
 
     Yields:
-        One table of everybody for each scenario, then one for each metric that is measured by
+        One table of all drivers for each scenario, then one for each metric that is measured by
         behaviour.
     """
     rows = rows[~rows["metric"].isin(DRAWN)]

@@ -141,8 +141,8 @@ def score_answers(
     Args:
         answers: one of every driver (or of every window of observation).
         keys: what was measured, for the rows.
-        majority: code of the behaviour that a constant answer names; None for the most frequent one
-            among the drivers that are scored, which is the best that a constant answer could do.
+        majority: code of the constant answer; None for the most frequent behaviour of the scored
+            drivers.
         breakdown: whether rows by answer and by confidence are wanted.
 
     Returns:
@@ -309,7 +309,7 @@ def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split"
 
     Args:
         rows: from `score_answers`.
-        down: keys that tell lines apart.
+        down: keys that distinguish lines.
 
     Returns:
         A line for each combination of values of these keys.

@@ -183,7 +183,7 @@ def predict_dataset(
             )
         if not any(errors[predictors[0]].count.any() for one in found.values() for errors in one):
             raise InputError(
-                f"{source}: found nobody seen for {LEAST_SEEN_S:g} s and then for another "
+                f"{source}: found no agent seen for {LEAST_SEEN_S:g} s and then for another "
                 f"{horizon_s:g} s, expected at least one agent"
             )
     for entry, length_s in short:

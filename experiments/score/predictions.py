@@ -181,7 +181,7 @@ def score_episode(
     Args:
         tracks: the episode; its labels only sort the errors.
         posteriors: beliefs at each instant of prediction, by the index one past the present.
-        road: where it happened; None if there is no map.
+        road: its road; None without a map.
         predictors: keys of ``PREDICTORS``, or "module:function".
         horizons_s: ascending, s.
         on_prediction: called with each predictor's name, the history it was given and its futures.

@@ -70,7 +70,7 @@ def stamped(
         rows: the figures.
         command: what measured them, as on the command line: ``evaluate``, ``bench loop``.
         seed: the command's seed; None where nothing is drawn at random.
-        dataset: see `dataset_id`; None where there is no dataset.
+        dataset: see `dataset_id`; None without a dataset.
 
     Examples:
         >>> [row] = stamped([{"metric": "jobs", "value": 2}], "generate", seed=3)

@@ -94,7 +94,7 @@ def calibrate_drivers(
         The numbers.
 
     Raises:
-        InputError: if there is no training episode, or one lacks a road or labels.
+        InputError: if a training episode lacks a road or labels, or none exists.
     """
     dataset = open_dataset(source)
     splits: dict[str, list[Sample]] = {}
@@ -131,7 +131,7 @@ def calibrate_drivers(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeliefExamples:
-    """The same examples with what the classifier believes, with no beliefs, and with others'.
+    """The same examples with the classifier's posteriors, with none, and with others'.
 
     Drawn for every epoch, so that a network learns how far to trust beliefs.
 
@@ -232,8 +232,8 @@ def train_predictors(
 ) -> dict[str, float]:
     """Train the learned predictors on a dataset's training episodes and save them.
 
-    The classifier should not have been trained on these episodes: on those it knows too well who
-    drives how.
+    The classifier should not have been trained on these episodes, where its posteriors are too
+    certain.
 
     Args:
         source: a dataset.

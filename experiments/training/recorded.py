@@ -188,7 +188,7 @@ def mirrored(tracks: Tracks) -> Tracks:
 
 
 def mirrored_road(road: Road) -> Road:
-    """A road with left and right swapped, as far as paths along its lanes tell."""
+    """A road with left and right swapped, for paths along its lanes."""
     other = {"left": "right", "right": "left"}
     replace = dataclasses.replace
     lanes = (replace(one, centerline=one.centerline * MIRROR) for one in road.lanes)
@@ -217,9 +217,9 @@ def recorded_examples(
     """Training examples of one instant.
 
     Args:
-        history: the past, everyone seen in its last column.
+        history: the past; all agents are seen in its last column.
         truth: (n, KNOTS, 2) where they went, m.
-        counts: (n,) whom to learn from.
+        counts: (n,) which agents are learned from.
         group: number of the dataset.
         believable: whether neighbours are seen.
         road: the map; None for none.
@@ -380,7 +380,7 @@ def fit_network(
 ) -> RecordedNetwork:
     """Train on what datasets give; their validation parts scale the spreads.
 
-    Networks that were trained without some of the datasets tell what corrections earn there.
+    Networks trained without some of the datasets give the reliability of corrections there.
     """
     errors = []
     for fold in range(FOLDS if len(found) > FOLDS else 0):

@@ -1,4 +1,4 @@
-"""Recordings as a benchmark of prediction sees them: datasets, places, instants, who is scored.
+"""Recordings for a benchmark of prediction: datasets, recording sites, instants, scored agents.
 
 Scored vehicles move (at least `MOVING_MPS`, or `MOVED_M` within the last `PAST_S`), and are seen
 for `PAST_S` and the next `AHEAD_S`. Constant velocity, by which all errors are divided, goes on
@@ -210,7 +210,7 @@ def history_of(tracks: Tracks, stop: int) -> Tracks:
 
 
 def scored(history: Tracks) -> BoolArray:
-    """(n,) who is scored, as far as the past decides: vehicles seen for `PAST_S`."""
+    """(n,) agents that the past admits to scoring: vehicles seen for `PAST_S`."""
     ago = history.time_s - history.time_s[-1]
     first = history.valid.argmax(axis=1)
     return np.asarray((history.kind != PEDESTRIAN) & (-ago[first] >= PAST_S - 1e-2))
@@ -226,7 +226,7 @@ def moved_m(history: Tracks) -> FloatArray:
 
 
 def moving(history: Tracks) -> BoolArray:
-    """(n,) who moves among those that are scored."""
+    """(n,) moving agents among the scored ones."""
     return scored(history) & ((moved_m(history) > MOVED_M) | (history.speed[:, -1] >= MOVING_MPS))
 
 
@@ -241,7 +241,7 @@ def classes_of(history: Tracks) -> IntArray:
 
 
 def steady_motion(history: Tracks, time_s: FloatArray) -> FloatArray:
-    """(n, H, 2) where everyone comes at the mean velocity of the last `VELOCITY_S`, m."""
+    """(n, H, 2) positions at the mean velocity of the last `VELOCITY_S`, m."""
     ago = history.time_s - history.time_s[-1]
     n = history.ids.size
     if ago.size < 2:

@@ -150,13 +150,15 @@ class TrafficEnv(EgoEnv):
 
     The behaviours' order is that of ``behaviors.BEHAVIORS``; pedestrians have zeros there.
 
-    Actions: highway-env's. By default 5 meta actions: 0 lane to the left, 1 nothing, 2 lane to the
-    right, 3 faster, 4 slower, between the target speeds 0, 3, 6, 9, 12 and 15 m/s. Nothing stops
-    the ego vehicle at signals, crossings or behind others; the others react to it as to anybody.
+    Actions: highway-env's. By default the meta actions, in this order: lane to the left, nothing,
+        lane to the right, faster, slower. Target speeds are the multiples of 3 m/s up to 15.
+        Nothing stops the ego vehicle at signals, crossings or behind others; the others react to
+        it as to any vehicle.
 
-    Reward per step: progress along the route as a share of what the limit allows, in [0, 1]; -10
-    for a collision; -1 for each near miss (`sim.safety.is_near_miss`), within half a second; -3 for
-    running a red light; -5 for leaving the road. ``info["rewards"]`` has the parts.
+    Reward per step: the progress along the route as a share of what the limit allows, in [0, 1].
+    Costs are 10 for a collision and 5 for leaving the road. Running a red light costs 3, and each
+    near miss within half a second costs 1 (`sim.safety.is_near_miss`). ``info["rewards"]`` has the
+    parts.
 
     Episode: begins at the start of the route, on the lane with most room for the ego vehicle, at
     0.7 of the limit. Terminated by a collision, by leaving the road, or at the end of its route;
@@ -175,8 +177,8 @@ class TrafficEnv(EgoEnv):
         config: changes to the configuration by key; `TrafficConfig` explains the keys.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
         scenario_name: a registered scenario, a scenario's file or a map.
-        routes: the edges that the ego vehicle drives over, or these by ``goal``; None for a route
-            of the traffic's, drawn anew for each episode.
+        routes: edges of the ego vehicle's route, or these by ``goal``; None to draw a route of the
+            traffic for each episode.
         defaults: keys of the configuration that have other defaults than in `TrafficConfig`.
 
     Attributes:
@@ -288,7 +290,7 @@ class TrafficEnv(EgoEnv):
         self.events = []
 
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
-        """Everybody but the ego vehicles, in an episode whose traffic has this seed."""
+        """All agents but the ego vehicles, in an episode whose traffic has this seed."""
         return sample_agents(self.scenario, seed)
 
     def _classifier(self) -> Callable[[Frame], Belief] | None:
@@ -357,7 +359,7 @@ class TrafficEnv(EgoEnv):
     # Steps -----------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """Move everybody for one simulation step."""
+        """Move all agents for one simulation step."""
         road = self.road
         self.demand.enter()
         road.advance(self.dt)

@@ -3,8 +3,8 @@
 Vehicles enter at edges without a predecessor and leave at edges without a successor; turnarounds
 are not counted. On a road without such edges, a ring say, or with few of them for its size, every
 edge is both: vehicles begin and end inside, too. Each pair of edges that a way joins gets a share
-of the traffic by the lanes of both, on the way that takes the least time. The traffic as a whole
-is so much that the lane that is used most carries a given share of what it can.
+of the traffic by the lanes of both, on the way that takes the least time. The total traffic loads
+the busiest lane to a given share of its capacity.
 """
 
 from __future__ import annotations

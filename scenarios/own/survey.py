@@ -31,7 +31,7 @@ class Survey:
         net: the SUMO net that both engines drive on.
         road: read from it.
         knows: which facts the map provides.
-        warnings: what netconvert warned of, and edges that nobody can come to or leave.
+        warnings: netconvert's warnings, and edges without an entry or an exit.
     """
 
     name: str

@@ -233,13 +233,7 @@ class Crashes:
         return self._between_vehicles(*parties)
 
     def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:
-        """The cause that lies in how two vehicles stand to each other.
-
-        The order is: entering a junction not yet clear, being between lanes (German road traffic
-        act, section 7(5)), running into a standing vehicle in spite of room to stop. Taking the
-        other's priority and running into any standing vehicle follow. Otherwise the follower
-        caused it.
-        """
+        """The cause that lies in how two vehicles stand to each other."""
         ways = one.connection, two.connection
         meet = min(ways) >= 0 and ways[0] != ways[1]
         if meet and self.road.first_come(*ways):

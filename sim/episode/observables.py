@@ -1,8 +1,7 @@
 """Observables of traffic, from positions, headings and speeds on a known road.
 
 They give each agent's lane, leader and gap, limit, and the signal, stop line or crossing ahead
-with its pedestrians. One function serves a single frame and a whole episode, of which many
-instants are worked on at once.
+with its pedestrians. One function serves a single frame and the many instants of an episode.
 
 Leaders are looked for along the lane and onward over the junctions. Where a lane branches the
 straightest way is followed, because a frame does not give a driver's destination. Gaps are bumper
@@ -159,7 +158,7 @@ def _perceive(
 def crossing_people(
     road: Road, instant: IntArray, xy: FloatArray, instants: int
 ) -> tuple[BoolArray, BoolArray]:
-    """On which crossings someone walks, and beside which someone stands.
+    """Crossings with a pedestrian on them, and beside them.
 
     Args:
         road: where it happens.
@@ -168,7 +167,8 @@ def crossing_people(
         instants: how many instants there are.
 
     Returns:
-        (C, instants) occupied, and (C, instants) someone within `CROSSING_MARGIN_M` of an end.
+        (C, instants) occupied, and (C, instants) a pedestrian within `CROSSING_MARGIN_M` of an
+        end.
     """
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
@@ -194,10 +194,7 @@ def _observe(
     by_time: IntArray,
     begins: IntArray,
 ) -> Observables:
-    """Observables of m rows of T instants.
-
-    ``signals`` is (S, T); the rows of each instant begin in ``by_time`` at ``begins`` (T + 1,).
-    """
+    """Observables of m rows of T instants."""
     graph = LaneGraph.of(road)
     m = speed.size
     place, view = _perceive(road, xy, heading, length, ~walking, by_time, begins)

@@ -1,6 +1,6 @@
 """An episode as one row per agent and time step, for searches over whole episodes.
 
-`sim.frames.Tracks` holds the same, and gives dense arrays to those who want them.
+`sim.frames.Tracks` holds the same, and gives dense arrays on request.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A window of interest: the part of the traffic that somebody wants to know about.
+"""A window of interest: the part of the traffic that is reported.
 
 A stream or a predictor that is given a window never sees the agents outside it, and costs what the
 agents inside cost. Its answers are limited likewise: a vehicle just outside is not a leader.
@@ -28,10 +28,10 @@ class Window:
 
     Attributes:
         region: smallest x and y and largest x and y, m; None for everywhere.
-        around: id of an agent; only it and those within ``radius_m`` of it count, and nobody while
+        around: id of an agent; only it and those within ``radius_m`` of it count, and none while
             it is absent.
         radius_m: m.
-        agents: ids; None for everybody.
+        agents: ids; None for all.
 
     Examples:
         >>> frame = Frame(0.0, [3, 7], [[0.0, 0.0], [500.0, 0.0]], [0, 0], [9, 9], [4, 4], [2, 2],

@@ -158,11 +158,7 @@ _ID: Final = re.compile(rb"""<(edge|lane)\b[^>]*?\sid\s*=\s*(?:"([^"]*)"|'([^']*
 
 
 def _check_ids(source: Path, data: bytes, road: Road) -> None:
-    """Refuse lanes whose ids are not those of their edges, as SUMO calls them.
-
-    sumolib counts an edge's lanes and ignores their ids, so a lane with another id would silently
-    be another lane.
-    """
+    """Refuse lanes whose ids are not those of their edges, as SUMO calls them."""
     told: dict[str, list[str]] = {}
     edge = ""
     for kind, plain, other in _ID.findall(data):
@@ -270,10 +266,7 @@ def _lane(lane: Any, edge: Any) -> Lane:
 def _signals(
     net: Any,
 ) -> tuple[tuple[SignalPlan, ...], tuple[str, ...], dict[tuple[str, int], int]]:
-    """The signal plans, the names of all groups, and each link's group.
-
-    Links of one set of traffic lights whose states are equal in every phase form one group.
-    """
+    """The signal plans, the names of all groups, and each link's group."""
     plans: list[SignalPlan] = []
     names: list[str] = []
     group_of: dict[tuple[str, int], int] = {}

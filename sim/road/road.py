@@ -176,8 +176,8 @@ class MapKnowledge:
         limits: whether it has speed limits.
         signals: whether it says where lights stand and what they show.
         priority: whether it says who has to let whom go first.
-        limits_rule: whether traffic there drives as its limits say; False where recorded traffic
-            is much slower or faster, so that a limit predicts nobody's speed.
+        limits_rule: whether traffic follows the limits; False where recorded traffic is much
+            slower or faster.
     """
 
     limits: bool = True
@@ -208,7 +208,7 @@ class Road:
         signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
         source: the file it was read from.
         signal_plans: the programmes behind the signal groups, at most one for each group.
-        knows: what its map tells; a SUMO net tells everything.
+        knows: facts that its map provides; a SUMO net provides all.
         left_hand: whether traffic drives on the left; a lane's index 0 is then the leftmost.
         doubts: what of its map is left out because it is broken, a sentence each.
     """

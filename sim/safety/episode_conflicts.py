@@ -84,7 +84,7 @@ CONFLICT_KINDS: Final = tuple(ConflictKind)
 
 FOLLOWING, MERGING, CROSSING, ONCOMING, SIDE, WALKING = range(len(CONFLICT_KINDS))
 DECIDED: Final = (MERGING, CROSSING, ONCOMING, WALKING)
-"""Kinds of which one party has to let the other go first."""
+"""Kinds in which one party has to yield."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +104,15 @@ class Conflicts:
         ttc_time_s: (k,) when, s; nan if never.
         mttc_s: (k,) least modified time to collision, s; inf if there was none.
         drac_mps2: (k,) largest deceleration rate to avoid the crash before contact, m/s2.
-        pet_s: (k,) post-encroachment time of the areas that they drove over, s: the least time
-            from the last instant at which one covers a place to the first at which the other does.
-            nan where they share no place within the time that makes an encounter.
+        pet_s: (k,) post-encroachment time, s: the least time between one's leaving a shared
+            position and the other's arrival. nan where they share none within an encounter's time.
         pet_time_s: (k,) when the later one came there, s; nan where there is none.
         gap_m: (k,) least distance between the outlines, m; nan if never seen at one time.
         closing_mps: (k,) rate at which it shrank then, m/s.
-        delta_v_mps: (k,) change of velocity of the lighter one if they had collided and stuck
-            together at their least time to collision, or nearest to each other if none, m/s.
+        delta_v_mps: (k,) change of velocity of the lighter one in an inelastic collision at their
+            least time to collision, else at their nearest, m/s.
         passed_first: (k,) id of the one that was first at the place of ``pet_s``.
-        priority: (k,) id of the one that the other had to let go first, as far as the map tells.
+        priority: (k,) id of the one with priority, as far as the map gives it.
         near_miss: (k,) whether they nearly collided (`sim.safety.is_near_miss`). Post-encroachment
             time counts where one does not follow the other: the later one comes in from aside.
     """
@@ -175,7 +174,7 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
 
     Args:
         tracks: an episode or a recording.
-        road: its map, which tells who has priority; None if unknown.
+        road: its map with the priorities; None if unknown.
         within_s: how near in time an encounter is, s.
 
     Returns:
@@ -305,10 +304,7 @@ def _kinds(
     at_pet: IntArray,
     nearest: IntArray,
 ) -> tuple[CodeArray, BoolArray]:
-    """(k,) the kinds, as `ConflictKind` says, and to which shared places one comes from aside.
-
-    ``nearest`` are the rows nearest to a collision.
-    """
+    """(k,) the kinds, as `ConflictKind` says, and to which shared places one comes from aside."""
     k = at_pet.size
     turn = np.abs(wrapped(*np.diff(driven.piece_heading[[places.earlier, places.later]], axis=0)))
     aside, _, wide, _ = _beside(outlines, places.earlier, places.later)

@@ -261,5 +261,5 @@ def entries_of(table: pa.Table, path: Path) -> tuple[EpisodeEntry, ...]:
     except ValidationError as error:
         raise InputError(f"{path}: row {len(found)}: {first_wrong_field(error)}") from None
     except (ValueError, RecursionError):
-        raise InputError(f"{path}: row {len(found)}: found options that are no JSON") from None
+        raise InputError(f"{path}: row {len(found)}: found options that are not JSON") from None
     return tuple(found)

@@ -62,7 +62,7 @@ class Episode:
         entry: what it is and how it was made.
         tracks: every agent that was seen, with labels in ``tracks.behavior``.
         agents: every agent that was drawn, seen or not, in order of id.
-        shown_traits: in order of time; their ``agent`` and ``other`` are ids (-1: nobody).
+        shown_traits: in order of time; their ``agent`` and ``other`` are ids (-1: none).
     """
 
     entry: EpisodeEntry

@@ -234,8 +234,8 @@ CONFLICTS: Final = pa.schema(
         pa.field("gap_m", pa.float64()),  # least distance of the outlines
         pa.field("closing_mps", pa.float64()),  # how fast it shrank then
         pa.field("delta_v_mps", pa.float64()),  # of the lighter one, had they collided
-        pa.field("passed_first", pa.int64()),  # who was there first
-        pa.field("priority", pa.int64()),  # who had priority; null: the map does not tell
+        pa.field("passed_first", pa.int64()),  # the one that was there first
+        pa.field("priority", pa.int64()),  # the one with priority; null if the map does not give it
         _column("near_miss", pa.bool_()),
     ]
 )

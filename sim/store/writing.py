@@ -109,10 +109,9 @@ class EpisodeWriter:
         Args:
             meta: what the episode is made from.
             frames: the episode, in time order; closed here, also on an error.
-            agents: everyone who may appear in a frame.
-            road: the SUMO net that the episode happened on (``scenario.road.source``); with it the
-                events are completed (rules kept and broken, near misses, causes), and lanes,
-                leaders and the traits that were shown are found.
+            agents: all agents that may appear in a frame.
+            road: the episode's SUMO net (``scenario.road.source``); it is needed for rule events,
+                near misses, causes, lanes, leaders and shown traits.
             since_s: write only what is later than this, s. Events and traits are found with all
                 frames in sight. None writes everything.
 
@@ -169,7 +168,7 @@ class EpisodeWriter:
             meta: where the recording comes from.
             tracks: the recording.
             road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
-            styles: by name, of the drivers of whom the style is known but not the behaviour.
+            styles: by name, of drivers with a known style and an unknown behaviour.
 
         Returns:
             The catalogue's entry of the episode.

@@ -88,7 +88,7 @@ class Trunk(_Closing):
 
     Args:
         scenario: the road, the duration and the step.
-        agents: who travels.
+        agents: the drawn agents.
         seed: of the simulator's own noise.
         engine: "sumo" or "sumo-idm".
 
@@ -170,7 +170,7 @@ class Trunk(_Closing):
         return Branch(Connection(here.detach()))
 
     def drives(self, agent: int) -> bool:
-        """Whether somebody of that id drives in the episode, at whatever time."""
+        """Whether a driver of that id exists in the episode, at any time."""
         return agent in self._drivers
 
     def driver(self, agent: int) -> AgentSpec:

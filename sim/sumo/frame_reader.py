@@ -103,7 +103,7 @@ class FrameReader:
         self._touching = touching
 
     def names(self, again: bool) -> tuple[Sequence[str], Sequence[str]]:
-        """Names of vehicles and pedestrians, the same two objects until somebody comes or goes.
+        """Names of vehicles and pedestrians, the same two objects until an agent comes or goes.
 
         Args:
             again: whether to ask SUMO in any case; its counts leave out agents that controllers

@@ -108,7 +108,7 @@ _STREAM: Final = 8
 
 
 def draw_population(rng: np.random.Generator) -> Population:
-    """Draw who drives."""
+    """Draw the drivers."""
     kind = str(rng.choice(list(MIXES), p=list(MIXES.values())))
     shares = _draw_mix(kind, rng)
     shifted = rng.random() < 0.8

@@ -39,7 +39,7 @@ class WorldRoad:
 
     Attributes:
         family: straight, junction, ramp or two-way.
-        control: of a junction: who goes first; "" elsewhere.
+        control: priority at a junction; "" without one.
         lanes: in each direction.
         limit_mps: speed limit, m/s.
         length_m: of the road, of a junction from end to end, m.

@@ -69,7 +69,7 @@ class Sensor:
         found_as: ``same`` or ``new``: the id of an agent that is found again.
         has_map: whether the recording comes with the map.
         has_sizes: whether sizes are measured; otherwise all are cars of 4.5 m.
-        pixels_per_m: scale of an image whose scale nobody knows; 0 for metres.
+        pixels_per_m: scale of an image, hidden from the reader; 0 for metres.
         left_hand: whether the recording is mirrored and without a map.
         turned_rad: by how much the axes are turned; 0 with a map.
     """

@@ -165,7 +165,7 @@ def line_of(path: Path, element: Element | None, what: str) -> NDArray[np.float6
     try:
         return np.array(told, dtype=np.float64)
     except ValueError:
-        raise InputError(f"{path}: {what}: found a point that is no number") from None
+        raise InputError(f"{path}: {what}: found a point that is not a number") from None
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _limit(path: Path, text: str) -> float:
 
 @dataclass(frozen=True)
 class _Lights:
-    """Traffic lights whose programme can be believed."""
+    """Traffic lights with a plausible programme."""
 
     groups: tuple[str, ...]
     plans: tuple[SignalPlan, ...]
@@ -335,7 +335,7 @@ def _with_predecessors(
 def _yielding(
     path: Path, root: Element, lanelets: dict[int, Lanelet], signs: Mapping[int, _Sign]
 ) -> bool:
-    """Say who yields to whom at intersections with signs; whether any are known."""
+    """Set the priorities at intersections with signs; whether any are known."""
     if not any(sign.yields or sign.goes_first for sign in signs.values()):
         return False
     for intersection in root.iterfind("intersection"):

@@ -162,7 +162,7 @@ def _table(path: Path, pairs: list[tuple[str | None, str | None]]) -> FloatArray
     try:
         return np.array([(float(a or ""), float(b or "")) for a, b in pairs])
     except ValueError:
-        raise InputError(f"{path}: found a node whose place is no number") from None
+        raise InputError(f"{path}: found a node whose position is not a number") from None
 
 
 def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:

@@ -60,7 +60,7 @@ class Lanelet:
         internal: whether it crosses a junction.
         left: id of the neighbour on the left, of the same direction; None without one.
         right: likewise on the right.
-        use: what may be there: nobody changes between lanelets of different use.
+        use: permitted traffic; there are no lane changes between lanelets of different use.
         limit_mps: speed limit, m/s; NaN where unknown.
         walking: whether it is for pedestrians only.
         cars: whether cars may drive on it.
@@ -172,7 +172,7 @@ def road_of_lanelets(
         broken: why lanelets are left out, a sentence for each.
 
     Raises:
-        InputError: if there is no lanelet for cars, or a line is broken.
+        InputError: if no lanelet is for cars, or a line is broken.
     """
     if broken and len(broken) > len(lanelets):
         raise InputError(broken[0])

@@ -65,7 +65,7 @@ class Acting:
         """Begin an action of a vehicle on the road at a simulated time, s.
 
         Raises:
-            InputError: if there is no lane on that side.
+            InputError: if that side has no lane.
         """
         sumo = self._sumo
         if action in (Action.CHANGE_LEFT, Action.CHANGE_RIGHT):

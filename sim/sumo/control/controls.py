@@ -86,7 +86,7 @@ class Controls:
             there = ", ".join(sorted(self._sumo.vehicle_getIDList(), key=int)[:NAMED])
             raise InputError(
                 f"agent {name}: found it not on the road at {time_s:g} s, expected one that is, "
-                f"such as {there or 'nobody yet'}"
+                f"such as {there or 'none yet'}"
             )
         if self._wrong_way.overtakes(name):
             raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
