@@ -54,10 +54,10 @@ one; ``wanted``: the same from the next step on; ``go_at``: when it may start, a
 ``standing_since``: infinite while it moves; ``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``:
 how many times each was drawn; ``last_path``: the junction path that it was on last, until it has
 left it; ``path_before``, ``line_before``: the path ahead a step ago and how far away it was;
-``stood_at``: the path before whose stop sign it has stood, since ``stopped_s``; ``then``: the stretch after its lane's;
-``path``: the junction path that it is on or comes to next; ``to_line``: front bumper to the
-beginning of that path, or to the end of a lane without one, negative beyond it; ``stood_s``: for
-how long it has stood; ``stop_gap``: front bumper to the nearest line at which to stop;
+``stood_at``: the path before whose stop sign it has stood, since ``stopped_s``; ``then``: the
+stretch after its lane's; ``path``: the junction path that it is on or comes to next; ``to_line``:
+front bumper to the beginning of that path, or to the end of a lane without one, negative beyond it;
+``stood_s``: for how long it has stood; ``stop_gap``: front bumper to the line at which to stop;
 ``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it stop at the line,
 and ``was_held`` a step ago; ``changes``: whether lane changes are allowed; ``forced``: the lane
 that it has to head for; ``astray``: whether it needs another route; ``at_end``: whether it may have
