@@ -20,7 +20,7 @@ COLORS: Final[dict[Behavior, str]] = {
 """sRGB, as in HTML."""
 
 UNKNOWN_COLOR: Final = "#8C8C8C"
-"""Of agents without a behaviour: pedestrians, and drivers not yet classified."""
+"""The colour of agents without a behaviour: pedestrians, and drivers not yet classified."""
 
 
 def rgb(color: str) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""What the trait detectors look at, and what they find: plain arrays and values."""
+"""Input and output of the trait detectors: plain arrays and values."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 FOLLOWING_MPS: Final = 5.0
-"""Above this speed a time headway says how closely a driver follows (our choice: in a crawling
-queue everybody is near everybody)."""
+"""Above this speed a time headway says how closely a driver follows (our choice: all gaps in a
+crawling queue are short)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +25,12 @@ class ShownTrait:
     """A trait that an agent showed.
 
     Attributes:
-        trait: which.
+        trait: the trait.
         agent: index of the agent (its id where an episode is stored).
         begin_s: from when, s.
         end_s: until when, s.
-        value: the number behind it; its meaning and unit are the detector's.
-        other: index or id of the second party, -1 if none.
+        value: the detector's number.
+        other: index or id of the second agent, -1 if none.
     """
 
     trait: Trait
@@ -58,7 +58,7 @@ class RuleEncounter:
 
 @dataclass(frozen=True, slots=True)
 class DetectorInputs:
-    """What an observer measured of N agents, one row per agent and time (`RowIndex`).
+    """Measurements of N agents, one row per agent and time (`RowIndex`).
 
     Distances are +inf, and rows and lanes -1, where there is nothing.
 
@@ -138,8 +138,8 @@ def lane_changes(inputs: DetectorInputs) -> IntArray:
     """Rows in which vehicles changed lanes.
 
     Returns:
-        (k,) the first rows with the centre on the new lane. Driving from one edge to the next is
-        no lane change.
+        (k,) the first rows with the centre on the new lane. Driving from one edge to the next does
+        not count.
     """
     rows = np.flatnonzero(inputs.lane[1:] != inputs.lane[:-1]) + 1
     changed = (inputs.edge[rows - 1] == inputs.edge[rows]) & ~inputs.row_index.begins[rows]

@@ -65,7 +65,7 @@ def idm_desired_gap(
     Args:
         speed: v, m/s.
         leader_speed: u, m/s.
-        min_gap: s0, bumper to bumper at a standstill, m.
+        min_gap: s0, standstill gap, m.
         time_headway: T, s.
         max_accel: a, m/s2.
         comfort_decel: b, m/s2.
@@ -74,8 +74,8 @@ def idm_desired_gap(
         Bumper to bumper, m.
 
     References:
-        Treiber et al. (2000), eq. 3 with s1 = 0; the maximum as in Treiber, Kesting (2013),
-        Traffic Flow Dynamics, eq. 11.15.
+        Treiber et al. (2000), eq. 3 with s1 = 0; the maximum as in Treiber, Kesting, Traffic Flow
+        Dynamics, eq. 11.15.
 
     Examples:
         >>> idm_desired_gap(10.0, 8.0, 2.0, 1.5, 1.0, 4.0)
@@ -159,10 +159,10 @@ def mobil_incentive(
     A driver changes if the change is safe (`mobil_safe`) and the incentive is above its threshold.
 
     Args:
-        own_gain: the driver's acceleration after the change minus that before it, m/s2.
-        new_follower_gain: the same of the follower on the new lane, m/s2; 0 for none.
-        old_follower_gain: the same of the follower on the old lane, m/s2; 0 for none.
-        politeness: p, the weight of the others; 0 for an egoist.
+        own_gain: the driver's gain in acceleration, m/s2.
+        new_follower_gain: the new follower's, m/s2; 0 for none.
+        old_follower_gain: the old follower's, m/s2; 0 for none.
+        politeness: p, the weight of the others.
 
     Returns:
         m/s2.

@@ -15,8 +15,7 @@ LONGEST: Final = 6000
 class InputError(ValueError):
     r"""Bad input: one line that names the field or file, what was found and what was expected.
 
-    What was found may be a value of any length and of several lines: the middle of a long message
-    is left out, and lines are joined.
+    The middle of a long message is left out, and lines are joined.
 
     Examples:
         >>> str(InputError("action: found [[0.],\n [0.]]"))

@@ -1,9 +1,9 @@
 """One behaviour label per road-agent, from the traits that people noted or that detectors found.
 
 The paper's protocol takes the majority of the traits inside one parent class (aggressive or
-conservative). Annotators who disagree about the parent class are asked again; recordings cannot
-ask, so ``strict`` drops those agents, and ``lenient`` (our choice: it keeps more agents) follows
-the majority of the annotators and drops ties.
+conservative). Annotators who disagree about the parent class are asked again. Recordings cannot
+ask. ``strict`` drops those agents. ``lenient`` (our choice) follows the majority of the annotators
+and drops ties.
 
 Annotators tick what is characteristic of a driver. A detector finds some odd trait in almost every
 driver, so a detected trait counts only once enough of it was shown.
@@ -82,7 +82,7 @@ def style_of(traits: Sequence[Trait]) -> Style:
         The parent class of most of them; in a tie, that of the first.
 
     Raises:
-        InputError: if there is no trait.
+        InputError: if ``traits`` is empty.
 
     Examples:
         >>> style_of([Trait.OVERTAKING, Trait.UNIFORM_SPEED, Trait.FOLLOWING_RULES])

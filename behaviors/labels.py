@@ -53,7 +53,7 @@ BEHAVIORS: Final[tuple[Behavior, ...]] = tuple(Behavior)
 
 
 class Trait(StrEnum):
-    """What an observer can see a road-agent do (rows of the paper's trait table)."""
+    """Observable actions of a road-agent (rows of the paper's trait table)."""
 
     OVERTAKING = "overtaking"
     OVER_SPEEDING = "over-speeding"

@@ -1,8 +1,8 @@
 """Physical numbers for each behaviour, and drivers drawn around them.
 
-A `Profile` says only what a driver wants, dares and obeys. Every driver of every behaviour follows
-the same car-following and the same lane-change law with the same noise; nothing but these numbers
-differs, so that a behaviour can be told by what its driver does and by nothing else.
+A `Profile` gives what a driver wants, dares and obeys. Every driver of every behaviour follows the
+same car-following and lane-change law with the same noise. Only these numbers differ between
+behaviours.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior
 
 DEFAULT_SPREAD: Final = 0.15
-"""Log-normal spread of every positive number between drivers of one behaviour (our choice: with
-it the behaviours overlap about as much as observers of real drivers disagree)."""
+"""Log-normal spread of every positive number between drivers of one behaviour (our choice)."""
 
 FARTHEST_SPREADS: Final = 2.0
-"""Largest distance of any number from its median, in spreads (our choice: as SUMO cuts off its own
-drivers' speeds, so that one odd draw does not make another behaviour)."""
+"""Largest distance of any number from its median, in spreads (our choice, as SUMO cuts off its
+drivers' speeds)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,14 +201,14 @@ def sample_profile(
 ) -> Profile:
     """Draw one driver of a behaviour.
 
-    Every positive number is multiplied by exp(spread * z), z standard normal, independent and cut
-    off at ``FARTHEST_SPREADS``, so the profile of the behaviour is the median driver. Probabilities
-    are not drawn: chance enters at each encounter.
+    Every positive number is multiplied by exp(spread * z). z is standard normal, independent and
+    cut off at ``FARTHEST_SPREADS``. The profile of the behaviour is the median driver.
+    Probabilities are not drawn: chance enters at each encounter.
 
     Args:
         behavior: the class to draw from.
-        rng: source of randomness; the same number of draws is taken whatever the spread.
-        spread: standard deviation of the log of each number; 0 gives clones.
+        rng: source of randomness; the number of draws is fixed.
+        spread: standard deviation of each logarithm; 0 gives clones.
 
     Returns:
         The driver's own profile.

@@ -31,9 +31,8 @@ class Registry(Mapping[str, T], Generic[T]):
     Args:
         what: what the registry holds, in the singular ("solver"); used in messages.
         group: the group of entry points that adds to it ("graphrqi.solvers").
-        entries: the things of this package; a string "module:attribute" is imported when asked for.
-        made: what turns a name and what was imported for it into the entry; the entry is what was
-            imported if not given.
+        entries: this package's entries; a string "module:attribute" is imported when asked for.
+        made: builds the entry from its name and the imported object.
 
     Examples:
         >>> roots = Registry("root", "graphrqi.roots", {"square": "math:sqrt", "cube": "math:cbrt"})
@@ -103,8 +102,8 @@ class Registry(Mapping[str, T], Generic[T]):
     def source(self, name: str) -> str | None:
         """The "module:attribute" behind an entry of this package, with nothing imported.
 
-        Of an entry that keeps its own, such as the ``reader`` of a format, that one; None of a
-        plugin's entry and of one that is written out.
+        An entry with a ``reader`` or ``writer``, such as a format, gives that string. The result is
+        None for a plugin's entry or an object.
         """
         entry = self._entries.get(name)
         if entry is not None and not isinstance(entry, str):
@@ -144,7 +143,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
 
 def loaded(source: str) -> Any:
-    """What a "module:attribute" string names; the module is imported if it is not yet."""
+    """The object that a "module:attribute" string names; its module is imported."""
     module, attribute = source.split(":")
     return getattr(importlib.import_module(module), attribute)
 

@@ -1,4 +1,4 @@
-"""Which row of a table belongs to which agent and time step.
+"""The index from the rows of a table to agents and time steps.
 
 An agent is present for a small part of a long episode, so its time series are stored as rows of
 those moments only. All such arrays of an episode have the length and the order of one `RowIndex`:
@@ -38,11 +38,11 @@ class RowIndex:
     """The m moments at which N agents were seen, of T times.
 
     Attributes:
-        agent: (m,) which agent, ascending.
-        step: (m,) at which time, ascending for each agent.
-        first: (N + 1,) first row of each agent, and m.
+        agent: (m,) agent of each row, ascending.
+        step: (m,) time of each row.
+        first: (N + 1,) first row of each agent.
         times: T.
-        begins: (m,) whether the agent was not seen one time before.
+        begins: (m,) not seen one time before.
     """
 
     agent: IntArray
@@ -165,8 +165,7 @@ class RowIndex:
     def time_blocks(self, most: int) -> Iterator[TimeBlock]:
         """All rows, in blocks of consecutive times.
 
-        What looks at one time after the other takes memory for a block only, however long the
-        episode is.
+        A loop over the blocks needs memory for one block only.
 
         Args:
             most: rows of a block; one time is never divided.

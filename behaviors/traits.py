@@ -51,18 +51,17 @@ STANDING_MPS: Final = 0.3
 """Below this speed a vehicle counts as standing (our choice: noise of differenced positions)."""
 
 NOT_MOVING_S: Final = 2.0
-"""Not moving: standing for this long without a reason (our choice)."""
+"""Duration of standing without a reason, for "not moving" (our choice)."""
 
 SLOWING_SHARE, SLOWING_S = 0.6, 4.0
 """Slowing down: to this share of the own speed within this time, without reason (our choice)."""
 
 REASON_GAP_S, REASON_GAP_M = 4.0, 15.0
-"""A leader within this headway or gap is a reason to slow down (our choice: farther leaders do not
-slow even drivers who keep 3 s)."""
+"""A leader within this headway or gap is a reason to slow down (our choice)."""
 
 REASON_JUNCTION_M, REASON_STOP_M = 40.0, 60.0
-"""A reason to slow down is any junction within the first distance, and a junction with a duty to
-stop or a crossing in use within the second (our choice)."""
+"""Any junction within the first distance is a reason to slow down (our choice). A duty to stop or a
+used crossing is one within the second."""
 
 WAITING_S: Final = 3.0
 """Waiting: standing for this long for others who go first (our choice)."""
@@ -188,8 +187,8 @@ def overtaking(inputs: DetectorInputs) -> list[ShownTrait]:
 def cutting_in(inputs: DetectorInputs) -> list[ShownTrait]:
     """Entering a lane close in front of somebody; the value is the headway left to them, s.
 
-    The headway is the new follower's at the moment when the outline of the changing vehicle first
-    touches the new lane, where UN Regulation 157 puts its reference point too.
+    The new follower's headway counts when the changing vehicle's outline first touches the new
+    lane. UN Regulation 157 uses the same moment.
     """
     begins, agent = inputs.row_index.begins, inputs.row_index.agent
     found = []

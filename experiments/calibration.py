@@ -1,7 +1,7 @@
 """Calibrates the drivers of recordings: ``graphrqi calibrate RECORDING_OR_DATASET --out FOLDER``.
 
-Writes a folder with ``drivers.parquet`` (a row for each driver, law and number), one
-``population_LAW.toml`` for each law, and ``population.toml`` for the law with the smaller errors.
+Writes ``drivers.parquet`` (a row per driver, law and number), a ``population_LAW.toml`` per law,
+and ``population.toml`` for the better law.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ SCHEMA: Final = pa.schema(
         ("known", pa.bool_()),
     ]
 )
-"""Columns of ``drivers.parquet``: the error of the driver's simulated places under a law, median
-and 90 % interval of a number, and whether the recording tells it better than the population."""
+"""Columns of ``drivers.parquet``: a law's position error, a number with its 90 % interval, and
+whether the recording identifies it."""
 
 NORMAL_90: Final = 1.6449
 """Standard deviations from the median to the ends of a 90 % interval."""
@@ -58,7 +58,7 @@ class Calibrated:
     Attributes:
         source: what was calibrated, in words.
         recording: (N,) name of the recording of each driver.
-        drivers: (N,) who they are.
+        drivers: (N,) their ids.
         laws: the calibration under each law.
     """
 
@@ -171,8 +171,8 @@ def _driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
 def population_rows(calibrated: Calibrated) -> list[Row]:
     """A row for each law and number: the population, and how well the law holds.
 
-    ``error_m`` is the median error of simulated places, and ``second_half_m`` that of the gaps of
-    second halves which the first halves foretell; None if nobody follows one leader for 10 s.
+    ``error_m`` is the median position error, ``second_half_m`` that of gaps predicted from the
+    first half. None if no driver follows one leader for 10 s.
     """
     longest = [_longest_following(driver) for driver in calibrated.drivers]
     halved = [stretch for stretch in longest if stretch is not None]

@@ -43,7 +43,7 @@ def check_figure_file(path: Path, option: str) -> None:
 
 
 def figure_bytes(figure: Figure, ending: str, dpi: int = 110) -> bytes:
-    """What a file of a figure holds.
+    """Content of a figure's file.
 
     Args:
         figure: what to write.

@@ -25,10 +25,10 @@ from experiments.console.notices import LOGGER
 T = TypeVar("T")
 
 MEMORY_BYTES, MEMORY_PER_BYTE = 2**31 - 2**28, 16
-"""Memory that a child may use: so many bytes, and so many for each byte of the files it reads."""
+"""Memory that a child may use: bytes, and bytes for each byte of the files it reads."""
 
 TIME_S, TIME_S_PER_BYTE = 50.0, 5e-6
-"""Time that a child may take for each answer, s: so much, and so much for each byte it reads."""
+"""Time that a child may take for each answer, s, and the time for each byte it reads, s."""
 
 THREADS: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 """Settings of the child: each thread of a library would reserve memory of its own."""
@@ -52,7 +52,7 @@ def is_guarding() -> bool:
 
 
 def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
-    """What a function yields, in a child process with limits inside a block of `guarding`.
+    """Yields of a function that runs in a child process with limits, inside a block of `guarding`.
 
     Args:
         source: the file or folder that the function reads; its size decides the limits.
@@ -106,7 +106,7 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
 
 
 def guarded_call(source: Path, function: Callable[..., T], *arguments: Any) -> T:
-    """What a function returns, as `guarded` has it.
+    """Result of a function that runs as in `guarded`.
 
     Args:
         source: the file that the function reads.
@@ -164,7 +164,7 @@ def child() -> None:
     from behaviors.errors import InputError
 
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no answer
+    os.dup2(2, 1)  # text printed by libraries is not part of the answer
 
     def send(what: str, found: Any = None) -> None:
         pickle.dump((what, found), answers, protocol=pickle.HIGHEST_PROTOCOL)

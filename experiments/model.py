@@ -48,12 +48,7 @@ CLASSIFIER_EPISODES: Final = {
     "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
 }
 PREDICTOR_EPISODES: Final = 30
-"""Episodes by engine and scenario, of 300 s each, 60 % of them for training. A straight road shows
-three times as many drivers in the same time; doubling the episodes of the four-way intersection
-still improved macro-F1 by .01, and predictors that learn from 30 episodes err 2 to 4 % less than
-those that learn from 20. Drivers with another car-following law raise the accuracy of styles on a
-third engine from .84 to .89 at the intersection, and lower macro-F1 on drivers with Krauss's law
-by .004 to .009."""
+"""Episodes by engine and scenario, of 300 s each, 60 % of them for training."""
 
 WORLDS, WORLDS_SEED = 60, 77
 """Random worlds that the predictor for recordings is trained on, and their seed."""
@@ -108,7 +103,7 @@ def train_classifier(work: Path, jobs: int) -> None:
 
 
 def worlds_of(count: int, seed: int) -> GenerateConfig:
-    """So many random worlds."""
+    """Configuration of this many random worlds."""
     return GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=count, seed=seed)
 
 
@@ -190,7 +185,7 @@ PARTS: Final[dict[str, Callable[[Path, int], None]]] = {
     "networks": train_networks,
     "predictors": train_all_predictors,
 }
-"""What is trained, in this order."""
+"""Trained parts, in this order."""
 
 
 def main() -> None:

@@ -72,7 +72,7 @@ class _Beliefs:
     instants: dict[int, Posterior] = field(default_factory=dict)
 
     def take(self, posterior: Posterior) -> None:
-        """Keep what is believed now."""
+        """Keep the present posteriors."""
         for row, agent in enumerate(posterior.ids.tolist()):
             self.latest[agent] = posterior, row
 
@@ -87,7 +87,7 @@ class _Beliefs:
         )
         return dataclasses.replace(
             known,
-            answered=np.array([p.told[row] for _, p, row in found], dtype=bool),
+            answered=np.array([p.labelled[row] for _, p, row in found], dtype=bool),
             domain=np.array([p.domain for _, p, _ in found], dtype=np.float64),
         )
 
@@ -111,9 +111,8 @@ def run_scenario(
         out: folder for the episode as a dataset; None not to keep it.
 
     Returns:
-        Tidy rows: ``agents``, ``mean_speed_mps``, ``collisions``, ``simulated_s``,
-        ``real_time_factor`` and ``ms_per_frame``, then the scores of the last answer about each
-        driver and those of the predictions.
+        Tidy rows of the traffic and of the time per frame, then the scores of the last answers and
+        of the predictions.
 
     Raises:
         InputError: if an option is wrong or the engine cannot run.
@@ -215,8 +214,8 @@ def read_window(text: str | None) -> Window | None:
     """A window as an option says it; None where it says nothing.
 
     Args:
-        text: an agent's id, with a distance, m, if wanted (``17:80``), or an area's smallest x and
-            y and largest x and y, m (``0,0,100,50``).
+        text: an agent's id, with an optional distance, m (``17:80``), or an area's bounds, m
+            (``0,0,100,50``).
 
     Returns:
         The window.

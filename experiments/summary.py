@@ -1,4 +1,4 @@
-"""What happens in a dataset or recording, per kilometre and hour that drivers drive.
+"""Statistics of a dataset or recording, per kilometre and hour driven.
 
 Everything is summed over the drivers of a group and divided by the distance and time that they
 drive. Intervals are by bootstrap over episodes. A conflict counts for both of its parties.
@@ -36,7 +36,7 @@ FOLLOWS_S, MOVES_MPS = 5.0, 3.0
 """Headways count up to this many seconds and above this speed; others do not follow or crawl."""
 
 RATES: Final = {"_per_km": "km", "_per_h": "hours"}
-"""What counts are divided by, by the end of the metric's name."""
+"""Denominator of counts, by the end of the metric's name."""
 
 Groups = Callable[[Dataset, Episode], Sequence[str]]
 
@@ -64,11 +64,10 @@ def summary(dataset: Dataset, by: str | None = None) -> list[Row]:
         by: "behavior", "kind" or "scenario"; None for all drivers together.
 
     Returns:
-        Tidy rows with the key ``by``'s group: ``km``, ``hours``, ``drivers``, ``speed_mean_mps``,
-        ``headway_mean_s`` and ``headway_close_share``; then ``_per_km`` and ``_per_h`` of each
-        trait, event, ``collisions_caused``, ``conflicts_KIND``, ``near_misses_KIND`` and
-        ``severe_KIND``. What needs a road is left out where none is known. Groups of pedestrians
-        count what they do as if they drove.
+        Tidy rows with the key ``by``'s group: exposure (``km``, ``hours``, ``drivers``), mean
+        speed and headway. Rates ``_per_km`` and ``_per_h`` follow, of each trait, event,
+        collision, conflict and near miss. Rows that need a road are left out where none is known.
+        Groups of pedestrians count what they do as if they drove.
 
     Raises:
         InputError: if ``by`` is not known, or an episode cannot be read.

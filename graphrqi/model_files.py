@@ -1,4 +1,4 @@
-"""Model folders: one file, ``model.safetensors``, with all that a trained model knows."""
+"""Model folders: one file, ``model.safetensors``, with the whole trained model."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _OTHER_VERSION: Final = (
 
 
 class _Adapted(BaseModel):
-    """What was learned at a place."""
+    """An adaptation to a recording site, as the file stores it."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -51,7 +51,7 @@ class _Adapted(BaseModel):
 
 
 class _About(BaseModel):
-    """What the header of a model's file says."""
+    """The header of a model's file."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -148,7 +148,7 @@ def load_model(name_or_folder: str | Path) -> Model:
         The model.
 
     Raises:
-        InputError: if there is no such model, or it is broken, of another version or other classes.
+        InputError: if the model is missing, broken, of another version or of other classes.
 
     Examples:
         >>> load_model("graphrqi-plus").method.name

@@ -26,8 +26,7 @@ MOST_CITY_ROUTES: Final = 2000
 """Different routes at most; vehicles share them (enough to fill every street)."""
 
 JUNCTION_FLOWS: Final[Mapping[str, float]] = {"light": 30.0, "medium": 60.0, "dense": 90.0}
-"""Vehicles per hour and junction of each named flow (a trip takes ten minutes, so that there are 5,
-10 and 15 vehicles to a junction; with 15 queues begin to last for several cycles)."""
+"""Vehicles per hour and junction of each named flow, for trips of about ten minutes."""
 
 JUNCTION_ROUTES: Final = 20
 """Different routes of `city` per junction, at most `MOST_CITY_ROUTES` (every street is the first of
@@ -44,8 +43,8 @@ def city(
 ) -> Scenario:
     """A grid of blocks of 150 m, two lanes each way, fixed-time signals at every junction.
 
-    Routes are drawn once, the same in every episode: they begin on any street, turn at random, and
-    end after `ROUTE_EDGES` blocks, as if vehicles were parked there.
+    Routes are drawn once and are the same in every episode. They begin on any street, turn at
+    random, and end after `ROUTE_EDGES` blocks.
 
     Args:
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour in the whole city. A trip takes

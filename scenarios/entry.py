@@ -1,4 +1,4 @@
-"""What a scenario's name stands for: the function that makes it, and the options that it takes."""
+"""Entry of a scenario's name: the function that makes it, and its options."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def four_way_intersection(
     limit_mps: float = LIMIT_MPS,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
-    """Four arms of 250 m, 50 km/h; by default fixed-time signals of 60 s and 2 lanes each way.
+    """Four arms of 250 m at 50 km/h; by default with fixed-time signals.
 
     Args:
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all arms.
@@ -81,7 +81,7 @@ priority_intersection: Final = functools.partial(four_way_intersection, control=
 """The east-west road has priority."""
 
 all_way_stop: Final = functools.partial(four_way_intersection, control="allway_stop")
-"""Everybody stops."""
+"""All vehicles stop."""
 
 right_before_left: Final = functools.partial(four_way_intersection, control="right_before_left")
 """Those who come from the right go first."""

@@ -24,7 +24,7 @@ def roundabout(
     limit_mps: float = LIMIT_MPS,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
-    """Four arms of 200 m, 50 km/h, round a ring of 20 m radius with one lane, 30 km/h.
+    """Four arms at 50 km/h, round a ring of 20 m radius with one lane at 30 km/h.
 
     Args:
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all arms.
@@ -54,7 +54,7 @@ def roundabout(
 
 
 def way_round(arm: str, places: int) -> tuple[str, ...]:
-    """The edges from an arm to the one so many places on, against the clock.
+    """The edges from an arm to the n-th next one, counter-clockwise.
 
     Args:
         arm: where it begins.

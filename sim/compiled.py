@@ -1,9 +1,10 @@
 """The one way this package compiles a numerical kernel: numba, cached on disk.
 
 Modules with kernels are imported on first use only, so that importing the package compiles and
-loads nothing. A kernel's cache is as old as the newest Python file of its folder and of the folders
-of the kernels that it calls: numba itself looks at the kernel's own file only. ``NUMBA_CACHE_DIR``
-says where caches lie, ``NUMBA_DISABLE_JIT=1`` runs the same functions uncompiled.
+loads nothing. A kernel's cache is as old as the newest Python file of its folder and of the
+kernels' folders that it calls. By default, numba checks the kernel's own file only.
+``NUMBA_CACHE_DIR`` says where caches lie, ``NUMBA_DISABLE_JIT=1`` runs the same functions
+uncompiled.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ NOTICE: Final = (
     "compiling numerical kernels that are used for the first time, up to 20 s; later runs find "
     "them compiled ..."
 )
-"""What a first use waits for."""
+"""Notice of the wait at a first use."""
 
 _FOLDERS: dict[Callable[..., object], set[Path]] = {}
 """The folders whose Python files each kernel depends on."""
@@ -116,8 +117,8 @@ def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F
 def shared(function: F) -> F:
     """Compile a scalar function that several kernels call, such as a driver model.
 
-    It becomes part of the cache files of the kernels that call it, and has none of its own: numba
-    names that file after the function alone, and would load what was compiled with other options.
+    It is stored in the cache files of the kernels that call it. Its own cache would be named after
+    the function alone, and could hold code compiled with other options.
     """
     return _compiled(function, kept=False, no_cpython_wrapper=True)
 

@@ -52,6 +52,6 @@ def get_engine(name: str) -> Engine:
         The engine's ``run`` function.
 
     Raises:
-        InputError: if there is no such engine.
+        InputError: if no such engine exists.
     """
     return ENGINES[name]

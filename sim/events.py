@@ -1,4 +1,4 @@
-"""What happens in traffic: collisions, near misses, rules kept and broken."""
+"""Events in traffic: collisions, near misses, rules kept and broken."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class EventKind(StrEnum):
-    """What can happen to or between agents.
+    """Kinds of events of one or two agents.
 
     A collision is one event, when it begins. An engine says ``CONTACT`` in every later step in
     which the two still touch; stored events have no contacts.

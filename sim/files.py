@@ -1,9 +1,9 @@
 """Files and folders that appear as a whole or not at all, on this machine or at a URL.
 
 Everything is written under a hidden name beside its destination and moved there with `os.replace`.
-So a reader, or a run that was killed, never sees half of anything. A URL such as ``s3://bucket/data``
-may be given instead of a path; credentials are those of the store's usual environment variables and
-files.
+A reader never sees a partial file, even after a run was killed. A URL such as ``s3://bucket/data``
+may be given instead of a path; credentials are those of the store's usual environment variables
+and files.
 
 References:
     fsspec (2024), Filesystem interfaces for Python: https://filesystem-spec.readthedocs.io.
@@ -53,7 +53,7 @@ def url_of(path: str | Path) -> str | None:
 
 
 def is_remote(path: str | Path) -> bool:
-    """Whether a path is a URL of something that is no folder of this machine."""
+    """Whether a path is a URL of a folder on another machine."""
     return url_of(path) is not None
 
 
@@ -152,8 +152,8 @@ def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
     """A new folder to fill, moved to its destination when the block ends without an error.
 
     Args:
-        path: where it will appear; a link is followed. Of an older folder there, files of the same
-            names are replaced and all others are kept. Its parent is created.
+        path: where it will appear; a link is followed. In an older folder, files of the same names
+            are replaced and all others are kept. Its parent is created.
         outdated: names of files and folders of the older folder that are not kept.
 
     Yields:
@@ -287,12 +287,12 @@ class Place:
 
     @property
     def remote(self) -> bool:
-        """Whether it is no folder of this machine."""
+        """Whether it lies on another machine."""
         return "://" in self.url
 
     @property
     def filesystem(self) -> AbstractFileSystem:
-        """What reads and writes it."""
+        """File system that reads and writes it."""
         return filesystem(self.url.partition("://")[0] if self.remote else "file")
 
     def full(self, name: str = "") -> str:
@@ -314,10 +314,10 @@ class Place:
         return int(found["size"]) if found["type"] == "file" else None
 
     def stamp(self, name: str) -> str:
-        """What changes when a file does.
+        """Stamp that changes when a file does.
 
         Raises:
-            FileNotFoundError: if there is no such file.
+            FileNotFoundError: if the file does not exist.
         """
         with errors_named(self._called(name)):
             return str(self.filesystem.ukey(self.full(name)))
@@ -326,7 +326,7 @@ class Place:
         """A file, opened for reading.
 
         Raises:
-            FileNotFoundError: if there is no such file.
+            FileNotFoundError: if the file does not exist.
         """
         with errors_named(self._called(name)):
             return cast("IO[bytes]", self.filesystem.open(self.full(name), "rb"))
@@ -339,7 +339,7 @@ class Place:
 
     @property
     def arrow_filesystem(self) -> Any:
-        """What Arrow scans tables with; its own on this machine, whose threads need no Python."""
+        """File system for Arrow's scans; local folders use Arrow's own."""
         from pyarrow.fs import LocalFileSystem
 
         return self.filesystem if self.remote else LocalFileSystem()
@@ -348,7 +348,7 @@ class Place:
         """A file's bytes.
 
         Raises:
-            FileNotFoundError: if there is no such file.
+            FileNotFoundError: if the file does not exist.
         """
         with errors_named(self._called(name)):
             return cast(bytes, self.filesystem.cat_file(self.full(name)))

@@ -1,8 +1,8 @@
 """The state of the traffic at one time (`Frame`) and over an episode (`Tracks`).
 
-Conventions, converted once where data enters: x east and y north in metres, the position is the
-centre of the agent's outline, headings are radians counter-clockwise from +x, everything else SI.
-Ground truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.AgentSpec`.
+Conventions, converted once where data enters: positions are the outlines' centres, x east and y
+north in metres. Headings are radians counter-clockwise from +x; everything else is SI. Ground
+truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.AgentSpec`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class AgentKind(StrEnum):
-    """What a road-agent is; the members' order is the code order (``.code``)."""
+    """Kind of a road agent; the members' order is the code order (``.code``)."""
 
     CAR = "car"
     BUS = "bus"
@@ -76,7 +76,7 @@ SIGNALS: Final[tuple[Signal, ...]] = tuple(Signal)
 
 
 def says_stop(signals: CodeArray) -> BoolArray:
-    """Which of some signals are red or yellow.
+    """Select the signals that are red or yellow.
 
     Args:
         signals: codes into ``SIGNALS``, of any shape.
@@ -174,9 +174,8 @@ class Tracks:
     """A whole episode: N agents at T times, and where each was while it was present.
 
     Tracks are made from arrays, or with `of_rows` from a row for each time at which an agent is
-    present. Then ``xy``, ``heading``, ``speed`` and ``valid`` are filled when they are first asked
-    for; where they would not fit into memory (``sim.track_rows.MAX_CELLS``), that is an
-    `InputError`, and everything but them still works.
+    present. Then ``xy``, ``heading``, ``speed`` and ``valid`` are filled on first use. Arrays
+    above ``sim.track_rows.MAX_CELLS`` raise an `InputError`; everything else still works.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -190,7 +189,7 @@ class Tracks:
         speed: (N, T) m/s; NaN where not valid.
         valid: (N, T) whether the agent is present at that time.
         signals: (S, T) codes into ``SIGNALS``.
-        behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None if nobody is labelled.
+        behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None without labels.
         events: every event, in time order.
     """
 
@@ -241,7 +240,7 @@ class Tracks:
         """Tracks that cost what was seen, whatever agents times times are.
 
         Args:
-            rows: where everyone was.
+            rows: positions of all agents.
             facts: the attributes of tracks but ``xy``, ``heading``, ``speed`` and ``valid``.
 
         Returns:
@@ -266,7 +265,7 @@ class Tracks:
             return self.__dict__[name]
 
     def __getstate__(self) -> dict[str, Any]:
-        """What is pickled: rows without the arrays, where there are rows."""
+        """Pickled state: rows without the arrays, where there are rows."""
         twice = DENSE if "_rows" in self.__dict__ else ()
         return {name: value for name, value in self.__dict__.items() if name not in twice}
 
@@ -405,7 +404,7 @@ class Tracks:
         """The same tracks with other facts; `dataclasses.replace` is for arrays of all places.
 
         Args:
-            rows: where everyone was; None to keep that.
+            rows: positions of all agents; None to keep them.
             facts: attributes but ``xy``, ``heading``, ``speed`` and ``valid``.
         """
         kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in DENSE}
@@ -453,9 +452,8 @@ class Tracks:
         """A pandas table with a row for each time at which each agent is present.
 
         Returns:
-            A data frame, by agent and then by time, with the columns id, name, kind, time_s (s),
-            x and y (m), heading (rad), speed (m/s), length and width (m) and behavior (missing
-            where there is no label).
+            A data frame by agent and time: id, name, kind, time_s (s), x, y (m), heading (rad),
+            speed (m/s), length, width (m). The column behavior is missing without labels.
 
         Raises:
             InputError: if pandas is not installed.

@@ -1,8 +1,8 @@
 """Lines of points, (P, 2) m, and the outlines of vehicles, in numpy.
 
 The compiled counterparts for loops are in `sim.road.lane_coordinates`. Outlines are rectangles
-about the vehicles' centres, turned by their headings: two are apart if the projections onto one of
-their four axes are (the separating axis theorem), so four gaps per pair decide.
+about the vehicles' centres, turned by their headings. Two are apart if their projections onto one
+of the four axes are (separating axis theorem).
 
 References:
     Gottschalk, Lin, Manocha (1996), OBBTree: a hierarchical structure for rapid interference
@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 GRAZE_M: Final = 0.15
-"""Outlines may overlap by this much without a contact (a corner rounded with a radius of 0.4 m, as
-cars' are, lies 0.4 (sqrt(2) - 1) m inside the rectangle's, and recorded positions are no more
-accurate)."""
+"""Overlap of outlines without a contact, m, since cars' corners are rounded and recorded positions
+are inexact."""
 
 
 LEAST_PIECE_M: Final = 1e-9

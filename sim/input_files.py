@@ -62,7 +62,7 @@ def opened(path: Path) -> IO[bytes]:
     """A file to read, unpacked where its name ends in ``.gz``.
 
     Raises:
-        InputError: if it is no file, or the pointer to one that was not fetched.
+        InputError: if it is not a file, or is a pointer to a file that was not fetched.
     """
     if not path.is_file():
         raise InputError(f"{path}: found no file, expected one")
@@ -129,7 +129,7 @@ def read_once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[P
         read: from a path, and options that can be hashed, what is in the file.
 
     Returns:
-        The same function; it raises `InputError` where there is no file.
+        The same function; it raises `InputError` for missing files.
     """
     kept = functools.lru_cache(maxsize=16)(lambda path, changed_ns, size, call: call(path))
 

@@ -1,4 +1,4 @@
-"""What is wrong with a file's or a command's fields, in our words: where, found, expected."""
+"""Errors in a file's or a command's fields, in plain words: where, found, expected."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from behaviors.errors import InputError
 
 _ALTERNATIVE: Final = re.compile(r"str|float|int|bool|(dict|list|tuple)\[.*\]")
-"""What pydantic puts into the place of a field that may be of several types."""
+"""pydantic's location of a field that may be of several types."""
 
 
 _BOUNDS: Final = {

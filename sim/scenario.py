@@ -27,8 +27,8 @@ DEFAULT_JAYWALK_SHARE: Final = 0.1
 """Share of pedestrians who cross where and when they should not."""
 
 MAX_PER_HOUR: Final = 100_000.0
-"""Most vehicles, and most pedestrians, per hour over all of a scenario's flows (twice what 20 lanes
-of 2400 vehicles an hour take in, and no scenario here has more lanes)."""
+"""Most vehicles, and most pedestrians, per hour over all flows; twice the capacity of the widest
+scenario."""
 
 MAX_DURATION_S: Final = 86_400.0
 """Longest episode, s (a day)."""
@@ -82,7 +82,7 @@ class AgentSpec:
         speed_mps: walking speed of a pedestrian, m/s; 0 for those that drive.
         seed: seed of the agent's own chance decisions.
         jaywalks: whether a pedestrian crosses anywhere and on red.
-        style_label: the style of a driver of whom no more is known; see `style`.
+        style_label: the style of a driver whose behaviour is unknown; see `style`.
     """
 
     id: int
@@ -175,7 +175,7 @@ class Scenario:
 
     @property
     def population_option(self) -> dict[str, Any]:
-        """What an episode's options say of the population; nothing where there is none."""
+        """Options of an episode that state the population; empty without one."""
         return {} if self.population is None else {"population": self.population.option}
 
     @property
@@ -211,7 +211,7 @@ classes, cars rounded to a European median; the spreads are our choice)."""
 
 @dataclass(frozen=True, slots=True)
 class KindLimits:
-    """What a kind of vehicle can do, whoever drives it.
+    """Limits of a kind of vehicle, for all its drivers.
 
     Attributes:
         max_speed_mps: m/s.

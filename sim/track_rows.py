@@ -1,4 +1,4 @@
-"""What was seen of each agent, row by row: the content of `sim.frames.Tracks`.
+"""Rows of each agent: the content of `sim.frames.Tracks`.
 
 An agent is present for a small part of a long recording. Arrays of all agents at all times are
 mostly empty then, and thousands of agents that are seen once each would need gigabytes for nothing.
@@ -23,7 +23,7 @@ IntArray = NDArray[np.int64]
 DenseName = Literal["xy", "heading", "speed", "valid"]
 
 DENSE: Final[tuple[DenseName, ...]] = ("xy", "heading", "speed", "valid")
-"""What there is as arrays of all agents at all times."""
+"""Quantities that are arrays of all agents at all times."""
 
 MAX_CELLS: Final = 5 * 10**7
 """Most agents times times of dense arrays (all four together take 1.65 GB)."""
@@ -74,7 +74,7 @@ class TrackRows:
             name: which.
 
         Returns:
-            (N, T) or (N, T, 2), NaN where there is no row; of "valid", whether there is one.
+            (N, T) or (N, T, 2), NaN without a row; for "valid", whether there is one.
 
         Raises:
             InputError: if that would be more than ``MAX_CELLS``.
@@ -128,7 +128,7 @@ class TrackRows:
         return self.index.agent * self.index.times + self.index.step
 
     def find(self, agent: IntArray, step: IntArray) -> tuple[IntArray, NDArray[np.bool_]]:
-        """Which rows some agents have at some times.
+        """Find the rows of agents at given times.
 
         Args:
             agent: indices of agents.
@@ -144,7 +144,7 @@ class TrackRows:
         return row, self._cells[row] == cell
 
     def places(self, agent: IntArray, step: IntArray) -> FloatArray:
-        """Where some agents are at some times.
+        """Positions of agents at given times.
 
         Args:
             agent: as in `find`.
@@ -173,7 +173,7 @@ class TrackRows:
             columns: which times; as indices, ascending.
 
         Returns:
-            Their rows; agents and times are numbered anew.
+            Their rows; agents and times get new numbers.
         """
         times = np.arange(self.index.times)[columns]
         if not times.size:

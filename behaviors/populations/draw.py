@@ -1,12 +1,11 @@
-"""Drivers drawn from a population: each behaviour keeps its place in it, and numbers correlate.
+"""Drivers drawn from a population: behaviours keep their order, and numbers correlate.
 
-Where a population was told from recordings (``around = "population"``), the six behaviours are
-moved into it. Their order in every number is that of the profiles, and their distances shrink or
-grow by one factor for each number, so that drivers of all six in equal shares have the population's
-median and spread together: `BETWEEN` of the variance lies between behaviours and the rest within
-them. Within a behaviour, numbers correlate as the population says. The desired speed of a recording
-depends on its limit, which no population tells: only its spread and its correlations count, around
-the behaviours' speed factors.
+With ``around = "population"``, the six behaviours are moved into the population. Their order in
+every number is that of the profiles. One factor per number scales their distances. Drivers of all
+six in equal shares then have the population's median and spread. `BETWEEN` of the variance lies
+between behaviours, the rest within them. Within a behaviour, numbers correlate as the population
+says. The desired speed of a recording depends on its unknown limit. Only its spread and its
+correlations are used, around the behaviours' speed factors.
 
 With ``around = "profiles"``, each behaviour is drawn around its profile, with the whole of the
 population's spread.
@@ -30,18 +29,18 @@ from behaviors.profiles import FARTHEST_SPREADS, PROFILES, SPREAD_FIELDS, Profil
 
 FloatArray = NDArray[np.float64]
 
-POPULATION_TOLD: Final = (
+POPULATION_FIELDS: Final = (
     "speed_factor",
     "time_headway_s",
     "min_gap_m",
     "max_accel_mps2",
     "comfort_decel_mps2",
 )
-"""The profile's fields that a population tells, in the order of its arrays."""
+"""The profile's fields that a population gives, in the order of its arrays."""
 
 BETWEEN: Final = 0.5
-"""Share of a recorded population's variance that lies between the behaviours (our choice: of two
-reasons for which drivers differ, behaviour and person, none counts more)."""
+"""Share of a recorded population's variance that lies between the behaviours (our choice: behaviour
+and person count alike)."""
 
 FARTHEST: Final = 3.0
 """Largest distance of a drawn number from its median, in spreads (our choice: 1.4 % of all drivers
@@ -52,20 +51,18 @@ LOWEST_HEADWAY_S: Final = 0.35
 than a step)."""
 
 MOST_DRAWS: Final = 10_000
-"""Most draws for one driver; a population whose drivers need more is refused (a median is allowed
-half of them)."""
+"""Most draws for one driver; a population whose drivers need more is refused."""
 
 _AT_ONCE: Final = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriverSource:
-    """What drivers of each behaviour are drawn from.
+    """The distribution of the drivers of each behaviour.
 
     Attributes:
-        population: where it comes from.
-        centre: (6, 5) logarithms of the median driver of each behaviour, columns as
-            `POPULATION_TOLD`.
+        population: its population.
+        centre: (6, 5) logarithms of the median drivers.
         spread: (5,) log-normal spread within a behaviour.
         root: (5, 5) a root of the correlation within a behaviour.
     """
@@ -76,7 +73,7 @@ class DriverSource:
     root: FloatArray
 
     def median(self, behavior: Behavior) -> Profile:
-        """The median driver of a behaviour; what the population does not tell is the profile's."""
+        """The median driver of a behaviour; the profile fills what the population does not give."""
         return _replaced(PROFILES[behavior], exponential(self.centre[BEHAVIORS.index(behavior)]))
 
     def draw(self, behavior: Behavior, rng: np.random.Generator, spread: float) -> Profile:
@@ -84,25 +81,24 @@ class DriverSource:
 
         Args:
             behavior: the class to draw from.
-            rng: source of randomness; how much of it is used depends on the draws.
-            spread: of the numbers that the population does not tell.
+            rng: source of randomness; the number of draws varies.
+            spread: log-normal spread of the profile's other numbers.
 
         Returns:
-            The driver's own profile. Draws beyond `FARTHEST` spreads, or beyond
-            `FARTHEST_SPREADS` of the numbers that the population does not tell, are drawn again,
-            so that nobody stands at a cut.
+            The driver's own profile. Draws beyond `FARTHEST` spreads (`FARTHEST_SPREADS` for the
+            profile's other numbers) are drawn again.
 
         Raises:
-            InputError: if nobody is found (see `LOWEST_HEADWAY_S`).
+            InputError: if no draw reaches `LOWEST_HEADWAY_S`.
         """
         centre = self.centre[BEHAVIORS.index(behavior)]
         for _ in range(0, MOST_DRAWS, _AT_ONCE):
             z = rng.standard_normal((_AT_ONCE, centre.size)) @ self.root.T
-            told = exponential(centre + self.spread * z)
+            numbers = exponential(centre + self.spread * z)
             good = (np.abs(z) <= FARTHEST).all(axis=1)
-            good &= told[:, POPULATION_TOLD.index("time_headway_s")] >= LOWEST_HEADWAY_S
+            good &= numbers[:, POPULATION_FIELDS.index("time_headway_s")] >= LOWEST_HEADWAY_S
             if good.any():
-                found = _replaced(PROFILES[behavior], told[int(good.argmax())])
+                found = _replaced(PROFILES[behavior], numbers[int(good.argmax())])
                 return _varied(found, rng, spread)
         raise InputError(
             f"population {self.population.name}: time_headway_s: found no {behavior} driver with "
@@ -112,7 +108,7 @@ class DriverSource:
 
 @lru_cache(maxsize=32)
 def drivers_of(population: Population) -> DriverSource:
-    """What drivers of a population are drawn from.
+    """The distribution that drivers of a population are drawn from.
 
     Examples:
         >>> from behaviors.populations import read_population
@@ -120,13 +116,15 @@ def drivers_of(population: Population) -> DriverSource:
         >>> round(source.median(Behavior.TIMID).time_headway_s, 6)
         2.9
     """
-    own = logarithm([[getattr(PROFILES[b], n) for n in POPULATION_TOLD] for b in BEHAVIORS])
+    own = logarithm([[getattr(PROFILES[b], n) for n in POPULATION_FIELDS] for b in BEHAVIORS])
     centre, within = own.copy(), population.log_spread.copy()
     if population.around is Around.POPULATION:
         middle, apart = own.mean(axis=0), own.std(axis=0)
         centre = middle + (own - middle) / apart * np.sqrt(BETWEEN) * population.log_spread
-        told = slice(1, None)  # all but the speed factor, whose middle stays that of the profiles
-        centre[:, told] += logarithm(population.median[told]) - middle[told]
+        calibrated = slice(
+            1, None
+        )  # all but the speed factor, whose middle stays that of the profiles
+        centre[:, calibrated] += logarithm(population.median[calibrated]) - middle[calibrated]
         within *= np.sqrt(1.0 - BETWEEN)
     values, vectors = np.linalg.eigh(population.correlation)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -135,14 +133,14 @@ def drivers_of(population: Population) -> DriverSource:
     return DriverSource(population, centre, within, root)
 
 
-def _replaced(profile: Profile, told: FloatArray) -> Profile:
-    numbers = {name: float(value) for name, value in zip(POPULATION_TOLD, told, strict=True)}
+def _replaced(profile: Profile, values: FloatArray) -> Profile:
+    numbers = {name: float(value) for name, value in zip(POPULATION_FIELDS, values, strict=True)}
     return dataclasses.replace(profile, **numbers)
 
 
 def _varied(profile: Profile, rng: np.random.Generator, spread: float) -> Profile:
-    """The driver with its own numbers where the population tells none."""
-    names = [name for name in SPREAD_FIELDS if name not in POPULATION_TOLD]
+    """The driver with drawn values of the numbers that the population does not give."""
+    names = [name for name in SPREAD_FIELDS if name not in POPULATION_FIELDS]
     z = rng.standard_normal(len(names))
     while (far := np.abs(z) > FARTHEST_SPREADS).any():
         z[far] = rng.standard_normal(int(far.sum()))

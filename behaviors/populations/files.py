@@ -27,8 +27,8 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
             or what such a file says.
 
     Raises:
-        InputError: if there is no such population or file, or it is broken; the message names the
-            file and the key.
+        InputError: if the population or file is missing or broken; the message names the file and
+            the key.
 
     Examples:
         >>> read_population("profiles").log_spread.tolist()

@@ -1,7 +1,7 @@
 """A population of drivers: correlated car-following numbers, as a table and as TOML.
 
-A population is a log-normal distribution of the numbers that recordings can tell. Files are written
-by ``graphrqi calibrate``.
+A population is a log-normal distribution of the numbers that recordings show. Files are written by
+``graphrqi calibrate``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NUMBERS: Final = (
     "max_accel_mps2",
     "comfort_decel_mps2",
 )
-"""What recordings tell of a driver, in the order of a population's arrays."""
+"""A driver's numbers that recordings show, in the order of a population's arrays."""
 
 SCHEMA_VERSION: Final = 1
 
@@ -67,14 +67,14 @@ class Population:
     """A log-normal distribution of drivers' numbers.
 
     Attributes:
-        name: of what was calibrated.
-        source: what it was calibrated on, in words.
-        law: the car-following law that the numbers are of.
-        drivers: how many drivers it rests on.
+        name: its name.
+        source: its data, in words.
+        law: the car-following law.
+        drivers: how many were calibrated.
         median: (5,) medians of ``NUMBERS``.
         log_spread: (5,) standard deviations of their logarithms.
         correlation: (5, 5) of the logarithms.
-        around: where the six behaviours' drivers are drawn.
+        around: the centre of the behaviours.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Population:
     around: Around = Around.POPULATION
 
     def __post_init__(self) -> None:
-        """Refuse what is no distribution."""
+        """Refuse arrays that do not form a distribution."""
         for name, shape in (("median", (5,)), ("log_spread", (5,)), ("correlation", (5, 5))):
             array = np.array(getattr(self, name), dtype=np.float64)
             if array.shape != shape or not np.isfinite(array).all():
@@ -102,7 +102,7 @@ class Population:
         ones = np.allclose(np.diag(self.correlation), 1.0, atol=1e-6)
         if not symmetric or not ones or np.linalg.eigvalsh(self.correlation)[0] < -1e-6:
             wanted = "a symmetric one with ones on its diagonal and no negative eigenvalue"
-            raise self._error("correlation", "no correlation matrix", wanted)
+            raise self._error("correlation", "not a correlation matrix", wanted)
 
     def _error(self, name: str, found: str, expected: str) -> InputError:
         return InputError(f"population {self.name}: {name}: found {found}, expected {expected}")
@@ -120,11 +120,11 @@ class Population:
 
     @property
     def option(self) -> dict[str, str]:
-        """What an episode says of the population that it was drawn from."""
+        """The population's name and checksum, as an episode stores them."""
         return {"name": self.name, "sha256": self.sha256}
 
     def table(self) -> dict[str, Any]:
-        """What its file says, numbers to six digits."""
+        """The content of its file, numbers to six digits."""
         return {
             "schema_version": SCHEMA_VERSION,
             "name": _plain(self.name),
@@ -228,14 +228,14 @@ def _text(table: Mapping[str, Any], key: str) -> str:
 def _number(numbers: Mapping[str, Any], name: str) -> tuple[float, float, list[float]]:
     """Median, spread and correlations of one number, to six digits."""
     where = f"numbers.{name}"
-    told = numbers.get(name)
-    if not isinstance(told, Mapping):
+    entry = numbers.get(name)
+    if not isinstance(entry, Mapping):
         raise InputError(f"{where}: found none, expected a table with {', '.join(_NUMBER_KEYS)}")
-    _check_keys(f"{where}.", told, _NUMBER_KEYS)
+    _check_keys(f"{where}.", entry, _NUMBER_KEYS)
     median, spread = (
-        float(f"{_finite(f'{where}.{key}', told.get(key)):.6g}") for key in _NUMBER_KEYS[:2]
+        float(f"{_finite(f'{where}.{key}', entry.get(key)):.6g}") for key in _NUMBER_KEYS[:2]
     )
-    row = told.get("correlation")
+    row = entry.get("correlation")
     if not isinstance(row, (list, tuple)) or len(row) != len(NUMBERS):
         raise InputError(
             f"{where}.correlation: found {row!r:.60}, expected {len(NUMBERS)} numbers, in the "

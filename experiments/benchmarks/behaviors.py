@@ -1,7 +1,7 @@
 """Do drivers behave as they are labelled? Every behaviour against the paper's traits, in numbers.
 
-Episodes are driven, watched with the trait detectors, and counted driver by driver; the intervals
-come from drawing drivers anew (bootstrap).
+Episodes are driven, watched with the trait detectors, and counted per driver; the intervals are by
+bootstrap over drivers.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from sim.frames import Event, EventKind, Frame, Tracks
 from sim.scenario import Scenario, sample_agents
 
 FREE_HEADWAY_S: Final = 6.0
-"""A road is free for who has this much headway or more."""
+"""A road is free for a driver with this headway or more."""
 
 STEADY_MPS2: Final = 0.3
 """Largest acceleration of a driver at the speed that it has chosen, m/s2."""
@@ -57,18 +57,18 @@ METRICS: Final[dict[str, tuple[str, str]]] = {
 driver's own median, NaN without any) or a sum."""
 
 COUNTS: Final = tuple(dict.fromkeys(name for pair in METRICS.values() for name in pair if name))
-"""What is counted for every driver."""
+"""Counts of every driver."""
 
 ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
 """Encounters of a driver with a pedestrian that wants to cross."""
 
 NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
-"""Encounters in which somebody did not wait, though a rule says so: waits of 0 s."""
+"""Encounters in which an agent did not wait in spite of a rule: waits of 0 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class DriverCounts:
-    """What the drivers of one or more episodes did.
+    """Counts and exposure of the drivers of one or more episodes.
 
     Attributes:
         drivers: a line for each, with its ``behavior`` and the columns ``COUNTS``.
@@ -179,7 +179,7 @@ def _counted(
 
 
 def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
-    """(m,) whether an agent drives at the speed chosen, with nobody and nothing near ahead."""
+    """(m,) whether an agent drives at its chosen speed with no road user near ahead."""
     before = np.roll(seen.speed, 1)
     before[seen.row_index.begins] = 0.0  # who has just come is not known to drive evenly
     change = np.abs(seen.speed - before) / seen.step_s

@@ -13,10 +13,10 @@
 - ``leak-probe``: a forest that sees an agent's number and the time and nothing else; it has to stay
   at chance, and its interval has to hold chance.
 
-Beside every figure of whole tracks stands the plain rival, ``nine-numbers`` (`experiments.rival`),
-trained on the same drivers; and under ``inductive`` the ``ceiling``, a forest that sees the numbers
-that the drivers were made from. Training and test data share no episode. Intervals are by bootstrap
-over episodes; differences are of paired bootstraps.
+Whole tracks are also scored by the plain rival ``nine-numbers`` (`experiments.rival`), trained on
+the same drivers. Under ``inductive`` the ``ceiling`` is a forest that sees the drivers' true
+parameters. Training and test data share no episode. Intervals are by bootstrap over episodes;
+differences are of paired bootstraps.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
     "limits of 40 and 60 km/h": {"limits_mps": (11.11, 16.67)},
     "other roads": {"scenarios": ("two_way_road", "priority_intersection")},
 }  # fmt: skip
-"""What is never trained on, as options of `GenerateConfig`, after what to compare it with."""
+"""Options of `GenerateConfig` for traffic outside the training data, each with its baseline."""
 
 WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, float("inf"))
 """Lengths of observation that are scored, s; the last is a whole track."""
@@ -88,8 +88,8 @@ NOISE: Final = (
 """Deviations in m, shares of frames, and Hz."""
 
 CEILING_DRIVERS: Final = 600
-"""Training drivers that the ceiling learns from at most; more of them would bring it nearer to
-where draws are cut off, so that ceilings of datasets of other sizes could not be compared."""
+"""Most training drivers of the ceiling, so that ceilings of datasets of other sizes can be
+compared."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Data:
 
     @cached_property
     def base(self) -> Recordings:
-        """What is learned, and the unseen episodes beside it."""
+        """Training data, and the unseen episodes beside it."""
         if self.given is not None:
             return Recordings(open_dataset(self.given), self.jobs)
         return self._made("base", 1.0, seed=11, limits_mps=TRAINING_LIMITS_MPS)
@@ -158,7 +158,7 @@ def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> Answe
 
 
 def _scored(answers: Answers, majority: int, keys: Mapping[str, Cell]) -> list[Row]:
-    """The rows of answers; none where nobody was asked about."""
+    """The rows of answers; none if no driver was asked about."""
     return score_answers(answers, keys, majority, breakdown=False) if answers.truth.size else []
 
 
@@ -258,10 +258,10 @@ def inductive(data: Data) -> Iterator[list[Row]]:
 
 
 def ceiling(data: Recordings) -> list[Row]:
-    """A forest on the numbers that drivers were made from: nobody can do much better.
+    """A forest on the numbers that drivers were made from; an upper bound for every method.
 
-    Desired speed, headway, gap, acceleration and braking; not the rates and probabilities, which
-    tell the class at once and show in hardly any window.
+    Desired speed, headway, gap, acceleration and braking; rates and probabilities are left out
+    because they name the class directly.
     """
     known, asked = _profiles(data, "train"), _profiles(data, "test")
     chosen = np.random.default_rng(0).permutation(len(known))[:CEILING_DRIVERS]
@@ -302,7 +302,7 @@ LADDER_S: Final = (3.0, 10.0, float("inf"))
 
 
 def parts(data: Data) -> Iterator[list[Row]]:
-    """What each part of the features adds to trees, and the estimated mix to their answers."""
+    """Gain of trees by each part of the features, and of their answers by the estimated mix."""
     base, rival = data.base, PlainRival(data.base.training_tracks)
     columns = METHODS[OURS].observer("graphrqi").feature_names
     training, scored = base.training(OURS), base.scored(OURS, LADDER_S)
@@ -413,10 +413,10 @@ def noise(data: Data) -> Iterator[list[Row]]:
 
 
 def leak_probe(data: Data) -> Iterator[list[Row]]:
-    """A forest that sees who and when: on everyone's windows, and on each driver's first.
+    """A forest on agent numbers and times: on all windows, and on each driver's first.
 
-    A number and a time together tell how long a driver has been in sight, and slow ones stay
-    longer. When its first window ends, each has been in sight for as long.
+    A number and a time together give the time in sight, and slow drivers stay longer. When its
+    first window ends, each has been in sight for as long.
     """
     many = data.many
     known, asked = (
@@ -444,7 +444,7 @@ PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
     "across-engines": across_engines,
     "noise": noise,
 }
-"""What is measured, by name."""
+"""Measurements by name."""
 
 
 def measure(

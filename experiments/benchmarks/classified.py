@@ -40,7 +40,7 @@ Disturbance = tuple[str, float] | None
 def keys_of(
     protocol: str, scenario: str, method: str, window_s: float | None, variation: str = ""
 ) -> dict[str, Cell]:
-    """What a row says was measured; an infinite window is a driver's whole track.
+    """Keys of a row; an infinite window is a driver's whole track.
 
     Examples:
         >>> keys_of("inductive", "city", "svm", float("inf"))["variation"]
@@ -170,11 +170,7 @@ def _streamed(
 
 
 def _looked(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
-    """Samples without features for each labelled driver and age that it reaches, and the answers.
-
-    A whole track is scored if it lasts ``AGES_S[0]``, so that all ages are scored on the same
-    drivers or fewer.
-    """
+    """Samples without features for each labelled driver and reached age, and the answers."""
     n = tracks.ids.size
     codes = np.full(n, -1, dtype=np.int8) if tracks.behavior is None else tracks.behavior
     first_s = np.full(n, np.nan)

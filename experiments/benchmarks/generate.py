@@ -1,4 +1,4 @@
-"""What generating costs: overhead over bare simulation, bytes, and what more jobs bring."""
+"""Costs of generating data: overhead over bare simulation, bytes, and the gain by more jobs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _cpu_s(call: Callable[[], object]) -> float:
 
 
 def episode_costs(scenario_name: str, index: int, duration_s: float) -> dict[str, float]:
-    """What one episode at medium flow costs, part by part, by processor time.
+    """Costs of one episode at medium flow, part by part, in processor time.
 
     Each part is timed twice, in turns, and the least time counts.
 
@@ -96,12 +96,9 @@ def measure(repeats: int = 4, duration_s: float = 300.0, episodes: int = 8) -> I
         episodes: per scenario, of the dataset that is made with one job and with one per core.
 
     Yields:
-        Rows of the CPU time over that of bare SUMO steps, as a share of it: of reading every frame
-        (``frames_over_bare_stepping``), of the engine with its controllers, which change the
-        traffic (``engine_over_bare_stepping``), and of a whole written episode
-        (``over_bare_stepping``); ``times_real_time``, ``us_per_agent_step`` and
-        ``bytes_per_agent_step`` of the whole episode, and ``annotated_us_per_agent_step`` of its
-        traits, events and files; then ``agent_steps_per_s`` (wall clock) and ``speedup``.
+        Rows of the CPU time over that of bare SUMO steps: of reading frames, of the engine with
+        controllers, and of a written episode. The other rows measure the whole episode, its
+        annotation, and the steps per second of the wall clock with the speedup.
     """
     for name in TIMED:
         calls = [(name, index, duration_s) for index in (0, *range(repeats))]

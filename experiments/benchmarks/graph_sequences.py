@@ -32,8 +32,8 @@ KEPT: Final = 100
 """Frames of a city: one period of the accumulated graph."""
 
 SPARE: Final = 1.1
-"""So many times as many vehicles are sent into a city as are wanted in each frame (some leave it,
-or find no room to enter, before the last frame)."""
+"""Vehicles sent into a city over those wanted in each frame; some leave or find no room to
+enter."""
 
 
 def check_layout(layout: str, sizes: Sequence[int]) -> None:

@@ -28,7 +28,7 @@ from sim.scenario import AgentSpec, Scenario, sample_agents
 T = TypeVar("T")
 
 STAGES: Final = ("simulate", "classify", "remember", "predict")
-"""What a step consists of: the engine's frame, the stream's posterior, the history, the futures."""
+"""Parts of a step: the engine's frame, the stream's posterior, the history, the futures."""
 
 PREDICTOR: Final = "graphrqi-predict"
 
@@ -49,7 +49,7 @@ STOCK_STEP_S: Final = 1.0 / 15.0
 
 
 def _timed(work: Callable[[], T]) -> tuple[T, float]:
-    """What a piece of work gives, and how many ms of the processor it took."""
+    """Result of a piece of work, and its processor time, ms."""
     begin = time.process_time()
     result = work()
     return result, 1e3 * (time.process_time() - begin)
@@ -88,8 +88,7 @@ def measure_loop(
     Args:
         engines: keys of ``ENGINES``.
         duration_s: simulated, s.
-        repeats: how often the same frames are gone through; of each stage of each frame the least
-            time counts, as whatever else the machine does only adds to it.
+        repeats: passes over the same frames; the least time of each stage of each frame counts.
 
     Yields:
         Rows of each engine: ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of
@@ -124,7 +123,7 @@ def _stage_rows(keys: Mapping[str, Cell], spent_ms: FloatArray, step_s: float) -
 
 
 class City(NamedTuple):
-    """What one city cost.
+    """Costs of one city.
 
     Attributes:
         blocks: junctions along each side of the grid.
@@ -169,9 +168,9 @@ def measure_cities(
         vehicles: sizes of the crowds.
 
     Yields:
-        Rows of each city: those of `measure_loop`, ``us_per_agent``, ``open_s`` and ``memory_mb``;
-        then ``slope_agents`` and ``slope_lanes``: how the cost of a step grows with vehicles on one
-        map, and with lanes at one crowd, both in logarithms (1 is linear).
+        Rows of each city: those of `measure_loop`, ``us_per_agent``, ``open_s`` and ``memory_mb``.
+        ``slope_agents`` and ``slope_lanes`` say how the cost of a step grows with vehicles and
+        with lanes, in logarithms.
     """
     from loky import ProcessPoolExecutor
 

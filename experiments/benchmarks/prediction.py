@@ -51,7 +51,7 @@ SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
 
 MAP_FREE: Final = ("constant-velocity", "graphrqi-predict")
-"""What is compared without a map."""
+"""Predictors that are compared without a map."""
 
 QUICK: Final = ("constant-velocity", "car-following", "lstm", "graphrqi-predict")
 """Predictors of a small run: one of each kind, and those whose ratios are given."""
@@ -93,7 +93,7 @@ def true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
 
 
 def no_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
-    """Nothing is believed of anybody: every behaviour is as likely as the others."""
+    """Uniform posteriors: every behaviour is equally likely."""
     return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
 
 
@@ -103,12 +103,13 @@ BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "shuffled": shuffled_posterior,
     "uniform": no_beliefs,
 }
-"""What predictors are told of the drivers present, from what the classifier believes."""
+"""Beliefs about the drivers present that predictors are given, from the classifier's
+posteriors."""
 
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What one episode contributes.
+    """Contribution of one episode.
 
     Attributes:
         errors: of predictors that are given the road.
@@ -136,7 +137,8 @@ def measure(
         duration_s: of each, s; None for the scenario's own.
         predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
         model: the classifier whose beliefs are used.
-        told: keys of `BELIEFS`; () for all. The classifier's are always among them.
+        told: names of the beliefs, keys of `BELIEFS`; () for all. The classifier's are always
+            among them.
         jobs: processes; None for one per core.
 
     Yields:
@@ -176,7 +178,7 @@ def measure(
 
 
 def _with_beliefs(figures: Figures, kind: str) -> dict[str, Errors]:
-    """Errors by predictor, of those that were told these beliefs."""
+    """Errors by predictor, of those that were given these beliefs."""
     return {name: errors for (name, told), errors in figures.items() if told == kind}
 
 

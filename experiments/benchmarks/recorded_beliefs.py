@@ -1,9 +1,9 @@
 """Recordings without labels: do beliefs about drivers say what they do later?
 
-Each driver's track is halved. What a stream believes at the end of the first half is compared with
-how the driver follows in the second, and with what is believed at the end of that, when the driver
-counts as a new one. Nothing is true or false here: a belief that says something about a driver is
-one that comes again and that goes with its driving.
+Each driver's track is halved. The belief at the end of the first half is compared with how the
+driver follows in the second. It is also compared with the belief at the end of the second half,
+where the driver counts as new. Nothing is true or false here: a belief that says something about a
+driver is one that comes again and that goes with its driving.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from graphrqi.stream import DEFAULT_MODEL, load_stream
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 
 LEAST_LIFE_S: Final = 10.0
-"""Shorter tracks have no halves that tell anything (five seconds each)."""
+"""The halves of shorter tracks are too short (five seconds each)."""
 
 LEAST_SEEN_S: Final = 3.0
 """Drivers that are seen for less do not count in shares."""
@@ -48,8 +48,8 @@ def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
     """The same scene, in which long drivers are new ones from the middle of their tracks on.
 
     Returns:
-        Tracks in which the agent of row r has the id 2 r, and 2 r + 1 in its second half; the (n,)
-        rows of those that are halved, and the (n,) first column of each second half.
+        Tracks in which the agent of row r has the id 2 r, and 2 r + 1 in its second half. Also
+        returned: the (n,) rows of halved agents, and the (n,) first column of each second half.
     """
     first = tracks.valid.argmax(axis=1)
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
@@ -77,7 +77,7 @@ def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
 
 
 def last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
-    """(N,) probability of the aggressive style when each was last seen, and (N,) whether told.
+    """(N,) last probability of the aggressive style, and (N,) whether it is known.
 
     NaN where a stream of recorded traffic gives no answer.
     """
@@ -93,7 +93,7 @@ def last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
         here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
         at = np.searchsorted(posterior.ids, tracks.ids[here])
         style[here] = aggressive_share(posterior.probability[at])
-        told[here] = posterior.told[at]
+        told[here] = posterior.labelled[at]
     return style, told
 
 
@@ -120,11 +120,11 @@ def later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatArr
 
 
 def drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
-    """What is believed of the drivers of one recording, and what they do.
+    """Beliefs about the drivers of one recording, and their motion.
 
     Returns:
-        (n, 3) aggressive style after each half and later headway of those that are halved; (m, 2)
-        style at the end and whether told of all that were seen for `LEAST_SEEN_S`.
+        (n, 3) aggressive style after each half and later headway of halved agents. (m, 2) final
+        style and whether it is known, of agents seen for `LEAST_SEEN_S`.
     """
     tracks = one.tracks
     if tracks.time_s.size < 2:
@@ -174,7 +174,7 @@ def measure(data: Path, model: str = DEFAULT_MODEL, jobs: int | None = None) -> 
         jobs: processes; None for one per core.
 
     Yields:
-        The rows of each dataset: shares told and aggressive, and the correlations.
+        The rows of each dataset: shares labelled and aggressive, and the correlations.
 
     Raises:
         InputError: if there is nothing to read, or the model does not load.

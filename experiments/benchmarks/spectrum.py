@@ -1,9 +1,9 @@
 """How quick and how right the eigenvalue algorithms are: the paper's runtime table, measured.
 
 All solvers run interleaved, in one process and one thread, on the same sequences of traffic graphs,
-each starting from its own last answer. The sequences are made from a formula (vehicles at constant
-speed on a one-way road, or on the four arms of a crossing), so that no data are needed to repeat
-them. Those of a ``city`` are what SUMO's vehicles do on a grid of streets with signals.
+each starting from its own last answer. The sequences are computed by a formula: vehicles at
+constant speed on a one-way road or on the arms of a crossing. Those of a ``city`` are what SUMO's
+vehicles do on a grid of streets with signals.
 
 Source of the table: Chandra et al., GraphRQI (ICRA 2020), which prints complexities, a speed-up
 of 2 over the best rival, cubic convergence and storage O(d).
@@ -104,8 +104,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Measure every solver on every kind of graph.
 
-    A solver that would need more than ``STEP_BUDGET_S`` a step, by its costs on smaller graphs, or
-    more than d^2 numbers above ``DENSE_UP_TO``, has one row: ``cpu_ms`` without a value.
+    A solver that would exceed ``STEP_BUDGET_S`` a step or its memory has one row: ``cpu_ms``
+    without a value.
 
     Args:
         sizes: numbers of vehicles.
@@ -114,10 +114,9 @@ def measure(
         steps: observations of each sequence.
 
     Yields:
-        For each sequence ``cpu_ms`` (median per step and its 95 % interval), ``residual_max``,
-        ``missed_pairs`` (in all steps; an eigenvalue further than 1e-6 lambda_max from its
-        reference), ``certified_share`` and ``ratio_to_eigh`` (how many times faster than numpy's
-        eigh); and with ``d`` None ``slope`` (of the logarithm of ``cpu_ms`` against that of d).
+        Rows of each sequence: ``cpu_ms`` (median per step), ``residual_max``, ``missed_pairs``,
+        ``certified_share`` and ``ratio_to_eigh`` (speed over that of numpy's eigh). With ``d``
+        None, ``slope`` is that of log ``cpu_ms`` against log d.
 
     Raises:
         InputError: for an unknown name.

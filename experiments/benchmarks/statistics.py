@@ -12,7 +12,7 @@ from experiments.score.rows import Cell
 def prediction_keys(
     scenario: str, predictor: str, horizon_s: float, split: str, behavior: str = "all"
 ) -> dict[str, Cell]:
-    """What the rows of prediction say was measured."""
+    """Keys of the rows of prediction."""
     return {
         "scenario": scenario, "predictor": predictor, "horizon_s": horizon_s,
         "behavior": behavior, "split": split,

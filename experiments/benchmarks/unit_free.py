@@ -1,10 +1,9 @@
 """Features of a recording whose units are not known, such as a video in pixels.
 
-Every feature is a ratio or an angle, or is measured in the size of agents at the same height of the
-image, since a camera shows near agents larger. Standardising each feature within its recording
-removes the units that remain. Positions are whole pixels, so they are smoothed, and velocities are
-differenced over many frames. These are features of a whole track, not of a stream: the whole
-recording is needed.
+Every feature is a ratio, an angle, or in the size of agents at the same height of the image.
+Standardising each feature within its recording removes the units that remain. Positions are whole
+pixels, so they are smoothed, and velocities are differenced over many frames. These are features
+of a whole track, not of a stream: the whole recording is needed.
 """
 
 from __future__ import annotations

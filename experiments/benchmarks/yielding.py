@@ -1,12 +1,11 @@
 """Will a driver let the pedestrian go first? The paper's pedestrian figure, as numbers.
 
-An encounter is a driver that reaches a crossing in about two seconds at its present speed, while
-someone is or will be in its way there, and with no red light before it. Two questions are scored.
+An encounter is a driver about to reach an occupied crossing without a red light. Two questions are
+scored.
 
-- Does it let the pedestrian go first? Scored where the events of the episode
-  (`sim.episode.incidents`) say what it did: somebody was or would have been in its way, it could
-  have stopped, and nothing but the pedestrian held it. Beliefs about who drives how give the chance
-  that the behaviours' profiles state; predictors give it with their futures.
+- Does it let the pedestrian go first? Encounters are scored where the episode's events
+  (`sim.episode.incidents`) say whether the driver yielded. Beliefs about who drives how give the
+  chance that the behaviours' profiles state; predictors give it with their futures.
 - Has it not entered the crossing `DECIDED_S` later? Scored for every encounter: some drivers are
   held by others, and some find the crossing free again when they get there. A predictor's chance is
   the share of its futures that have not entered.
@@ -54,7 +53,7 @@ BELIEFS: Final = "beliefs"
 """Stands among the names of predictors for the beliefs alone."""
 
 EVERY_S: Final = 0.5
-"""Encounters are searched at this interval, s, so that hardly any is missed."""
+"""Encounters are searched at this interval, s."""
 
 VAGUE_M: Final = 1.5
 """Spread assumed for predictors that give none, m."""
@@ -114,9 +113,9 @@ def _wait_chance(
 
 
 Encounters = tuple[IntArray, FloatArray, FloatArray, FloatArray]
-"""Drivers before occupied crossings at one instant: (m,) rows of the scene, the way from the front
-bumper to the crossing's near edge, m; 1 if the driver let the pedestrian go first, 0 if not, NaN
-where no event says so; and 1 if it has not entered the crossing `DECIDED_S` later, else 0."""
+"""Drivers before occupied crossings at one instant: (m,) rows of the scene, and the distance from
+the front bumper to the crossing, m. Also returned: whether the driver yielded (NaN where unknown),
+and whether it has not entered the crossing `DECIDED_S` later."""
 
 
 def encounters(
@@ -168,7 +167,7 @@ def outcome(tracks: Tracks, column: int, rows: IntArray, room: FloatArray) -> Fl
 
 @dataclass(frozen=True, slots=True)
 class EncounterChances:
-    """What predictors say about the encounters of an episode.
+    """Predicted probabilities of the encounters of an episode.
 
     Attributes:
         chance: (m,) chance of not having entered by predictor, and of yielding by `BELIEFS`.
@@ -182,13 +181,13 @@ class EncounterChances:
 
 
 NO_ENCOUNTERS: Final = EncounterChances({}, np.empty(0), np.empty(0))
-"""Of an episode without encounters."""
+"""Result of an episode without encounters."""
 
 
 def encounter_chances(
     tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior], predictors: Sequence[str]
 ) -> EncounterChances:
-    """What predictors say about every encounter of an episode."""
+    """Predicted probabilities of every encounter of an episode."""
     functions = {name: chosen_predictor(name) for name in predictors}
     chance: dict[str, list[FloatArray]] = {name: [] for name in (*predictors, BELIEFS)}
     yielded: list[FloatArray] = []

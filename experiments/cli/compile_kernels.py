@@ -1,9 +1,8 @@
 """Compiles the kernels that classifying and predicting need, so that a first use need not wait.
 
 ``make install`` runs it as ``python -m experiments.cli.compile_kernels``. Either engine drives a
-four-way intersection for some seconds, and every frame is classified and predicted, at the end as
-one of a recording, too; what numba compiles on the way stays in its cache. Where everything is
-there already it takes some seconds.
+four-way intersection, and every frame is classified and predicted; numba caches the kernels
+compiled on the way. Where everything is there already it takes some seconds.
 """
 
 from __future__ import annotations

@@ -172,7 +172,7 @@ def predict(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
-    """Predict where everyone goes, and score it."""
+    """Predict the motion of every agent, and score it."""
     from experiments.console.tables import show_table
     from experiments.score.predict import default_split, errors_table, predict_dataset
     from experiments.score.rows import stamped

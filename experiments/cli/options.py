@@ -57,7 +57,7 @@ def refuse_to_overwrite(read: Sequence[Path | None], written: Sequence[Path | No
 
 
 def names_of(what: str) -> Callable[[str], list[str]]:
-    """What the shell offers when a registered name is being typed."""
+    """Shell completion of a registered name."""
 
     def complete(incomplete: str) -> list[str]:
         from experiments.cli.names import names_of as registered

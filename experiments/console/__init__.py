@@ -1,1 +1,1 @@
-"""What every command says to its user: tables, progress, one line for an error."""
+"""Output shared by every command: tables, progress, one line for an error."""

@@ -64,7 +64,7 @@ def _end(message: str, code: int) -> NoReturn:
 
 
 def _reason(error: Exception) -> str | None:
-    """What the user did wrong; None if the program is to blame."""
+    """The user's mistake in words; None if the program is to blame."""
     from behaviors.errors import InputError
 
     if isinstance(error, TyperException):

@@ -1,4 +1,4 @@
-"""What programs say on stderr while they work: messages of the package's logger, a line each."""
+"""Progress messages on stderr: those of the package's logger, a line each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is done to every recording first: it is put into metres, and doubted if it is no scene."""
+"""First steps with every recording: conversion to metres, and a check of its plausibility."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ SCALED: Final = "scale_estimated"
 """Option of episodes that were in pixels and are in metres by an estimated scale."""
 
 DOUBTED: Final = "no_scene"
-"""Option of episodes whose recording is no scene that can be believed: what makes it none."""
+"""Option of episodes whose recording is not a plausible scene: the reason."""
 
 
 def is_scene(entry: EpisodeEntry) -> bool:
-    """Whether an episode is a scene that can be believed, as far as `admitted` said."""
+    """Whether an episode is plausible as a scene, as recorded by `admitted`."""
     return DOUBTED not in entry.options
 
 
 def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
-    """A recording in metres, and what makes it no scene that can be believed.
+    """A recording in metres, and the reasons why it is not plausible as a scene.
 
     Args:
         recording: as read.

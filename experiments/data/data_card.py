@@ -1,7 +1,7 @@
 """The data card: what a dataset holds, for people, as Markdown beside the data.
 
-By its head the Hugging Face Hub and ``datasets.load_dataset`` open the tables: each table that has
-rows is a configuration with its splits, and so is the catalogue.
+The Hugging Face Hub and ``datasets.load_dataset`` open the tables by its head: each table with
+rows is a configuration with its splits.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ SIMULATED: Final = (
     "Episodes of `random_world` are as a sensor saw them, with its noise and losses; some are in"
     " pixels or have no map, as their `options` say.",
 )
-"""What everyone who uses simulated data should know."""
+"""Notes that every user of simulated data should know."""
 
 
 def write_data_card(path: Path) -> None:
@@ -126,7 +126,7 @@ def _counts(dataset: Dataset) -> Iterator[str]:
 
 
 def _limits(dataset: Dataset) -> list[str]:
-    """What is known to be missing or assumed."""
+    """Known gaps and assumptions."""
     if "format" not in dataset.header.configuration:
         return list(SIMULATED)
     notes = [e.options.get("notes", []) for e in dataset.manifest.episodes]

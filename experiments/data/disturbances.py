@@ -29,9 +29,8 @@ def correlated_noise(
 ) -> Tracks:
     """Gaussian errors of positions that fade slowly, as those of trackers and filters do.
 
-    The errors of each agent in x and in y are an Ornstein-Uhlenbeck process: at every time they
-    have the same deviation, and the correlation between two times falls to 1/e after
-    ``correlation_s``.
+    The errors of each agent in x and in y are an Ornstein-Uhlenbeck process of constant deviation,
+    whose correlation falls to 1/e after ``correlation_s``.
     """
     error = rng.normal(0.0, deviation_m, tracks.xy.shape)
     kept = exponential(-np.diff(tracks.time_s) / correlation_s)

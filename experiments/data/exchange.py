@@ -219,12 +219,11 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
         quiet: whether to show no progress.
 
     Returns:
-        What was written.
+        Summary of the export.
 
     Raises:
-        InputError: if the dataset is broken, an episode's step does not fit the format, no
-            episode has a window of its length, or the folder holds files of the format that come
-            from somewhere else.
+        InputError: if the dataset is broken, a step does not fit, no episode is long enough, or
+            the folder holds other files of the format.
         OSError: if something cannot be written.
     """
     writer = get_writer(name)

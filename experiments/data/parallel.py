@@ -100,6 +100,6 @@ def _answers(
 
 
 def _called(folder: str, function: Callable[..., T], *arguments: Any) -> T:
-    """What a function returns in a working folder."""
+    """Call a function in a working folder."""
     os.chdir(folder)
     return function(*arguments)

@@ -27,7 +27,7 @@ class RecordedRoads:
         shift_m: how far every map is moved onto the positions, m; None not to move it.
 
     Raises:
-        InputError: if ``net`` is no map.
+        InputError: if ``net`` is not a map.
     """
 
     def __init__(self, net: Path | None = None, shift_m: tuple[float, float] | None = None) -> None:
@@ -46,9 +46,8 @@ class RecordedRoads:
             recording: what was read.
 
         Returns:
-            The map's file where it is used as it is and datasets keep such files; the road where
-            it comes from inside the recording, was shifted, or its limits do not rule; None
-            without one, or where it does not fit. And one sentence for each finding.
+            The map's file where it is used unchanged and datasets keep such files, else the road.
+            None without a map, or where it does not fit. And one sentence for each finding.
 
         Raises:
             InputError: if the map that a person gave is of another place.

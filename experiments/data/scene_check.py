@@ -1,9 +1,8 @@
-"""Whether a recording is a scene that can be believed, told from its positions and sizes.
+"""Plausibility of a recording as a scene, by its positions and sizes.
 
-Recordings are passed on in which actors of several scenes lie on top of each other, times were made
-up, or ids were given to one agent after another. Nothing can be said about how anybody drives
-there. A finding counts only where there is enough evidence that it is no noise of a sensor, up to
-half a metre, and no dense traffic.
+Some recordings overlay actors of several scenes, have invented times, or reuse ids. Their drivers
+cannot be classified. A finding counts only with enough evidence against sensor noise (up to half a
+metre) and dense traffic.
 """
 
 from __future__ import annotations
@@ -30,17 +29,17 @@ LONGEST_CORE_M, LEAST_CORE_M = 2.5, 0.25
 sources without sizes."""
 
 OVERLAPPING, OVERLAPPING_BOXES = 0.02, 0.2
-"""No scene if more than this share of the vehicles overlaps; where outlines are not known, as boxes
-in an image overlap without touching, it is the second one."""
+"""A recording is not plausible if more than this share of its vehicles overlaps; the second value
+holds where outlines are unknown."""
 
 NEAREST_M: Final = 1.0
 """No scene, whatever the outlines, if half of the vehicles have another centre nearer than this."""
 
 OVERLAPPING_IDS: Final = 6
-"""So many different vehicles have to overlap before it counts: a tracker sees one truck as two."""
+"""Least number of different vehicles that overlap; a tracker may see one truck as two."""
 
 MOVING_MPS: Final = 3.0
-"""Only faster vehicles tell anything about speeds."""
+"""Only faster vehicles count for speeds."""
 
 LOOKS: Final = 10
 """Fewest looks that say that a speed or a size is wrong."""
@@ -55,7 +54,8 @@ FASTEST_MPS, JUMP_M = 90.0, 5.0
 """Vehicles jump that go faster than this, m/s, and farther than this, m."""
 
 JUMPING, JUMPING_IDS = 0.1, 3
-"""No scene if more than this share of the ids jumps, and so many different ones."""
+"""A recording is not plausible if more than this share of the ids jumps, and this many different
+ones."""
 
 SIZED: Final = 3
 """Fewest vehicles whose sizes say that a unit is wrong."""
@@ -66,10 +66,10 @@ STILL_M: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SceneCheck:
-    """What was found.
+    """Findings of the check.
 
     Attributes:
-        is_scene: whether what the frames show can be believed.
+        is_scene: whether the recording is plausible.
         findings: what was found amiss, a sentence each; also what is not enough to doubt a scene.
         overlapping: share of the vehicles that overlap another, over all looks.
         nearest_m: median distance from a vehicle to the next centre, m; NaN of lone vehicles.
@@ -89,7 +89,7 @@ class SceneCheck:
 
 @dataclass(frozen=True, slots=True)
 class _Overlaps:
-    """What looks at a recording show.
+    """Findings of looks at a recording.
 
     Attributes:
         nearest_m: of every vehicle at every look, to the next centre.
@@ -103,7 +103,7 @@ class _Overlaps:
 
 
 def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
-    """Whether a recording is a scene that can be believed.
+    """Whether a recording is plausible as a scene.
 
     Args:
         tracks: positions in metres.
@@ -126,19 +126,20 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         (False, True)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
-    seen: BoolArray = np.asarray(tracks.valid.any(axis=1))
+    rows = tracks.as_rows()
+    seen: BoolArray = np.diff(rows.index.first) > 0
     count = int(seen.sum())
     if not count:
         return SceneCheck(True, (), 0.0, math.nan, math.nan, 0.0, math.nan)
     looks = _looks(tracks.time_s)
     overlaps = _overlaps(tracks, looks)
-    looked = max(int(tracks.valid[:, looks].sum()), 1)
+    looked = max(int(np.isin(rows.index.step, looks).sum()), 1)
     jumps = int(_jumps(tracks).sum())
     paces, speeds = _speeds(tracks, looks)
     pace = math.exp(float(np.mean(paces))) if paces.size else math.nan
-    xy = np.where(tracks.valid[..., None], tracks.xy, np.nan)[seen]
-    first = xy[np.arange(count), tracks.valid[seen].argmax(axis=1)]
-    still = float((np.nanmax(np.hypot(*(xy - first[:, None]).T), axis=0) <= STILL_M).mean())
+    agent = rows.index.agent
+    away = np.hypot(*(rows.xy - rows.xy[np.searchsorted(agent, agent)]).T)
+    still = (count - np.unique(agent[away > STILL_M]).size) / count
     doubts, remarks = [], []
     of_overlap = overlaps.hits / looked
     nearest_m = float(np.median(overlaps.nearest_m)) if overlaps.nearest_m.size else math.nan
@@ -185,20 +186,21 @@ def _looks(time_s: FloatArray) -> list[int]:
 
 
 def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
-    """Which vehicles lie within others, and how near centres are."""
+    """Find which vehicles lie within others, and how near centres are."""
     nearest: list[FloatArray] = []
     hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
     sides = np.stack([tracks.length, tracks.width], axis=1)
+    seen = tracks.as_rows()
     for step in looks:
-        rows = np.flatnonzero(tracks.valid[:, step])
-        if rows.size < 2:
+        here = seen.at(step)
+        if here.size < 2:
             continue
-        xy = tracks.xy[rows, step]
+        rows, xy = seen.index.agent[here], seen.xy[here]
         tree = cKDTree(xy)
         nearest.append(np.asarray(tree.query(xy, k=2)[0])[:, 1])
         pairs = tree.query_pairs(LONGEST_CORE_M * math.sqrt(2.0), output_type="ndarray")
         one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-        away, heading = xy[other] - xy[one], tracks.heading[rows[one], step]
+        away, heading = xy[other] - xy[one], seen.heading[here[one]]
         cos, sin = np.cos(heading), np.sin(heading)
         along = np.abs(cos * away[:, 0] + sin * away[:, 1])
         across = np.abs(cos * away[:, 1] - sin * away[:, 0])
@@ -212,20 +214,27 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
 
 def _jumps(tracks: Tracks) -> BoolArray:
     """(N,) which agents go faster than any vehicle from one frame to the next."""
-    moved = np.hypot(*np.diff(tracks.xy, axis=1).T).T
-    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
-    far = FASTEST_MPS * np.diff(tracks.time_s) + JUMP_M
-    return np.asarray((both & (moved > far)).any(axis=1))
+    rows = tracks.as_rows()
+    agent, step = rows.index.agent, rows.index.step
+    at = np.flatnonzero((agent[1:] == agent[:-1]) & (step[1:] == step[:-1] + 1))
+    moved = np.hypot(*(rows.xy[at + 1] - rows.xy[at]).T)
+    far = FASTEST_MPS * np.diff(tracks.time_s)[step[at]] + JUMP_M
+    return np.bincount(agent[at[moved > far]], minlength=tracks.ids.size) > 0
 
 
 def _speeds(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, FloatArray]:
     """Logarithms of displacements over what stated speeds make them, and speeds, look by look."""
     paces, speeds = [], []
+    rows = tracks.as_rows()
     for first, last in itertools.pairwise(looks):
-        rows = np.flatnonzero(tracks.valid[:, first] & tracks.valid[:, last])
+        then, before = rows.at(last), rows.at(first)
+        _, one, other = np.intersect1d(
+            rows.index.agent[before], rows.index.agent[then], return_indices=True
+        )
+        before, then = before[one], then[other]
         passed_s = tracks.time_s[last] - tracks.time_s[first]
-        travelled = np.hypot(*(tracks.xy[rows, last] - tracks.xy[rows, first]).T)
-        stated = 0.5 * (tracks.speed[rows, first] + tracks.speed[rows, last]) * passed_s
+        travelled = np.hypot(*(rows.xy[then] - rows.xy[before]).T)
+        stated = 0.5 * (rows.speed[before] + rows.speed[then]) * passed_s
         moving = travelled * stated > (MOVING_MPS * passed_s) ** 2
         if moving.any():
             paces.append(float(np.median(np.log(travelled[moving] / stated[moving]))))

@@ -2,13 +2,13 @@
 
 A video's boxes have no scale. Two things bound it: road agents have known sizes, and they move at
 known speeds. Both give a scale with an uncertainty, and the estimate is their mean, weighted by how
-certain each is. A camera shows near agents larger, in proportion to how far below the horizon they
-are; sizes show where the horizon is, and places in the image become places on a flat ground
-(a pinhole camera without roll). How much it foreshortens the way ahead of it in the middle of the
-image is not known and is assumed. Where sizes show no horizon, the view is from above.
+certain each is. A camera shows near agents larger, so their sizes give the horizon. A pinhole
+camera without roll then maps image positions to flat ground. How much it foreshortens the way
+ahead of it in the middle of the image is not known and is assumed. Where sizes show no horizon,
+the view is from above.
 
-Where a recording says that it is in metres, the sizes of its vehicles tell whether it is: feet and
-millimetres that are given as metres make lorries of cars.
+Where a recording claims metres, vehicle sizes check it: feet or millimetres would make cars as
+large as lorries.
 """
 
 from __future__ import annotations
@@ -27,9 +27,8 @@ from sim.scenario import DIMENSIONS_M
 FloatArray = NDArray[np.float64]
 
 SIZE_M: Final = 2.2
-"""Typical root of width times height of a road agent's box in an image, m: 2.6 for a car from the
-side (4.5 by 1.5 m), 1.7 for a motorcycle with its rider, 0.9 for a pedestrian (chosen between
-them)."""
+"""Typical root of width times height of a road agent's box in an image, m (chosen between a car
+from the side, a motorcycle and a pedestrian)."""
 
 SIZE_SPREAD: Final = 0.4
 """Standard deviation of the logarithm of a video's median size (from pedestrians and motorcycles to
@@ -43,8 +42,8 @@ PACE_SPREAD: Final = 0.8
 11 m/s)."""
 
 FORESHORTENED: Final = 1.5
-"""In the middle of the image, displacements towards the camera or away from it are longer by this
-than they look (it looks down at some 40 degrees, as from a bridge or a mast)."""
+"""Foreshortening of displacements along the view in the middle of the image, for a camera that
+looks down at some 40 degrees."""
 
 SMALLEST: Final = 0.25
 """Agents farthest away look at least this large, over those in the middle (our choice): nearer to
@@ -54,13 +53,11 @@ FARTHEST_HORIZON, HORIZONS = 100.0, 60
 """Farthest horizon that is tried, over the nearest one, and how many are tried in between."""
 
 SHOWN: Final = 0.95
-"""A horizon is believed where sizes vary less by this factor once it is taken into account (our
-choice; a handful of agents agree by chance with some horizon)."""
+"""A horizon is accepted where it reduces the variation of sizes to this factor (our choice)."""
 
 LENGTH_OF_SIZE: Final = 0.85
 WIDTH_OF_SIZE: Final = 0.35
-"""Length and width of an agent's outline on the ground, over the root of the area of its box in the
-image: half those of a car that is seen from the side, since a box shows height, too."""
+"""Length and width of an agent on the ground, over the root of its box's area in the image."""
 
 MOVING: Final = 0.5
 """Agents that cover this many of their own sizes in a second move (a walking pace)."""
@@ -108,8 +105,8 @@ class Scale:
     def ground(self, xy: FloatArray) -> FloatArray:
         """(..., 2) places on the ground, m, of places (..., 2) in the image.
 
-        The first axis is across the view and has its origin at 0 of the image, the second one leads
-        away from the camera and has its origin at ``middle``.
+        The first axis is across the view, from the image's 0; the second leads away from the
+        camera, from ``middle``.
         """
         nearness = self._nearness(xy[..., 1])
         away = xy[..., 1] - self.middle
@@ -159,7 +156,7 @@ def image_scale(tracks: Tracks) -> Scale:
         tracks: in pixels, y up; lengths and widths are the sides of boxes in the image.
 
     Returns:
-        The scale; sizes alone decide where nobody moves.
+        The scale; sizes alone decide where no agent moves.
     """
     seen = tracks.valid.any(axis=1)
     size = np.sqrt(tracks.length * tracks.width)[seen]
@@ -179,16 +176,7 @@ def image_scale(tracks: Tracks) -> Scale:
 
 
 def _horizon(above: FloatArray, size: FloatArray, top: float) -> float:
-    """How far above the middle the horizon is; infinite where sizes do not show it.
-
-    Agents of one kind are the smaller the nearer to the horizon they are. It is where sizes that
-    are corrected for that have the least absolute deviation, since all kinds occur at all heights.
-
-    Args:
-        above: (n,) height of each agent above the middle.
-        size: (n,) its size.
-        top: the greatest height of anybody.
-    """
+    """How far above the middle the horizon is; infinite where sizes do not show it."""
     nearest = top / (1.0 - SMALLEST)
     if not nearest > 0.0:
         return math.inf
@@ -203,13 +191,7 @@ def _horizon(above: FloatArray, size: FloatArray, top: float) -> float:
 
 
 def _pace(ground: FloatArray, tracks: Tracks, size: float) -> float:
-    """Median speed of those that move, in units per second; 0 where nobody does.
-
-    Args:
-        ground: (n, T, 2) smoothed places on the ground.
-        tracks: for their times.
-        size: of an agent.
-    """
+    """Median speed of those that move, in units per second; 0 if none moves."""
     if tracks.time_s.size < 2:
         return 0.0
     span = max(1, round(SPAN_S / tracks.step_s))
@@ -259,7 +241,7 @@ def size_ratio(length: FloatArray, width: FloatArray, kind: NDArray[np.int8]) ->
         kind: (n,) codes into ``sim.frames.KINDS``.
 
     Returns:
-        The median ratio; NaN of nobody.
+        The median ratio; NaN without agents.
 
     Examples:
         >>> round(size_ratio(np.array([14.5, 16.0]), np.array([5.9, 6.2]), np.zeros(2, np.int8)), 1)

@@ -37,7 +37,7 @@ def verify_dataset(path: Path) -> list[Flaw]:
         path: folder or URL of the dataset.
 
     Returns:
-        What is wrong, in order of path; empty if nothing is.
+        Faults in order of path; empty if there are none.
 
     Raises:
         InputError: if the catalogue's rows are broken.

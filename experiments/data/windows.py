@@ -43,7 +43,7 @@ def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
 
 
 def measured(episode: Episode) -> Tracks:
-    """An episode's tracks in metres: worlds may be seen in pixels of a scale that nobody knows."""
+    """An episode's tracks in metres: random worlds may be seen in pixels of an unknown scale."""
     if not episode.entry.options.get("pixels_per_m"):
         return episode.tracks
     return in_metres(episode.tracks, image_scale(episode.tracks))

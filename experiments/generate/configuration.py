@@ -1,4 +1,4 @@
-"""What a dataset is generated from: a TOML file, options of the command line, or both."""
+"""Configuration of a generated dataset: a TOML file, options of the command line, or both."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
 
 NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "duration_s"})
-"""What may be chosen of random worlds, too."""
+"""Fields that may be chosen for random worlds, too."""
 
 
 def _population_table(given: Any) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def _population_table(given: Any) -> dict[str, Any]:
 
 
 class GenerateConfig(BaseModel):
-    """What a dataset is generated from.
+    """Configuration of a generated dataset.
 
     Attributes:
         scenarios: registered names, paths of scenarios' files (``.toml``), or of maps; or
@@ -65,7 +65,7 @@ class GenerateConfig(BaseModel):
     scenario_options: dict[str, bool | int | float | str] | None = None
 
     def options(self, name: str, index: int) -> dict[str, Any]:
-        """What a scenario of the episode with this index is called with."""
+        """Options of a scenario in the episode with this index."""
         given: dict[str, Any] = dict(self.scenario_options or {})
         given |= self.model_dump(
             include={"flow", "mix", "spread", "population", "duration_s", "step_s", "routes"},
@@ -80,7 +80,7 @@ class GenerateConfig(BaseModel):
         """The scenario of that name with this configuration's options, for one of its episodes.
 
         Raises:
-            InputError: if there is no such scenario or an option is out of range.
+            InputError: if no such scenario exists or an option is out of range.
         """
         return get_scenario(name)(**self.options(name, index))
 
@@ -115,13 +115,13 @@ class GenerateConfig(BaseModel):
 
 
 def scenario_name(given: str) -> str:
-    """What a scenario is called.
+    """Name of a scenario.
 
     Args:
         given: its name, or the path of its file or map.
 
     Raises:
-        InputError: if there is no such scenario.
+        InputError: if no such scenario exists.
 
     Examples:
         >>> scenario_name("straight_road")

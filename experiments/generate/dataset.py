@@ -1,9 +1,9 @@
 """Makes datasets: many episodes, by many workers, each shard written as a whole or not at all.
 
 Every episode has its own seed, derived from the configuration's seed, the scenario's name and the
-episode's index. So what an episode holds depends neither on the number of workers nor on the order
-nor on how many episodes there are. Running the same command again makes the shards that are
-missing; the catalogue is written last.
+episode's index. An episode's content does not depend on the number of workers, the order or the
+number of episodes. Running the same command again makes the shards that are missing; the catalogue
+is written last.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from sim.store.shards import Shard, ShardName, metadata_of, opened
 from sim.store.writing import EpisodeWriter, checksum, made_with
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
-"""What a dataset's folder may hold beside its tables."""
+"""Other content of a dataset's folder beside its tables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +56,13 @@ class ShardTask:
 
     @property
     def name(self) -> ShardName:
-        """What the shard is called."""
+        """Name of the shard."""
         first, last = block_of(self.indices[0])
         split = split_of(self.indices[0])
         return ShardName(scenario_name(self.scenario), split, f"{first:06}-{last:06}")
 
     def __str__(self) -> str:
-        """Which episodes they are, for messages."""
+        """Name of the episodes, for messages."""
         return f"{self.name.scenario} episodes {', '.join(map(str, self.indices))}"
 
 
@@ -109,10 +109,7 @@ def _make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> 
 
 
 def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
-    """What a dataset says of how it was made, but for the number of its episodes.
-
-    A map or scenario of the user's own counts with the checksum of its road.
-    """
+    """Configuration as the dataset stores it, without the number of episodes."""
     engines = ("sumo", "highway") if RANDOM_WORLD in config.scenarios else (config.engine,)
     dumped = config.model_dump(mode="json", exclude_none=True, exclude={"episodes"})
     own = {
@@ -141,7 +138,7 @@ def generate(
             of this machine.
 
     Returns:
-        What its catalogue says.
+        Header of its catalogue.
 
     Raises:
         InputError: if an option is wrong, the folder holds something else or is being written to,
@@ -179,11 +176,7 @@ class _Run:
         self._there = 0
 
     def look(self, config: GenerateConfig) -> list[ShardTask]:
-        """The shards that are missing.
-
-        Raises:
-            InputError: if there is anything that this run would not write.
-        """
+        """The shards that are missing."""
         if is_dataset(self._place.path):
             self._check_same(config)
         _remove_partial(self._place)
@@ -221,11 +214,7 @@ class _Run:
         self._there += len(made.entries)
 
     def finish(self, configuration: Mapping[str, Any], out: Path, new: bool) -> None:
-        """Write the catalogue, if there is something new.
-
-        Raises:
-            InputError: if an episode could not be made.
-        """
+        """Write the catalogue, if there is something new."""
         complete = is_dataset(out) and open_dataset(out).header.configuration == configuration
         if self._there and (new or not complete):
             write_catalogue(self._place, configuration, self._rows, self._files)
@@ -286,7 +275,7 @@ def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Sha
 
 
 def _shown(configuration: Mapping[str, Any], name: str) -> str:
-    """What a configuration gives; of a population, its name."""
+    """Value of a configuration; of a population, its name."""
     value = configuration.get(name, "not given")
     if name == "population" and isinstance(value, Mapping):
         value = value.get("name")

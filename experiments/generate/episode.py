@@ -33,7 +33,7 @@ class Task:
 
     @property
     def name(self) -> str:
-        """What the scenario is called."""
+        """Name of the scenario."""
         return scenario_name(self.scenario)
 
     @property
@@ -45,7 +45,7 @@ class Task:
         return int(sequence.generate_state(1)[0] >> 1)  # SUMO takes 31 bits
 
     def meta(self, scenario: Scenario) -> EpisodeMeta:
-        """What the episode is made from, given its scenario."""
+        """Metadata of the episode, given its scenario."""
         entry = get_scenario(self.scenario)
         given = {**entry.given, **self.config.options(self.scenario, self.index)}
         return EpisodeMeta(
@@ -81,5 +81,5 @@ class Task:
         return out.write_episode(self.meta(scenario), frames, agents, scenario.road.source)
 
     def __str__(self) -> str:
-        """Which episode it is, for messages."""
+        """Name of the episode, for messages."""
         return f"{self.name} episode {self.index} (seed {self.seed})"

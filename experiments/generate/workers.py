@@ -117,7 +117,7 @@ def _cluster(address: str) -> Iterator[Executor]:
     if not SAFE.fullmatch(address):
         raise InputError(
             f"cluster {address}: found an unencrypted address of another machine or none, expected "
-            "tls://HOST:PORT or tcp://127.0.0.1:PORT: who reaches a scheduler runs code as you"
+            "tls://HOST:PORT or tcp://127.0.0.1:PORT: its clients run code as you"
         )
     try:
         from distributed import Client
@@ -142,7 +142,7 @@ def _cluster(address: str) -> Iterator[Executor]:
 
 
 SAFE: Final = re.compile(r"(tls|inproc)://.+|tcp://(127\.0\.0\.1|localhost|\[::1\]):\d+")
-"""Addresses at which nobody else can listen, or run code as this user."""
+"""Addresses at which no other user can listen, or run code as this user."""
 
 
 def _check_workers(client: Any, address: str) -> None:

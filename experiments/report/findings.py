@@ -1,4 +1,4 @@
-"""What figures say, in sentences, good or bad."""
+"""Statements of figures in sentences, good or bad."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ def _place(sources: Sequence[Source]) -> Path:
 
 
 def _together(sources: Sequence[Source]) -> tuple[pd.DataFrame, list[str]]:
-    """All rows, and the key that tells several sources apart."""
+    """All rows, and the key that distinguishes several sources."""
     if len(sources) == 1:
         return sources[0].rows, []
     names = [source.name for source in sources]

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CYCLE: Final = ("#4477AA", "#EE6677", "#228833", "#CCBB44", "#66CCEE", "#AA3377", UNKNOWN_COLOR)
-"""Colours of what is no behaviour: the scheme "bright" of Tol (2021, SRON technical note
-EPS/TN/09-002), which people with a colour weakness can tell apart, too."""
+"""Colours of series that are not behaviours: the scheme "bright" of Tol (2021, SRON technical note
+EPS/TN/09-002), distinguishable with a colour weakness."""
 
 NUMBERS: Final = ("horizon_s", "window_s", "d", "agents", "vehicles", "lanes", "confidence", "jobs")
 """Keys that lines are drawn over, the first that has several values."""

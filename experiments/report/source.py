@@ -1,4 +1,4 @@
-"""What a report is made from: tidy rows in a file, in a folder, or in a trained model's card."""
+"""Sources of a report: tidy rows in a file, in a folder, or in a trained model's card."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ NAMES: Final = {
     "coverage_90": "in 90 % set",
     "cpu_ms": "CPU, ms",
 }
-"""What metrics are called on a page; those that are not listed keep their own name."""
+"""Names of metrics on a page; others keep their own name."""
 
 FIRST: Final = (
     "weighted_accuracy", "majority_weighted_accuracy", "balanced_accuracy", "macro_f1",
@@ -66,7 +66,7 @@ class Table:
 
 
 def name_of(metric: str) -> str:
-    """What a metric is called on a page.
+    """Name of a metric on a page.
 
     Examples:
         >>> name_of("ade_m"), name_of("lane_changes_per_km")
@@ -118,7 +118,7 @@ def tables_of(rows: pd.DataFrame, across: Sequence[str] = ()) -> Iterator[Table]
         across: keys that get columns of their own beside the metric.
 
     Yields:
-        One table of everybody for each scenario, then one for each metric that is measured by
+        One table of all drivers for each scenario, then one for each metric that is measured by
         behaviour.
     """
     rows = rows[~rows["metric"].isin(DRAWN)]

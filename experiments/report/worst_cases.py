@@ -45,7 +45,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Excerpt:
-    """What the unseen episodes of one scenario show.
+    """Unseen episodes of one scenario.
 
     Attributes:
         scenario: its name.

@@ -1,7 +1,7 @@
-"""One function scores answers about drivers, whoever answered and wherever they were kept.
+"""Scores of answers about drivers, for every source and format.
 
-Scores are of the likeliest behaviour of every driver, whether it was answered with or not; the
-share of drivers with an answer is a figure of its own.
+Scores are of the likeliest behaviour of every driver; the share of drivers with an answer is a
+separate figure.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ ALL: Final = "all"
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What was answered about some drivers, and what is known of them.
+    """Answers about some drivers, and their true labels.
 
     Attributes:
         episode: (n,) number of the episode.
@@ -136,13 +136,13 @@ def score_answers(
     majority: int | None = None,
     breakdown: bool = True,
 ) -> list[Row]:
-    """Everything that answers say about whoever gave them.
+    """All answers of one source.
 
     Args:
         answers: one of every driver (or of every window of observation).
         keys: what was measured, for the rows.
-        majority: code of the behaviour that a constant answer names; None for the most frequent one
-            among the drivers that are scored, which is the best that a constant answer could do.
+        majority: code of the constant answer; None for the most frequent behaviour of the scored
+            drivers.
         breakdown: whether rows by answer and by confidence are wanted.
 
     Returns:
@@ -309,7 +309,7 @@ def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split"
 
     Args:
         rows: from `score_answers`.
-        down: keys that tell lines apart.
+        down: keys that distinguish lines.
 
     Returns:
         A line for each combination of values of these keys.

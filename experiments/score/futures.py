@@ -1,7 +1,7 @@
 """Predictions on disk: one tidy table, a row per future and place.
 
-The futures of each predictor, agent and instant are told apart by ``mode``; a future's probability
-is repeated in each of its rows. Places are given every half second.
+The futures of each predictor, agent and instant are distinguished by ``mode``; a future's
+probability is repeated in each of its rows. Places are given every half second.
 """
 
 from __future__ import annotations
@@ -31,9 +31,8 @@ PREDICTIONS: Final = pa.schema(
         pa.field("y_m", pa.float64()),
     ]
 )
-"""Columns of a predictions file: those of `JOINED`; ``agent`` is the id in the dataset's tables,
-``name`` the source's own id, ``time_s`` when it was predicted, ``ahead_s`` how much later it is to
-be there."""
+"""Columns of a predictions file: those of `JOINED`, ``name`` (the source's own id), ``time_s`` (of
+the prediction) and ``ahead_s``."""
 
 
 def predictions_table(

@@ -48,11 +48,10 @@ LABELS: Final = pa.schema(
 """Columns of a labels file: one row per driver and frame from one second of observation on.
 
 The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``name`` the source's
-own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum of
-probabilities; each is null where it is not likely enough to be told (`graphrqi.posterior`).
-``domain`` is 0 in simulated traffic and 1 in other traffic, ``unknown`` the probability that the
-style is only guessed, ``truth`` the behaviour that the driver was drawn or labelled with and
-``true_style`` its style (null where nobody knows; of some drivers only the style is known)."""
+own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum; each is null
+below the label threshold (`graphrqi.posterior`). ``domain`` is 0 in simulated traffic and 1 in
+other traffic; ``unknown`` is the probability that the style is only guessed. ``truth`` and
+``true_style`` are the true labels, null where unknown."""
 
 
 def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pa.Table:
@@ -65,8 +64,8 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
         traffic: where the positions come from; None for what the episode's entry says.
 
     Returns:
-        A table with the columns ``LABELS``. Everybody is unknown in a recording that is no scene
-        that can be believed.
+        A table with the columns ``LABELS``. Every driver is unknown in a recording that is not a
+        plausible scene.
     """
     stream = BehaviorStream(
         model, traffic=traffic_of(episode.entry, traffic), is_scene=is_scene(episode.entry)
@@ -78,7 +77,7 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
     row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for _, a in answers])
     each = [a.ids.size for _, a in answers]
     probability = np.concatenate([a.probability for _, a in answers])
-    told = np.concatenate([a.told for _, a in answers])
+    told = np.concatenate([a.labelled for _, a in answers])
     aggressive = aggressive_share(probability) >= 0.5
     known = {agent.id: agent for agent in episode.agents}
     drivers = [known[i] for i in tracks.ids.tolist()]
@@ -104,7 +103,7 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
 
 
 def _words(names: Sequence[str], codes: IntArray, told: BoolArray) -> pa.Array:
-    """The word of each code; null where nothing is told."""
+    """The word of each code; null without a label."""
     return pa.array(names, pa.string()).take(pa.array(codes, pa.int64(), mask=~told))
 
 
@@ -177,7 +176,7 @@ def answer_episodes(
         The last answers of each episode, in the datasets' order.
 
     Raises:
-        InputError: if a label is of nobody.
+        InputError: if a label belongs to no driver of the source.
     """
     given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
     every = [(d.path, e) for d in datasets for e in d.episodes()]
@@ -200,7 +199,7 @@ def answer_episodes(
             found.append(Answered(place, entry, _last_answers(labelled)))
             progress.advance()
         if given is not None:
-            given.check()  # inside the block: nothing is written if a label is of nobody
+            given.check()  # inside the block: nothing is written if a label belongs to no driver
     return found
 
 
@@ -223,7 +222,7 @@ def classify_dataset(
     source: Path, model: str | Path, out: Path | None = None, labels: Path | None = None,
     *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
 ) -> list[Row]:  # fmt: skip
-    """What ``graphrqi classify`` does: answer for every driver, and write a labels file.
+    """Implement ``graphrqi classify``: answer for every driver, and write a labels file.
 
     Args:
         source: folder of a dataset.
@@ -255,7 +254,7 @@ def evaluate(
     model: str | Path, source: Path, labels: Path | None = None,
     *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
 ) -> list[Row]:  # fmt: skip
-    """What ``graphrqi evaluate`` does; arguments are those of `classify_dataset`.
+    """Implement ``graphrqi evaluate``; arguments are those of `classify_dataset`.
 
     Returns:
         Rows by scenario and split, see `scored_answers`.
@@ -300,7 +299,7 @@ def named_table(rows: Sequence[Row]) -> list[Row]:
 
 
 def domain_notice(rows: Sequence[Row]) -> str | None:
-    """One line if nobody was answered, or most of the traffic is other than the training's.
+    """One line if no driver was answered, or most of the traffic is unlike the training's.
 
     Args:
         rows: from `classify_dataset`.

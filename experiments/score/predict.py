@@ -43,12 +43,12 @@ from sim.store.schema import EpisodeEntry, Split
 SPLITS: Final[dict[str, Split | None]] = {
     "test": "test", "validation": "validation", "train": "train", "all": None
 }  # fmt: skip
-"""Which episodes may be scored."""
+"""Episodes that may be scored, by name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EpisodePrediction:
-    """What predictors say about one episode.
+    """Predictions of one episode.
 
     Attributes:
         errors: by predictor; empty where the episode is too short to predict anything.
@@ -133,8 +133,8 @@ def predict_dataset(
         Rows as `score_predictions` gives them, over all scenarios.
 
     Raises:
-        InputError: if the dataset, the model or a predictor's name is wrong, every episode is too
-            short, or nobody is seen for long enough in any.
+        InputError: if the dataset, the model or a predictor's name is wrong, or no agent is seen
+            for long enough.
     """
     _check_request(predictors, horizon_s)
     wanted = lookup(SPLITS, split, "split")
@@ -183,7 +183,7 @@ def predict_dataset(
             )
         if not any(errors[predictors[0]].count.any() for one in found.values() for errors in one):
             raise InputError(
-                f"{source}: found nobody seen for {LEAST_SEEN_S:g} s and then for another "
+                f"{source}: found no agent seen for {LEAST_SEEN_S:g} s and then for another "
                 f"{horizon_s:g} s, expected at least one agent"
             )
     for entry, length_s in short:

@@ -56,9 +56,8 @@ LEAST_SEEN_S: Final = 1.0
 
 
 MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
-"""What is measured for each agent. Beside the displacement metrics: whether it ended in the
-predicted 90 % set, minus the log density where it ended, whether its likeliest future overlaps
-another's by then, and whether that future ends off every lane."""
+"""Measures of each agent. Beside displacement metrics: coverage of the predicted 90 % set,
+negative log density, overlap with another's likeliest future, and ending off every lane."""
 
 
 LANE_MARGIN_M: Final = 0.5
@@ -145,7 +144,7 @@ def beliefs(
     is_scene: bool = True,
     traffic: Traffic = "simulated",
 ) -> dict[int, Posterior]:
-    """What a classifier believes at each instant of prediction.
+    """Posteriors of a classifier at each instant of prediction.
 
     Equal to the posteriors of a `graphrqi.stream.BehaviorStream`, computed only where needed.
 
@@ -182,7 +181,7 @@ def score_episode(
     Args:
         tracks: the episode; its labels only sort the errors.
         posteriors: beliefs at each instant of prediction, by the index one past the present.
-        road: where it happened; None if there is no map.
+        road: its road; None without a map.
         predictors: keys of ``PREDICTORS``, or "module:function".
         horizons_s: ascending, s.
         on_prediction: called with each predictor's name, the history it was given and its futures.

@@ -1,8 +1,8 @@
 """Tidy rows: one figure each, with the keys that say what was measured.
 
-A row is a flat mapping. First come ``command``, ``version``, ``seed`` and ``dataset``, which say
-how the figure was made, then keys of the command's own (such as ``scenario``), then ``metric``,
-``value``, ``low``, ``high`` (a 95 % interval) and ``n`` (how many cases the figure rests on).
+A row is a flat mapping. First come ``command``, ``version``, ``seed`` and ``dataset``, then keys
+of the command's own (such as ``scenario``). Last come ``metric``, ``value``, its interval ``low``
+to ``high`` (95 %), and ``n``, the number of cases.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def stamped(
         rows: the figures.
         command: what measured them, as on the command line: ``evaluate``, ``bench loop``.
         seed: the command's seed; None where nothing is drawn at random.
-        dataset: see `dataset_id`; None where there is no dataset.
+        dataset: see `dataset_id`; None without a dataset.
 
     Examples:
         >>> [row] = stamped([{"metric": "jobs", "value": 2}], "generate", seed=3)
@@ -82,7 +82,7 @@ def stamped(
 
 
 def dataset_id(dataset: Dataset) -> str:
-    """What a dataset is called in rows: the same for datasets of the same episodes.
+    """Name of a dataset in rows: the same for datasets of the same episodes.
 
     Args:
         dataset: an opened dataset.
@@ -131,7 +131,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def checked_rows(found: Any, where: str) -> list[Row]:
-    """Refuse what is no list of flat rows.
+    """Refuse anything but a list of flat rows.
 
     Args:
         found: what was read.

@@ -26,8 +26,8 @@ JOINED: Final = (
     pa.field("scenario", pa.string()),
     pa.field("split", pa.string()),
 )
-"""The first columns of every table of answers: the episode's id, the names of the recording and of
-the file that it was read from (null for simulated ones), its scenario and its split."""
+"""First columns of every table of answers; the recording and file are null for simulated
+episodes."""
 
 
 def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
@@ -41,7 +41,7 @@ def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
 
 
 class TakesTables(Protocol):
-    """What tables are written to."""
+    """Sink of written tables."""
 
     def write_table(self, table: pa.Table) -> None:
         """Add a table's rows."""
@@ -80,7 +80,7 @@ def table_file(path: Path, schema: pa.Schema) -> Iterator[TakesTables]:
         schema: its columns; CSV takes no dictionaries.
 
     Yields:
-        What takes the tables. In CSV, null is an empty cell.
+        Sink of the tables. In CSV, null is an empty cell.
 
     Raises:
         InputError: if the file has another ending.

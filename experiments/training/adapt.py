@@ -43,10 +43,10 @@ def adapt(
         quiet: whether to show no progress.
 
     Returns:
-        Rows on what was found, and how well other labelled drivers are told before and after.
+        Rows on the fit, and accuracy on other labelled drivers before and after.
 
     Raises:
-        InputError: if nobody is labelled, or ``out`` is not a model's folder.
+        InputError: if no driver is labelled, or ``out`` is not a model's folder.
     """
     trained = dataclasses.replace(load_model(model), adaptation=None)
     check_model_folder(out)

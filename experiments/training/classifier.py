@@ -31,8 +31,8 @@ BOTH: Final = "graphrqi-plus"
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
 """Speed limits of the training data, episode by episode. A third of the training episodes have
-another limit than usual, so that speeds are compared with the free-flow speed of the place; the
-episodes for validation and scoring have the usual limit."""
+another limit, so that speeds are compared with the local free-flow speed. Episodes for validation
+and scoring have the usual limit."""
 
 
 def train_model(
@@ -48,9 +48,9 @@ def train_model(
     """Train on training episodes; validation episodes serve early stopping and calibration.
 
     Args:
-        datasets: with train and validation episodes. If some are random
-            worlds and others are not, a model of the method ``BOTH`` learns to answer in other
-            traffic from the worlds; any other model learns from all of them alike.
+        datasets: with train and validation episodes. If only some are random worlds, a model of
+            the method ``BOTH`` learns other traffic from the worlds. Any other model learns from
+            all of them alike.
         method: a key of ``METHODS``.
         solver: a key of ``SOLVERS``.
         per_moment: window lengths drawn for each driver and moment.

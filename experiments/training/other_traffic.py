@@ -57,8 +57,8 @@ def train_on_worlds(
         quiet: whether to show no progress.
 
     Returns:
-        What was learned; and for the model's card its data, as ``networks``, and ``scores`` on
-        worlds that were not learned from.
+        The learned networks; for the model's card their data, as ``networks``, and ``scores`` on
+        unseen worlds.
     """
     from graphrqi.places.training import train_other_traffic
 
@@ -118,7 +118,7 @@ def _gathered(
 
 
 def _observed(folder: Path, entry: EpisodeEntry, part: int, seed: int) -> Samples | None:
-    """Samples of one episode; None where nobody is seen for long enough."""
+    """Samples of one episode; None if no agent is seen for long enough."""
     number = zlib.crc32(f"{PARTS[part]} {entry.id}".encode())
     rng = np.random.default_rng([seed, number])
     tracks = measured(open_dataset(folder).read(entry))

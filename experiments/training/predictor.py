@@ -45,11 +45,11 @@ EPOCHS: Final = 24
 """Passes over the training examples."""
 
 SEED: Final = 0
-"""Of searches, weights, order and which beliefs are left out or shuffled."""
+"""Seed of searches, weights, order and the choice of beliefs left out or shuffled."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
-"""Shares of instants at which, in an epoch, nobody is believed to be anything, and everybody what
-another driver is believed to be (chosen on episodes of a set apart)."""
+"""Shares of instants in an epoch with all beliefs removed, and with beliefs permuted between
+drivers."""
 
 
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
@@ -94,7 +94,7 @@ def calibrate_drivers(
         The numbers.
 
     Raises:
-        InputError: if there is no training episode, or one without road or labels.
+        InputError: if a training episode lacks a road or labels, or none exists.
     """
     dataset = open_dataset(source)
     splits: dict[str, list[Sample]] = {}
@@ -131,9 +131,9 @@ def calibrate_drivers(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeliefExamples:
-    """The same examples with what the classifier believes, with no beliefs, and with others'.
+    """The same examples with the classifier's posteriors, with none, and with others'.
 
-    Drawn anew for every epoch, so that a network learns how far to trust beliefs.
+    Drawn for every epoch, so that a network learns how far to trust beliefs.
 
     Attributes:
         believed: with the classifier's own posteriors.
@@ -175,7 +175,7 @@ class BeliefExamples:
 def examples_of(
     folder: Path, entry: EpisodeEntry, model: str, every_s: float
 ) -> tuple[BeliefExamples, Examples]:
-    """What learned predictors are trained on, from one episode: with labels and without.
+    """Training examples of learned predictors from one episode: with labels and without.
 
     Beliefs are the classifier's own.
     """
@@ -232,8 +232,8 @@ def train_predictors(
 ) -> dict[str, float]:
     """Train the learned predictors on a dataset's training episodes and save them.
 
-    The classifier should not have been trained on these episodes: on those it knows too well who
-    drives how.
+    The classifier should not have been trained on these episodes, where its posteriors are too
+    certain.
 
     Args:
         source: a dataset.

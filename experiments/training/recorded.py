@@ -1,10 +1,9 @@
 """Trains the predictor for recordings: ``graphrqi train-predictor DATA... --out FOLDER``.
 
-Every instant of a recording is learned from several times: as recorded, with noise added to the
-past, with fewer frames, with a shorter past, and with speeds that are constant between key frames,
-so that what the network learns holds on recordings that are shakier, coarser, younger or filled in.
-Half of these are mirrored, so that traffic on the left is learned, too. Maps are moved a little,
-since those of other places fit less well than a simulator's. The future is never altered.
+Every instant of a recording is used several times: as recorded, and in altered versions with
+noise, fewer frames, shorter pasts or speeds constant between key frames. Half of these are
+mirrored, so that traffic on the left is learned, too. Maps are moved a little, since those of
+other places fit less well than a simulator's. The future is never altered.
 """
 
 from __future__ import annotations
@@ -67,12 +66,11 @@ COARSER: Final = (2, 3, 5)
 DENSE_S: Final = 0.15
 
 MAP_OFF_M: Final = 0.6
-"""Standard deviation of each coordinate by which the map of an altered version is off, m (recorded
-vehicles drive beside the centre lines of their maps, simulated ones on them)."""
+"""Standard deviation of each coordinate of the map's offset in an altered version, m."""
 
 KEY_FRAMES_S: Final = (1.0, 5.0)
-"""Range of the time between key frames, s, uniform (in NGSIM's Peachtree Street speeds are constant
-for 1 to 5 s, and then jump by up to 4 m/s: a third of its seconds is so)."""
+"""Range of the time between key frames, s, uniform (after NGSIM's Peachtree Street, whose speeds
+are piecewise constant)."""
 
 MIRROR: Final = np.array([1.0, -1.0])
 """Swaps left and right."""
@@ -95,7 +93,7 @@ VALIDATION_EVERY: Final = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatasetExamples:
-    """What one dataset gives.
+    """Training examples of one dataset.
 
     Attributes:
         dataset: its name.
@@ -190,7 +188,7 @@ def mirrored(tracks: Tracks) -> Tracks:
 
 
 def mirrored_road(road: Road) -> Road:
-    """A road with left and right swapped, as far as paths along its lanes tell."""
+    """A road with left and right swapped, for paths along its lanes."""
     other = {"left": "right", "right": "left"}
     replace = dataclasses.replace
     lanes = (replace(one, centerline=one.centerline * MIRROR) for one in road.lanes)
@@ -216,12 +214,12 @@ def recorded_examples(
     history: Tracks, truth: FloatArray, counts: BoolArray, group: int, believable: bool,
     road: Road | None = None, map_off_m: FloatArray | None = None,
 ) -> RecordedExamples:  # fmt: skip
-    """What is learned from one instant.
+    """Training examples of one instant.
 
     Args:
-        history: the past, everyone seen in its last column.
+        history: the past; all agents are seen in its last column.
         truth: (n, KNOTS, 2) where they went, m.
-        counts: (n,) whom to learn from.
+        counts: (n,) which agents are learned from.
         group: number of the dataset.
         believable: whether neighbours are seen.
         road: the map; None for none.
@@ -252,7 +250,7 @@ def recorded_examples(
 def examples_of(
     one: RecordedPlace, every_s: float, group: int, rng: np.random.Generator, versions: bool
 ) -> list[RecordedExamples]:
-    """What is learned from one recording.
+    """Training examples of one recording.
 
     Between key frames places are interpolated, so the key frame to come shows in the past of that
     version, as it does in recordings that were filled in.
@@ -292,7 +290,7 @@ def examples_of(
 def gather_examples(
     places: Sequence[RecordedPlace], group: int, seed: int = 0, per_dataset: int = PER_DATASET
 ) -> DatasetExamples | None:
-    """What is learned from one dataset; None where nobody moves for long enough.
+    """Training examples of one dataset; None if no agent moves for long enough.
 
     Args:
         places: its recordings.
@@ -382,7 +380,7 @@ def fit_network(
 ) -> RecordedNetwork:
     """Train on what datasets give; their validation parts scale the spreads.
 
-    Networks that were trained without some of the datasets tell what corrections earn there.
+    Networks trained without some of the datasets give the reliability of corrections there.
     """
     errors = []
     for fold in range(FOLDS if len(found) > FOLDS else 0):

@@ -1,9 +1,9 @@
-"""Recordings as a benchmark of prediction sees them: datasets, places, instants, who is scored.
+"""Recordings for a benchmark of prediction: datasets, recording sites, instants, scored agents.
 
-Scored are vehicles that move (at least `MOVING_MPS`, or by more than `MOVED_M` within the last
-`PAST_S`), have been seen for `PAST_S` and are seen for the next `AHEAD_S`. Constant velocity, by
-which all errors are divided, goes on with the mean velocity of the last `VELOCITY_S`. Instants are
-samples of the recording: between samples the future would leak into an interpolated past.
+Scored vehicles move (at least `MOVING_MPS`, or `MOVED_M` within the last `PAST_S`), and are seen
+for `PAST_S` and the next `AHEAD_S`. Constant velocity, by which all errors are divided, goes on
+with the mean velocity of the last `VELOCITY_S`. Instants are samples of the recording: between
+samples the future would leak into an interpolated past.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ CLASSES: Final = ("standing", "slow", "free", "following")
 """Classes of vehicles by their past."""
 
 STANDING_MPS, SLOW_MPS = 0.5, 5.0
-"""Who stands is slower and has moved by less than half a metre; who is slow moves, m/s."""
+"""A standing vehicle is slower than the first and has moved by less than half a metre; a slow one
+is below the second, m/s."""
 
 FOLLOWING_S, FOLLOWING_M = 3.0, 15.0
-"""Who follows has a leader within this time or distance."""
+"""A follower has a leader within this time or distance."""
 
 VELOCITY_S: Final = 0.5
 """Past over which constant velocity averages, s."""
@@ -108,8 +109,8 @@ def family_of(name: str, folder: Path | None = None) -> str:
 def read_sources(sources: Sequence[Path], maps: bool = True) -> Iterator[RecordedPlace]:
     """The recordings of datasets, files and folders.
 
-    A folder that holds no recordings itself is a folder of datasets, one in each subfolder. What
-    no reader knows, and files that are broken, are left out, each with a line on stderr.
+    A folder that holds no recordings itself is a folder of datasets, one in each subfolder.
+    Unknown formats and broken files are left out, each with a line on stderr.
 
     Args:
         sources: datasets of ours, recordings, folders of them, or folders of such folders.
@@ -204,12 +205,12 @@ def recorded_instants(tracks: Tracks, every_s: float) -> list[int]:
 
 
 def history_of(tracks: Tracks, stop: int) -> Tracks:
-    """What a predictor is given at an instant: the last `HISTORY_S`."""
+    """Input of a predictor at an instant: the last `HISTORY_S`."""
     return tracks.window(stop, round(HISTORY_S / tracks.step_s) + 1)
 
 
 def scored(history: Tracks) -> BoolArray:
-    """(n,) who is scored, as far as the past decides: vehicles seen for `PAST_S`."""
+    """(n,) agents that the past admits to scoring: vehicles seen for `PAST_S`."""
     ago = history.time_s - history.time_s[-1]
     first = history.valid.argmax(axis=1)
     return np.asarray((history.kind != PEDESTRIAN) & (-ago[first] >= PAST_S - 1e-2))
@@ -225,7 +226,7 @@ def moved_m(history: Tracks) -> FloatArray:
 
 
 def moving(history: Tracks) -> BoolArray:
-    """(n,) who moves among those that are scored."""
+    """(n,) moving agents among the scored ones."""
     return scored(history) & ((moved_m(history) > MOVED_M) | (history.speed[:, -1] >= MOVING_MPS))
 
 
@@ -240,7 +241,7 @@ def classes_of(history: Tracks) -> IntArray:
 
 
 def steady_motion(history: Tracks, time_s: FloatArray) -> FloatArray:
-    """(n, H, 2) where everyone comes at the mean velocity of the last `VELOCITY_S`, m."""
+    """(n, H, 2) positions at the mean velocity of the last `VELOCITY_S`, m."""
     ago = history.time_s - history.time_s[-1]
     n = history.ids.size
     if ago.size < 2:

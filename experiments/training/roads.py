@@ -1,8 +1,7 @@
 """The roads that the predictor for recordings is trained on beside random worlds.
 
-Random worlds have straight roads, ramps and right-angled junctions. Recordings are made at
-roundabouts, too, where lanes bend, and on motorways that are hardly used, where nobody keeps
-anybody from driving on.
+Random worlds have straight roads, ramps and right-angled junctions. Recordings also cover
+roundabouts, where lanes bend, and nearly empty motorways.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Drivers' numbers by their simulated gaps: maximum a posteriori, and a population learned along.
+"""Drivers' car-following numbers from simulated gaps (maximum a posteriori), and their population.
 
-A driver is simulated behind its recorded leader. Its numbers are those with the smallest squared
-error of place, weighed against the population: their logarithms are normal with a mean and a
-covariance that are estimated from all drivers in turn (empirical Bayes). Intervals come from the
-curvature at the optimum (Laplace). Errors of simulated places last for many seconds, so that a
-stretch counts as one independent observation every `OBSERVED_S`.
+A driver is simulated behind its recorded leader. Its numbers minimise the squared error of
+position, weighed against the population. The population's logarithms are normal. Their mean and
+covariance are estimated from all drivers in turn (empirical Bayes). Intervals come from the
+curvature at the optimum (Laplace). Errors of simulated positions last for many seconds. A stretch
+therefore counts as one independent observation every `OBSERVED_S`.
 
 References:
     Treiber, Kesting (2013), Microscopic calibration and validation of car-following models,
@@ -56,10 +56,10 @@ PRIOR_DRIVERS: Final = 5.0
 """Strength of the prior of the spreads, in drivers."""
 
 OBSERVED_S, LEAST_OBSERVATIONS = 10.0, 4.0
-"""A driver counts as one observation for every so many seconds, s, and as so many at least."""
+"""A driver counts as one observation per this time, s, and as at least this many."""
 
 LEAST_ERROR_M: Final = 0.05
-"""Root mean square errors of place count as no smaller, m."""
+"""Least root mean square error of position, m."""
 
 STARTS: Final = (0.0, 0.25, 0.5, 0.75)
 """Shares of a stretch from which on its driver is simulated to the stretch's end."""
@@ -87,11 +87,11 @@ class Calibration:
 
     Attributes:
         law: the law.
-        mean: (5,) of the population's logarithms, in the order of ``NUMBERS``.
-        covariance: (5, 5) of the population's logarithms.
+        mean: (5,) means of the logarithms, in the order of ``NUMBERS``.
+        covariance: (5, 5) their covariance.
         logs: (N, 5) logarithms of each driver's numbers.
         spread: (N, 5, 5) their posterior covariance.
-        error_m: (N,) root mean square error of each driver's simulated places, m.
+        error_m: (N,) root mean square error of each driver, m.
     """
 
     law: Law
@@ -108,7 +108,7 @@ class Calibration:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """(N, 5) whether the recording tells a number better than the population does."""
+        """(N, 5) whether the recording determines a number better than the population does."""
         return np.asarray(self.deviation**2 < KNOWN * np.diag(self.covariance))
 
 
@@ -125,7 +125,7 @@ def calibrate(
         advance: is called with 1 after each driver of each of the `ROUNDS`.
 
     Returns:
-        What was inferred.
+        The calibrated drivers and their population.
 
     Examples:
         >>> t = np.arange(0.0, 60.0, 0.1)
@@ -225,9 +225,9 @@ def simulated(
 
     Args:
         law: the law.
-        logs: (M, 5) logarithms of the numbers of M drivers.
-        stretch: the leader's motion, and where and how fast the drive begins.
-        beside: (M,) acceleration beside the law's at first, m/s2; it fades in `FADES_S`.
+        logs: (M, 5) logarithms of M drivers' numbers.
+        stretch: the leader's motion and the first position and speed.
+        beside: (M,) residual acceleration at first, m/s2.
 
     Returns:
         (M, T) places of the front bumpers, m.
@@ -244,7 +244,7 @@ def simulated(
 
 
 def second_half_errors(law: Law, stretches: Sequence[Stretch]) -> FloatArray:
-    """How well the first half of each driver's following foretells its gaps in the second.
+    """Errors of each driver's gaps in its second half, predicted from its first half.
 
     Args:
         law: the law.
@@ -275,10 +275,10 @@ def forecast(
         logs: (5,) logarithms of the driver's numbers.
         spread: (5, 5) their posterior covariance.
         past: the driver until now.
-        ahead: from now on; of the driver itself, the first place and speed only.
+        ahead: the future; only the driver's first row is used.
 
     Returns:
-        (T,) medians over `DRAWS` from the posterior, m: means would follow the few draws that stop.
+        (T,) medians over `DRAWS` from the posterior, m.
     """
     from graphrqi.calibrate.kernels import mean_beside
 

@@ -1,7 +1,7 @@
-"""Recorded drivers: stretches of their drives in which the law of following decides.
+"""Recorded drivers: stretches of their tracks in which car following decides the motion.
 
-Left out are moments in which something else than the leader decides: bends, a stop line or crossing
-nearer than the leader, and lanes without a leader unless the road ahead is known to be clear.
+Moments in bends and before a stop line or crossing nearer than the leader are left out. Moments
+without a leader count only where the road ahead is known to be clear.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SMOOTHED_S: Final = 2.4
 """Time over which speeds and paths are smoothed, s (NGSIM's errors last for about a second)."""
 
 FARTHEST_M: Final = 100.0
-"""A vehicle farther ahead is no leader, m."""
+"""Largest distance to a leader, m."""
 
 TURNING_RADPS: Final = 0.1
 """From this yaw rate on, the bend decides the speed, rad/s (20 m/s at a radius of 200 m)."""
@@ -59,9 +59,9 @@ class Stretch:
     """Part of a drive without a break, in steps of `STEP_S`, behind one leader or behind none.
 
     Attributes:
-        place: (T,) distance of the front bumper along the way, m.
+        place: (T,) position of the front bumper, m.
         speed: (T,) smoothed speed, m/s.
-        leader: (T,) the leader's rear bumper in the same measure, m; +inf without one.
+        leader: (T,) the leader's rear bumper, m; +inf without one.
         leader_speed: (T,) its smoothed speed, m/s; 0 without one.
     """
 
@@ -75,9 +75,9 @@ class Stretch:
         """Resample and smooth what was measured.
 
         Args:
-            time_s: (n,) increasing, at least `LEAST_S` from the first to the last, s.
-            place: (n,) measured distance of the front bumper along the way, m.
-            leader: (n,) of the leader's rear bumper, m; +inf without a leader.
+            time_s: (n,) increasing, s.
+            place: (n,) measured position of the front bumper, m.
+            leader: (n,) the leader's rear bumper, m; +inf without one.
 
         Examples:
             >>> t = np.arange(0.0, 10.0, 0.2)

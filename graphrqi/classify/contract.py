@@ -20,15 +20,13 @@ class Classifier(Protocol):
     """
 
     def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
-        """Learn from labelled feature vectors.
+        """Learn from labelled feature vectors; validation rows of other classes are ignored.
 
         Args:
             features: (n, F) training vectors.
-            codes: (n,) classes, 0 to C - 1; a class that does not occur here gets probability zero
-                or nearly so.
-            validation: for early stopping and calibration; its rows of classes that do not occur
-                in ``codes`` are ignored.
-            seed: the same seed gives the same classifier.
+            codes: (n,) classes, 0 to C - 1.
+            validation: for early stopping and calibration.
+            seed: of the randomness.
         """
         ...
 
@@ -37,7 +35,7 @@ class Classifier(Protocol):
         ...
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What was learned, as arrays to be saved."""
+        """The learned arrays, to be saved."""
         ...
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:

@@ -36,10 +36,7 @@ def make_classifier(name: str, num_classes: int, **options: Any) -> Classifier:
         options: of that classifier's constructor.
 
     Returns:
-        The classifier.
-
-    Raises:
-        InputError: if there is no such classifier.
+        The classifier. Raises: InputError: if no classifier has this name.
     """
     return CLASSIFIERS[name](num_classes, **options)
 
@@ -64,7 +61,7 @@ def restore_classifier(
         The classifier.
 
     Raises:
-        InputError: if there is no such classifier, or the arrays are not those of one.
+        InputError: if no classifier has this name, or the arrays do not fit it.
     """
     classifier = make_classifier(name, num_classes, **options)
     classifier.restore(arrays, num_features)

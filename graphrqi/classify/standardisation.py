@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 CLIP: Final = 8.0
 """Standardised features are clipped here, so that a single wrong position does not decide the
-class; drivers do not differ by 8 standard deviations."""
+class."""
 
 AT_ONCE: Final = 16
 """Features whose deviation is found at once: the squares of all would take gigabytes."""
@@ -40,7 +40,7 @@ class Standardisation:
 
     @classmethod
     def of(cls, features: FloatArray | NDArray[np.float32]) -> Standardisation:
-        """Of training vectors (n, F), of single or double precision."""
+        """The standardisation of training vectors (n, F), of single or double precision."""
         mean, spread = np.empty(features.shape[1]), np.empty(features.shape[1])
         for first in range(0, mean.size, AT_ONCE):
             columns = slice(first, first + AT_ONCE)
@@ -55,7 +55,7 @@ class Standardisation:
         return np.clip(values, -CLIP, CLIP, out=values)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What to save."""
+        """The arrays to save."""
         return {"mean": self.mean, "scale": self.scale}
 
     @classmethod

@@ -28,8 +28,8 @@ def sum_of_leaves(
 ) -> None:
     """Add up the leaves that each sample falls into; see `graphrqi.classify.trees.Trees`.
 
-    ``features`` is (K * F, 64) of K batches of 64 samples, feature by feature; ``leaf`` is by the
-    hash of a leaf's bit; ``reachable`` (64,) is overwritten; ``out`` (K, C, 64) must be zero.
+    ``features`` is (K * F, 64), batch by batch of samples. ``leaf`` is indexed by the hash of a
+    leaf's bit. ``reachable`` (64,) is overwritten. ``out`` (K, C, 64) must be zero.
     """
     width = len(features) // max(len(out), 1)
     for k in range(len(out)):

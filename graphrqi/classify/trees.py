@@ -1,8 +1,8 @@
 """Many decision trees as plain arrays, and the sum of the leaves that a sample falls into.
 
-Every inner node has the mask of the leaves that remain reachable when its comparison is true; the
-first leaf of a tree that remains after all its masks is the one that a sample falls into. No step
-depends on another one, so that a comparison is made for many samples at once.
+Every inner node has the mask of the leaves that remain reachable when its comparison is true. A
+sample falls into the first leaf that remains after all masks. No step depends on another one, so a
+comparison is made for many samples at once.
 
 References:
     Lucchese et al. (2015), "QuickScorer: a fast algorithm to rank documents with additive
@@ -26,8 +26,8 @@ MOST_LEAVES: Final = 32
 """Largest number of leaves of a tree: the bits of a mask."""
 
 _HASH: Final = ((0x077CB531 << np.arange(MOST_LEAVES)) & 0xFFFFFFFF) >> 27
-"""Where the kernel looks for each bit's leaf: all differ (Leiserson, Prokop, Randall 1998, Using
-de Bruijn sequences to index a 1 in a computer word)."""
+"""Index of each bit's leaf (Leiserson, Prokop, Randall 1998, Using de Bruijn sequences to index a 1
+in a computer word)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Trees:
     """Trees of at most 32 leaves. Features are compared in single precision.
 
     Attributes:
-        first: (B + 1,) first inner node of each tree, and the number of inner nodes.
-        column: (B,) index of the sum that each tree adds to.
+        first: (B + 1,) first inner node of each tree.
+        column: (B,) sum that each tree adds to.
         feature: (I,) feature compared at an inner node.
         threshold: (I,) a larger feature goes right.
         keep: (I,) mask of the tree's leaves that then remain reachable.

@@ -1,7 +1,7 @@
 """The observer of drivers: how they move, and how they treat their neighbours.
 
-On raw motion it measures in every frame, for simulated traffic. On smoothed motion it measures some
-times a second, and each driver relative to its scene, for all other traffic.
+Raw motion serves simulated traffic and is measured in every frame. Smoothed motion serves all other
+traffic. It is measured several times a second, each driver relative to its scene.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ BoolArray = NDArray[np.bool_]
 MotionKind = Literal["raw", "smoothed"]
 
 NEIGHBORS: Final = 8
-"""Nearest neighbours among which leaders are searched: on a three-lane road the four nearest are
-often all in the next lanes."""
+"""Nearest neighbours among which leaders are searched; the nearest few are often all in the next
+lanes."""
 
 LONGEST_S: Final = 60.0
-"""Time watched beyond which a scene's numbers hardly change any more, s."""
+"""Longest time watched that is distinguished, s; the scene's numbers are stable by then."""
 
 SHARE_GAIN: Final = 0.05
 """Weight of a moment in the scene's shares: they follow within some ten seconds."""
@@ -51,7 +51,7 @@ UNKNOWN_SCENE: Final = -10.0
 split it off."""
 
 LEFT_OVER: Final = ("weaving", "unrest")
-"""What courses leave over. People are restless on a scale that no sensor's noise explains."""
+"""Residuals of courses: human driving varies by more than sensor noise explains."""
 
 SCENE_NAMES: Final = (
     "noise", "frame interval", "pace", "drivers", "share following", "share moving", "seconds",
@@ -59,10 +59,9 @@ SCENE_NAMES: Final = (
     *(f"deviation of {name}" for name in COMPARED),
     *(f"{name} over noise" for name in LEFT_OVER),
 )  # fmt: skip
-"""Numbers of the whole scene: standard deviation of the positions' errors, m; time between frames,
-s; free-flow speed, m/s; drivers at once; shares of them; log(1 + seconds watched, at most
-`LONGEST_S`); what is usual of ``COMPARED``; and logarithms of what courses leave over, relative to
-the noise."""
+"""Numbers of the whole scene: position noise, m; frame time, s; free-flow speed, m/s; drivers at
+once and their shares. Further ones are log(1 + seconds watched), means of ``COMPARED``, and
+logarithms of course residuals over the noise."""
 
 
 @cache
@@ -78,8 +77,8 @@ class DriverObserver:
     """Describes drivers by distributions of what they do.
 
     Args:
-        motion: ``raw`` for exact positions at some ten frames a second; ``smoothed`` for any.
-        solver: a key of ``SOLVERS`` for the spectrum, which raw motion alone has.
+        motion: ``raw`` for exact positions; ``smoothed`` for any.
+        solver: a key of ``SOLVERS`` for raw motion's spectrum.
         parts: of raw motion's features, from ``PARTS``.
 
     Examples:
@@ -118,7 +117,7 @@ class DriverObserver:
 
     @property
     def feature_names(self) -> tuple[str, ...]:
-        """What the columns of `features` are."""
+        """Names of the columns of `features`."""
         law = [f"{when}: {name}" for when in self._laws for name in following_law.LAW_NAMES]
         further = [f"spectrum_{name}" for name in INVARIANT_NAMES if self._spectrum is not None]
         if self._kind == "smoothed":

@@ -1,18 +1,17 @@
 """DANE: embedding of a network that changes and whose nodes have attributes.
 
-Two Laplacians are embedded separately, that of the traffic graph and that of the similarity of the
-agents' motion; each embedding consists of the generalised eigenvectors L a = lambda D a of the
+Two Laplacians are embedded separately: the traffic graph's, and that of the similarity of the
+agents' motion. Each embedding consists of the generalised eigenvectors L a = lambda D a of the
 smallest eigenvalues above zero. The consensus consists of the projections of the two that correlate
 most. From one moment to the next the eigenpairs are updated by first-order perturbation instead of
 being solved again. Arrays are dense, which suits up to some hundred agents.
 
-Differs from the paper: agents come and go, so rows of newcomers begin as the mean of their
-neighbours' rows, and the eigenproblem is solved again every ``RESTART_S`` and when many agents have
-changed.
+Differs from the paper: a newcomer's row begins as the mean of its neighbours' rows. The
+eigenproblem is solved again every ``RESTART_S`` and when many agents have changed.
 
 References:
     Li, Dani, Hu, Tang, Chang, Liu (2017), Attributed Network Embedding for Learning in a Dynamic
-    Environment, CIKM; equations 2, 5, 8 and 9.
+    Environment, CIKM.
 """
 
 from __future__ import annotations
@@ -111,7 +110,7 @@ class LaplacianPairs:
         """The pairs where rows ``kept`` of this graph become rows ``into`` of the next (m, m).
 
         Newcomers start at the mean of their neighbours. The pairs' graph is the old one among
-        vertices that remain and the new one elsewhere.
+        vertices that remain, and the new one for all others.
         """
         vectors = np.zeros((len(adjacency), self.values.size))
         known = adjacency[:, into]

@@ -5,14 +5,14 @@ A driver that is held up by its leader keeps the largest speed that is still saf
 
     gap = s0 + T v + (v^2 - v_leader^2) / (2 b),
 
-with standstill gap s0, time headway T and comfortable braking b: linear in (s0, T, 1 / b). So the
-sums of products of (1, v, (v^2 - v_leader^2) / 2, gap) over the moments of following are
-sufficient statistics of a driver's posterior, and they are additive. The posterior is that of a
-linear model with a normal prior and normal noise.
+with standstill gap s0, time headway T and comfortable braking b: linear in (s0, T, 1 / b). Sums of
+products of the regressors and the gap over the moments of following are therefore sufficient
+statistics. They are additive. The posterior is that of a linear model with a normal prior and
+normal noise.
 
 References:
-    Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08, eq. 3.6.
-    Bishop (2006), Pattern Recognition and Machine Learning, eqs. 3.50 to 3.51.
+    Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08. Bishop (2006), Pattern
+    Recognition and Machine Learning, eqs. 3.50 to 3.51.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ LEAST_MPS: Final = 0.5
 """Speed below which a headway is not meaningful, m/s."""
 
 COLUMNS: Final = 11
-"""Additive columns: 6 products of regressors, 3 with the gap, the squared gap, and the time."""
+"""Additive columns: products of regressors, their products with the gap, the squared gap, the
+time."""
 
 LAW_NAMES: Final[tuple[str, ...]] = (
     "standstill gap", "time headway", "inverse braking",
     "standstill gap sd", "time headway sd", "inverse braking sd", "residual",
 )  # fmt: skip
-"""What each column of `infer` is."""
+"""Names of the columns of `infer`."""
 
 
 def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray) -> FloatArray:
@@ -84,8 +85,8 @@ def implied_headway(
         speed: (n,) m/s.
         leader_speed: (n,) m/s; NaN without a leader.
         gap: (n,) m; NaN without a leader.
-        standstill_m: standstill gap assumed, m.
-        braking_mps2: braking assumed, m/s2.
+        standstill_m: assumed gap, m.
+        braking_mps2: assumed braking, m/s2.
 
     Returns:
         (n,) s; speeds below ``LEAST_MPS`` count as ``LEAST_MPS``.

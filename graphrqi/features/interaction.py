@@ -4,8 +4,8 @@
 positions, so gaps are centre distances less one nominal car length.
 
 `differences` compares a signal on the vertices (speed, sideways movement) with the neighbourhood.
-The random-walk Laplacian gives (D^-1 L s)_i = s_i - mean of s over i's neighbours; filtering by
-powers of P = D^-1 A first compares wider and wider neighbourhoods: P^j s - P^(j+1) s.
+The random-walk Laplacian gives (D^-1 L s)_i = s_i - mean of s over i's neighbours. Powers of P =
+D^-1 A widen the neighbourhoods: P^j s - P^(j+1) s.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Interaction:
     """The neighbours of each vertex; NaN (or -1) where there is none.
 
     Attributes:
-        leader: (n,) index of the nearest ahead on the same path, -1 if none.
+        leader: (n,) the nearest ahead on the same path, -1 if none.
         gap: (n,) to the leader, m; at least 0.
         leader_speed: (n,) m/s, along the follower's direction.
-        follower: (n,) index of the nearest behind on the same path, -1 if none.
+        follower: (n,) the nearest behind on the same path, -1 if none.
         rear_gap: (n,) m; at least 0.
         rear_speed: (n,) m/s, along the direction of the driver ahead of it.
         beside: (n,) number of drivers in the next lanes within ``ABREAST_M``.
@@ -70,7 +70,7 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
     Args:
         motion: of the n vertices, in the order of the graph.
         drives: (n,) whether each vertex drives; the others are pedestrians.
-        graph: whose edges say which vertices may interact.
+        graph: its edges join vertices that may interact.
 
     Returns:
         Interaction of each vertex.

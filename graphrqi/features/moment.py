@@ -1,4 +1,4 @@
-"""The drivers of one moment: values and conditions that what is measured of them is made of."""
+"""The drivers of one moment: the values and conditions that the features are made of."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _CLOSE, _DISTANT, _MIDDLE = (1.0, 5.0), (2.5, 2.5), (1.5, 3.5)
-"""Standstill gap, m, and braking, m/s2, that are assumed of a close, a distant and a middle
-follower to compute the law's headway."""
+"""Assumed standstill gap, m, and braking, m/s2, of a close, a distant and a middle follower."""
 
 
 Pace = Callable[[FloatArray, BoolArray], float]

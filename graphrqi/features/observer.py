@@ -21,13 +21,13 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What an observer knows about the drivers present now.
+    """The evidence of an observer on the drivers present now.
 
     Attributes:
         ids: (n,) ascending.
-        seconds: (n,) time observed so far, s.
+        seconds: (n,) time observed, s.
         sums: (n, S) additive evidence since each driver appeared.
-        instant: (n, I) quantities that hold at this moment only.
+        instant: (n, I) quantities of this moment only.
     """
 
     ids: IntArray
@@ -45,7 +45,7 @@ class Observer(Protocol):
 
     @property
     def feature_names(self) -> tuple[str, ...]:
-        """What the columns of `features` are."""
+        """Names of the columns of `features`."""
         ...
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
@@ -74,8 +74,7 @@ class Observer(Protocol):
 class RunningSums:
     """Sums over time for each driver, kept while it is present and ``FORGET_S`` longer.
 
-    A driver's sums stay in one row of a larger array while others come and go, because in a city
-    somebody does at every moment.
+    A driver's sums stay in one row of a larger array while others come and go.
 
     Args:
         width: columns of the sums.

@@ -1,4 +1,4 @@
-"""What is measured of raw motion: absolute numbers, in metres and seconds."""
+"""Quantities of raw motion: absolute numbers, in metres and seconds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from graphrqi.graph import TrafficGraph
 BoolArray = NDArray[np.bool_]
 
 MOVING_MPS: Final = 2.0
-"""Drivers move who are faster than this, m/s."""
+"""Speed above which a driver moves, m/s."""
 
 
 class RawMoment(Moment):
@@ -123,7 +123,7 @@ RAW: Final[Quantities[RawMoment]] = (
         m.a, m.clear & (m.over_pace > 0.8) & (m.a < 0.2))),
 )
 # fmt: on
-"""What is measured of raw motion, in the order of the features."""
+"""Quantities of raw motion, in the order of the features."""
 
 _MOTION: Final = ("speed", "acceleration", "braking", "sideways", "speed while turning",
                   "pull-away when slow")  # fmt: skip

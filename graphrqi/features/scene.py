@@ -1,8 +1,8 @@
-"""What is usual in a scene: its free-flow speed, the speeds of its places, means and deviations.
+"""Averages of a scene: its free-flow speed, the speeds at its positions, means and deviations.
 
-Traffic differs from place to place more than drivers of one place differ: limits, laws of driving,
-weather and measuring change everybody's numbers. A driver is therefore also compared with what is
-usual around it. All means forget exponentially, with the time constant `MEMORY_S`.
+Limits, traffic laws, weather and sensors change all drivers' numbers at a site. A driver is
+therefore also compared with the averages around it. All means forget exponentially, with the time
+constant `MEMORY_S`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LEAST_FREE_S: Final = 5.0
 """Seconds of free driving, summed over drivers, before a free-flow speed is given."""
 
 LEAST_DRIVER_S: Final = 20.0
-"""Seconds of observation, summed over drivers, before something counts as usual."""
+"""Seconds of observation, summed over drivers, before an average is given."""
 
 CELL_M: Final = 15.0
 """Side of the squares in which speeds are averaged: three car lengths."""
@@ -32,10 +32,10 @@ SECTORS: Final = 8
 """Directions of travel that are kept apart in a square."""
 
 TABLE: Final = 1 << 14
-"""Places that are remembered; two places that share an entry by chance are averaged."""
+"""Cells that are remembered; two cells that share an entry by chance are averaged."""
 
 LEAST_PLACE_S: Final = 2.0
-"""Seconds of observation of a place before its usual speed is given."""
+"""Seconds of observation of a cell before its mean speed is given."""
 
 
 class FadingSums:
@@ -115,7 +115,7 @@ class UsualValues:
         self._sums = FadingSums((3, least_deviation.size))
 
     def update(self, time_s: float, values: FloatArray, holds: BoolArray) -> FloatArray:
-        """Add one moment, and compare each value with what is usual.
+        """Add one moment, and compare each value with the averages.
 
         Args:
             time_s: later than at the call before.
@@ -146,7 +146,7 @@ class UsualValues:
 
 
 class PlaceSpeeds:
-    """Running mean of the speed of those that pass a place in one direction.
+    """Running mean of the speed of vehicles that pass a cell in one direction.
 
     Examples:
         >>> places = PlaceSpeeds()
@@ -163,16 +163,16 @@ class PlaceSpeeds:
     def update(
         self, time_s: float, xy: FloatArray, velocity: FloatArray, counts: BoolArray
     ) -> FloatArray:
-        """Add one moment, and give the usual speed at each position.
+        """Add one moment, and give the mean speed at each position.
 
         Args:
             time_s: later than at the call before.
             xy: (n, 2) m.
             velocity: (n, 2) m/s.
-            counts: (n,) whether each counts; the others are only answered.
+            counts: (n,) whether each adds to the means.
 
         Returns:
-            (n,) m/s before this moment was added; NaN where the place was hardly seen.
+            (n,) m/s before this moment was added; NaN where the cell was observed too briefly.
         """
         step_s = self._sums.fade(time_s)
         at = _entries(xy, velocity)

@@ -1,10 +1,10 @@
 """Motion from noisy positions at any frame rate, a moment ago.
 
-A position that is 10 cm wrong makes a velocity over .4 s wrong by .35 m/s: more than drivers differ
-by. `SmoothMotion` therefore fits a parabola to each agent's positions on both sides of a moment in
-the recent past. What the fit leaves over sideways, where drivers hardly move within a second, shows
-the noise; the noisier, the longer the stretch that is fitted. `Courses` fits the last seconds of
-smoothed motion, and what that leaves over shows how steadily a driver drives.
+Differenced noisy positions give velocities whose errors exceed the differences between drivers.
+`SmoothMotion` therefore fits a parabola to each agent's positions around a moment in the recent
+past. Its lateral residuals show the noise, since drivers move little sideways within a second. More
+noise lengthens the fitted stretch. `Courses` fits the last seconds of smoothed motion; its
+residuals show how steadily a driver drives.
 
 References:
     Savitzky, Golay (1964), Smoothing and differentiation of data by simplified least squares
@@ -35,7 +35,7 @@ LEAST_HALF_S: Final = 0.8
 within this time."""
 
 MOST_HALF_S: Final = 1.6
-"""Half the stretch at and beyond `FULL_NOISE_M`, s: longer ones would hide how a driver follows."""
+"""Half the stretch at and beyond `FULL_NOISE_M`, s; longer ones hide car following."""
 
 FULL_NOISE_M: Final = 0.2
 """Noise from which the longest stretch is fitted, m."""
@@ -44,11 +44,10 @@ NOISE_MEMORY_S: Final = 60.0
 """Time constant with which older estimates of the noise are forgotten, s."""
 
 EXACT_M: Final = 0.001
-"""Positions whose errors are smaller than this are exact, m: a tenth of the least noise that
-simulated traffic is seen through in training."""
+"""Positions with smaller errors are exact, m: a tenth of the least noise in training."""
 
 LEAST_FITS: Final = 20
-"""Fitted stretches of drivers after which noise counts as found; a lane change has some ten."""
+"""Fitted stretches after which noise counts as found."""
 
 LEAST_FRAMES: Final = 2.0
 """Fewest frames on either side of the moment: a parabola needs one more than three positions."""
@@ -103,12 +102,12 @@ def parabolas(trail: FloatArray, times: FloatArray, straight: BoolArray) -> Floa
 
 
 def left_over(trail: FloatArray, times: FloatArray, found: FloatArray) -> FloatArray:
-    """(n, T, 2) what fitted `parabolas` leave over of positions, m."""
+    """(n, T, 2) residuals of positions from fitted `parabolas`, m."""
     return np.asarray(trail - np.einsum("tp,npd->ntd", times[:, None] ** np.arange(3), found))
 
 
 class SmoothMotion:
-    """Fits the motion of every agent some times a second.
+    """Fits the motion of every agent several times a second.
 
     Memory is bounded by the positions of the last ``2 MOST_HALF_S`` seconds.
     """
@@ -150,8 +149,8 @@ class SmoothMotion:
     def is_noisy(self) -> bool:
         """Whether every moment so far showed noise, after `LEAST_FITS`; False before.
 
-        What a curve or a lane change leaves over counts as noise, too. One moment on straight ways
-        shows that positions are exact.
+        Residuals of curves and lane changes count as noise, too. One moment on straight paths shows
+        that positions are exact.
         """
         return self._fits >= LEAST_FITS and self._least_noise_m >= EXACT_M
 
@@ -200,7 +199,7 @@ class SmoothMotion:
         )
 
     def _directions(self, ids: IntArray, velocity: FloatArray) -> FloatArray:
-        """(n, 2) unit vectors of travel, the last known ones of agents that hardly move."""
+        """(n, 2) unit vectors of travel; slow agents keep their last ones."""
         direction = np.full((ids.size, 2), np.nan)
         into, source = align(self._ids, ids)
         direction[into] = self._direction[source]
@@ -213,7 +212,7 @@ class SmoothMotion:
     def _learn_noise(
         self, moment: float, trail: FloatArray, times: FloatArray, fitted: FloatArray
     ) -> None:
-        """Add what fits leave over across the way; the median ignores agents that turn."""
+        """Add lateral residuals of the fits; the median ignores agents that turn."""
         speed = np.hypot(fitted[:, 1, 0], fitted[:, 1, 1])
         count = (~np.isnan(trail[..., 0])).sum(axis=1)
         told = (speed > LEAST_DIRECTION_MPS) & (count >= 5) & ~np.isnan(fitted[:, 2, 0])
@@ -238,7 +237,7 @@ class Courses:
     """The last seconds of smoothed motion of every agent, and how steady they are.
 
     A parabola is a steady course: a constant acceleration along the road, a constant curvature
-    across it. Simulated cars keep to lines; people sway.
+    across it.
 
     Examples:
         A car that sways by 20 cm while it drives east:

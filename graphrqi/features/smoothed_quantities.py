@@ -1,8 +1,7 @@
-"""What is measured of smoothed motion: ratios, and comparisons with what is usual in the scene.
+"""Quantities of smoothed motion: ratios, and comparisons with the scene's averages.
 
-They differ less between roads, sensors and laws of driving than absolute numbers do. Absolute
-speeds, turning and weaving stand beside them: they say something about a driver beside the same
-numbers of others at its place.
+They differ less between roads, sensors and traffic laws than absolute numbers do. Absolute speeds,
+turning and weaving are included, since they are comparable within one site.
 """
 
 from __future__ import annotations
@@ -24,19 +23,18 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 MOVING_MPS, MOVING_OF_PACE, STANDING_MPS = 2.0, 0.25, 0.5
-"""Drivers move who are faster than the first, m/s. Slow traffic lowers it to the second as a share
-of the free-flow speed, but not below the third, m/s."""
+"""Speed above which drivers move, m/s. In slow traffic it is the second number times the free-flow
+speed, at least the third, m/s."""
 
 TURNING_RAD_PER_S: Final = 0.12
 """Turning faster than this counts as turning: a change of lanes stays below it at town speeds."""
 
 LEAST_LEFT_OVER_M: Final = 0.003
-"""What a course leaves over, and noise, counts as at least this, m: simulated cars without noise
-leave nothing."""
+"""Least residual of a course and least noise, m."""
 
 
 class SmoothedMoment(Moment):
-    """A moment of smoothed motion, beside what is usual in the scene."""
+    """A moment of smoothed motion, beside the scene's averages."""
 
     STEADY_MPS2 = 0.6
 
@@ -104,7 +102,7 @@ COMPARED: Final[dict[str, Values[SmoothedMoment]]] = {
 """Quantities of smoothed motion that are also compared with the scene's mean."""
 
 LEAST_DEVIATION: Final = np.array([0.15, 0.15, 0.03, 0.03, 0.03, 0.15, 0.15, 0.3, 0.3, 0.2, 0.2])
-"""Smallest standard deviation of each, well below what drivers of one place differ by."""
+"""Smallest standard deviation of each, well below the differences between drivers of one site."""
 
 _HEADWAY_S = (0.2, 0.35, 0.5, 0.7, 0.9, 1.15, 1.4, 1.7, 2.1, 2.6, 3.2, 4.0, 5.0)
 _ACCEL_MPS2 = (-5.0, -3.5, -2.5, -1.7, -1.1, -0.6, -0.3, -0.1, 0.1, 0.3, 0.6, 1.0, 1.5, 2.1, 3.0)
@@ -175,4 +173,4 @@ SMOOTHED: Final[Quantities[SmoothedMoment]] = (
     ),
 )
 # fmt: on
-"""What is measured of smoothed motion, in the order of the features."""
+"""Quantities of smoothed motion, in the order of the features."""

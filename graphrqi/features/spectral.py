@@ -1,12 +1,12 @@
 """Features of vertices in the spectrum of the paper's accumulated traffic graph.
 
 `eigenvector_rows` is what the paper feeds to its classifier: row i of the eigenvector matrix U. An
-eigenvector is defined up to its sign, and in the space of a repeated eigenvalue up to a rotation,
-so rows of U are not functions of the graph. The features of `invariant` are: they are sums of
-f(lambda) u_i^2 over whole eigenspaces, which do not depend on the choice of eigenvectors, and
-eigenvalues are scaled by the largest one, so that neither the number of vehicles nor their order
-matters. `GraphSpectrum` follows the graph and its largest eigenpairs from frame to frame, for two
-observers: `EigenvectorObserver` gives rows of U, `SpectrumObserver` invariant features.
+eigenvector is defined up to its sign, or up to a rotation where its eigenvalue is repeated. Rows of
+U are therefore not functions of the graph. The features of `invariant` are. They are sums of
+f(lambda) u_i^2 over whole eigenspaces, which do not depend on the choice of eigenvectors.
+Eigenvalues are scaled by the largest one, so that neither number nor order of the vehicles matters.
+`GraphSpectrum` follows the graph and its largest eigenpairs from frame to frame, for two observers:
+`EigenvectorObserver` gives rows of U, `SpectrumObserver` invariant features.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ NEIGHBORS: Final = 4
 """Nearest neighbours joined by an edge (the paper)."""
 
 RESET: Final = 100
-"""Steps after which the accumulated graph starts anew (the paper)."""
+"""Steps after which the accumulated graph is reset (the paper)."""
 
 SPECTRUM_EVERY_S: Final = 0.5
-"""Time between the spectra that averaged features use: a graph changes by a few per cent of its
-edges per tenth of a second."""
+"""Time between the spectra that averaged features use."""
 
 NUM_PAIRS: Final = 8
 """Eigenpairs kept at the largest end (since the paper does not state its own)."""

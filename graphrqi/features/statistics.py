@@ -2,9 +2,9 @@
 
 A `Block` is the histogram of one quantity under one condition (the time headway while following,
 say). Each moment's duration is shared between the two nodes of the block's scale that the value
-lies between. Histograms are additive: the one of any stretch of time is the difference of two
-running sums, at the same cost for a second and for a driver's life, and missing frames do not
-count. Features of a block are quantiles, the mean, and the time it was observed for.
+lies between. Histograms are additive. The histogram of any period is the difference of two running
+sums, at a cost that does not grow with its length. Missing frames do not count. Features of a block
+are quantiles, the mean, and the time it was observed for.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ def spread(
 
     Args:
         values: (B, n) one row per block; NaN where unknown.
-        counts: (B, n) whether the block's condition holds.
-        blocks: B of them.
+        counts: (B, n) whether its condition holds.
+        blocks: the B blocks.
         step_s: the duration, s.
         rows: (n,) each agent's row in ``sums``.
-        sums: (m, S) durations of all agents, the blocks' nodes side by side; further columns stay.
+        sums: (m, S) durations of all agents on the blocks' nodes.
 
     Examples:
         >>> sums = np.zeros((1, 2))
@@ -92,8 +92,8 @@ def describe(
     """Turn sums of moments into features.
 
     Args:
-        sums: (n, S) durations on the nodes of all blocks, side by side, s.
-        blocks: in the order of the columns; further columns are ignored.
+        sums: (n, S) durations on the nodes of all blocks, s.
+        blocks: in the order of the columns.
         out: (n, at least 7 B) receives the features if given.
 
     Returns:

@@ -1,8 +1,8 @@
 """Trajectory features of Cheung et al.: speeds, distances and jerk, and how much each varies.
 
-Differs from the paper: no lane is known from positions alone, so the deviation from the lane's
-centre is the sideways displacement over the last second; and speeds relative to the left and the
-right neighbour are one, relative to all neighbours.
+Differs from the paper: positions do not show lanes. The deviation from the lane's centre is the
+sideways displacement over the last second. One speed relative to all neighbours replaces those
+relative to the left and the right one.
 
 References:
     Cheung, Bera, Kubin, Gray, Manocha (2018), Identifying Driver Behaviors Using Trajectory

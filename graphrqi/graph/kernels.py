@@ -20,9 +20,9 @@ DIRECTION = np.array([math.cos(1.0), math.sin(1.0)])
 def nearest_neighbors(ids: Ids, xy: Floats, k: int) -> Ints:
     """The nearest others of every vehicle, by distance, then by id.
 
-    Vehicles are sorted along one direction. The search goes both ways from each, and ends where
-    the distance along that direction alone exceeds that of the k-th found: exact, and quick unless
-    most of the traffic is square to the direction.
+    Vehicles are sorted along one direction. The search goes both ways from each. It ends where the
+    distance along that direction alone exceeds that of the k-th found. The result is exact. The
+    search is slow only if most traffic is square to the direction.
 
     Args:
         ids: (n,) different ids.
@@ -81,11 +81,11 @@ def join(
     """Laplacian of the graph that one observation adds to an earlier one.
 
     Args:
-        row_of: (n,) row of every vehicle seen.
-        d: rows of the new graph; those of the earlier one come first.
-        neighbors: (n, k) the vehicles that each is joined to, by their place in ``row_of``.
-        old_indptr: (c + 1,) the earlier Laplacian in CSR: row starts,
-        old_indices: and columns, sorted in each row.
+        row_of: (n,) row of each vehicle.
+        d: rows of the new graph.
+        neighbors: (n, k) its neighbours, as indices of ``row_of``.
+        old_indptr: (c + 1,) the earlier Laplacian's row starts.
+        old_indices: its columns.
 
     Returns:
         Row starts, columns and values of the new Laplacian, every diagonal entry stored; the last

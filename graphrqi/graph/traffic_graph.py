@@ -1,9 +1,9 @@
 """The traffic graph and the rule by which observations of positions extend it.
 
+Each vehicle is joined to its k nearest, and edges of all frames since the last reset are kept.
 Source: Chandra et al., GraphRQI: Classifying driver behaviors using graph spectrums (ICRA 2020),
-section III: each vehicle is joined to its k nearest; the adjacency of all frames since the last
-reset is kept. Differs from the paper: the Laplacian is D - A throughout (the paper's recurrence
-L_t = blk(L_{t-1}, 1) + delta delta^T is no Laplacian, see docs/spectrum.md).
+section III. Differs from the paper: the Laplacian is D - A throughout. The paper's recurrence does
+not give a Laplacian, see docs/spectrum.md.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class ObservationRule:
     """How positions become edges.
 
     Attributes:
-        neighbors: nearest vehicles each vehicle is joined to (the union: one of the two chose).
-        reset: observations after which an accumulated graph begins anew.
+        neighbors: nearest vehicles that each vehicle is joined to.
+        reset: observations between resets of an accumulated graph.
         kind: "accumulated" keeps every vehicle and edge since the reset, "instantaneous" none.
     """
 
@@ -63,10 +63,10 @@ class TrafficGraph:
     Attributes:
         ids: (d,) the vehicle of each row.
         indptr: (d + 1,) row starts of the Laplacian in CSR form.
-        indices: (z,) its columns, sorted in each row, every diagonal entry stored.
+        indices: (z,) its columns, sorted in each row.
         values: (z,) its values.
-        rule: how observations extend the graph; None for a graph made from edges.
-        observations: observations since the last reset, this one included.
+        rule: how observations extend the graph, if they do.
+        observations: how many since the last reset.
 
     Examples:
         >>> graph = TrafficGraph.empty(neighbors=1).observe([3, 1, 2], [[0, 0], [1, 0], [9, 0]])
@@ -151,7 +151,7 @@ class TrafficGraph:
 
         Args:
             neighbors: nearest vehicles each vehicle is joined to.
-            reset: observations after which an accumulated graph begins anew.
+            reset: observations between resets of an accumulated graph.
             kind: "accumulated" or "instantaneous".
 
         Returns:

@@ -3,14 +3,13 @@
 ``import scenarios`` registers them by name and loads none of them, and
 ``gymnasium.make("scenarios:graphrqi/StraightRoad-v0")`` works anywhere. They run on highway-env's
 road and take highway-env's actions; the other drivers have the six behaviours' profiles.
-`scenarios.environments.environment.TrafficEnv` specifies observations, rewards and episodes;
-`scenarios.environments.config.TrafficConfig` lists the keys of the configuration, which
-``gymnasium.make(id, config={...})`` and ``reset(options={"config": {...}})`` take. Unknown keys and
-unusable values are refused by name. The keys ``net``, ``routes`` and ``scenario`` set any of them
-on another road.
-`scenarios.environments.parallel` makes an environment for several agents of any of them
-(PettingZoo, extra ``multi``); ``gymnasium.make_vec(id, num_envs=16)`` makes many worlds that one
-call steps (`scenarios.environments.vector`).
+`scenarios.environments.environment.TrafficEnv` specifies observations, rewards and episodes.
+`scenarios.environments.config.TrafficConfig` lists the keys of the configuration for
+``gymnasium.make`` and ``reset``. Unknown keys and unusable values are refused by name. The keys
+``net``, ``routes`` and ``scenario`` set any of them on another road.
+`scenarios.environments.parallel` makes environments for several agents (PettingZoo, extra
+``multi``). ``gymnasium.make_vec(id, num_envs=16)`` makes many worlds that one call steps
+(`scenarios.environments.vector`).
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ ENVIRONMENTS: Final[dict[str, dict[str, Any]]] = {
     # a grid of streets, or any road by config={"net": FILE}, along a route of the traffic's
     "graphrqi/OwnRoad-v0": _row(str(_GRID), None, {**_SQUARE, "duration_s": 120.0}),
 }
-"""What `TrafficEnv` makes each environment of, by its id."""
+"""Arguments of `TrafficEnv` for each environment, by its id."""
 
 
 def register_environments() -> None:

@@ -50,8 +50,8 @@ class TrafficConfig(BaseModel):
     )
 
     observation: Literal["kinematics", "behavior", "posterior", "graph"] = "kinematics"
-    """What is observed: positions and motion; with them every driver's true behaviour, or the
-    classifier's probabilities of it, or the traffic graph."""
+    """Observation: positions and motion; with them every driver's true behaviour, the classifier's
+    probabilities, or the traffic graph."""
 
     observed: int = Field(default=15, ge=1, le=10_000)
     """How many other agents are observed at most."""
@@ -80,8 +80,8 @@ class TrafficConfig(BaseModel):
     around the profiles."""
 
     net: str | None = None
-    """A map to drive on instead (SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or
-    Argoverse 2); the ego vehicle takes a route of the traffic's, drawn anew for each episode."""
+    """A map to drive on instead (a format of `sim.road.files` or a map that netconvert reads); the
+    ego vehicle takes a route drawn for each episode."""
 
     routes: str | None = None
     """A SUMO route file for ``net``; None: routes made from the map."""
@@ -113,7 +113,7 @@ class TrafficConfig(BaseModel):
     with such a method ``update``: ``graphrqi.stream.load_stream``."""
 
     goal: Literal["straight", "left", "right"] | None = None
-    """Where the ego vehicle is to go at an intersection; None for straight on, and elsewhere."""
+    """Goal of the ego vehicle at an intersection; None for straight on, and on other roads."""
 
     screen_width: int = Field(default=600, ge=1, le=16_384)
     """Width of images, pixels."""

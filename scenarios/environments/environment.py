@@ -1,7 +1,7 @@
 """Traffic with ego vehicles: episodes, rewards and observations of every environment.
 
 `TrafficEnv` is the environment for one ego vehicle; what it is made of holds for any number of
-them (`scenarios.environments.parallel`). Which road and which route an environment has is a row of
+them (`scenarios.environments.parallel`). The road and the route of an environment are a row of
 `scenarios.environments.ENVIRONMENTS`.
 """
 
@@ -65,8 +65,7 @@ REWARDS: Final[dict[str, float]] = {
     "red_run": -3.0,
     "off_road": -5.0,
 }
-"""The weight of each part of the reward (a collision costs more than ten seconds at the limit are
-worth)."""
+"""The weight of each part of the reward; a collision outweighs ten seconds at the limit."""
 
 BEGIN_M: Final = 3.0
 """Where on its first lane the ego vehicle begins, m."""
@@ -83,7 +82,7 @@ Outcome = tuple[Observation, float, bool, bool, dict[str, Any]]
 
 
 class Belief(Protocol):
-    """What a classifier returns: probabilities of the six behaviours by agent id."""
+    """Result of a classifier: probabilities of the six behaviours by agent id."""
 
     def of(self, ids: NDArray[np.int64]) -> FloatArray:
         """(m, 6) probabilities of the given agents."""
@@ -151,21 +150,23 @@ class TrafficEnv(EgoEnv):
 
     The behaviours' order is that of ``behaviors.BEHAVIORS``; pedestrians have zeros there.
 
-    Actions: highway-env's. By default 5 meta actions: 0 lane to the left, 1 nothing, 2 lane to the
-    right, 3 faster, 4 slower, between the target speeds 0, 3, 6, 9, 12 and 15 m/s. Nothing stops
-    the ego vehicle at signals, crossings or behind others; the others react to it as to anybody.
+    Actions: highway-env's. By default the meta actions, in this order: lane to the left, nothing,
+        lane to the right, faster, slower. Target speeds are the multiples of 3 m/s up to 15.
+        Nothing stops the ego vehicle at signals, crossings or behind others; the others react to
+        it as to any vehicle.
 
-    Reward per step: progress along the route as a share of what the limit allows, in [0, 1]; -10
-    for a collision; -1 for each near miss (`sim.safety.is_near_miss`), within half a second; -3 for
-    running a red light; -5 for leaving the road. ``info["rewards"]`` has the parts.
+    Reward per step: the progress along the route as a share of what the limit allows, in [0, 1].
+    Costs are 10 for a collision and 5 for leaving the road. Running a red light costs 3, and each
+    near miss within half a second costs 1 (`sim.safety.is_near_miss`). ``info["rewards"]`` has the
+    parts.
 
-    Episode: begins when there is room for the ego vehicle (5 m by 2 m) at the beginning of its
-    route, at 0.7 of the limit, on the lane with most room. Terminated by a collision, by leaving
-    the road, or at the end of its route; truncated after ``duration_s``.
+    Episode: begins at the start of the route, on the lane with most room for the ego vehicle, at
+    0.7 of the limit. Terminated by a collision, by leaving the road, or at the end of its route;
+    truncated after ``duration_s``.
 
-    ``info``: time_s, speed (m/s), crashed, arrived, collisions, near_misses, red_runs, rewards, and
-    events: tuples (what, agent, other or -1, rule) of all events in the step. Ids are those
-    of the drawn agents; the ego vehicle's is one more than the greatest.
+    ``info``: time_s, speed (m/s), crashed, arrived, collisions, near_misses, red_runs, rewards,
+    and events. An event is a tuple (what, agent, other or -1, rule). Ids are those of the drawn
+    agents; the ego vehicle's is one more than the greatest.
 
     Images: lanes, crossings, stop lines in the colour of their signal, pedestrians, vehicles in the
     colour of their behaviour (warm: aggressive, cool: conservative), the ego vehicle white. For a
@@ -176,8 +177,8 @@ class TrafficEnv(EgoEnv):
         config: changes to the configuration by key; `TrafficConfig` explains the keys.
         render_mode: None, ``"rgb_array"`` or ``"human"``.
         scenario_name: a registered scenario, a scenario's file or a map.
-        routes: the edges that the ego vehicle drives over, or these by ``goal``; None for a route
-            of the traffic's, drawn anew for each episode.
+        routes: edges of the ego vehicle's route, or these by ``goal``; None to draw a route of the
+            traffic for each episode.
         defaults: keys of the configuration that have other defaults than in `TrafficConfig`.
 
     Attributes:
@@ -289,11 +290,11 @@ class TrafficEnv(EgoEnv):
         self.events = []
 
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
-        """Everybody but the ego vehicles, in an episode whose traffic has this seed."""
+        """All agents but the ego vehicles, in an episode whose traffic has this seed."""
         return sample_agents(self.scenario, seed)
 
     def _classifier(self) -> Callable[[Frame], Belief] | None:
-        """What classifies the drivers of this episode; None where nothing is classified."""
+        """Classifier of the drivers of this episode; None if nothing is classified."""
         if self.config["observation"] != "posterior":
             return None
         made = self.config["classifier"]
@@ -308,7 +309,7 @@ class TrafficEnv(EgoEnv):
         return classify
 
     def _roomiest(self, ego: Ego) -> tuple[LaneIndex, float, float]:
-        """Of the lanes to begin on that with most room, its room, m, and the next one's speed."""
+        """Lane to begin on with most room, its room, m, and the next vehicle's speed."""
         self.road.locate()
         found: list[tuple[LaneIndex, float, float]] = []
         then = ego.route[1] if len(ego.route) > 1 else None
@@ -358,7 +359,7 @@ class TrafficEnv(EgoEnv):
     # Steps -----------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """Move everybody for one simulation step."""
+        """Move all agents for one simulation step."""
         road = self.road
         self.demand.enter()
         road.advance(self.dt)
@@ -412,8 +413,8 @@ class TrafficEnv(EgoEnv):
             Observation, reward, whether the episode has ended, whether its time is up, and info.
 
         Raises:
-            InputError: if the action is not of the action space's shape, not among its numbers or
-                not finite, or no episode has begun; the environment stays as it was.
+            InputError: if the action is not in the action space, or no episode has begun; the
+                environment stays unchanged.
         """
         if not self._begun:
             raise InputError("step: found no episode, expected reset before the first step")
@@ -481,7 +482,7 @@ class TrafficEnv(EgoEnv):
         }
 
     def outcome(self, ego: Ego) -> Outcome:
-        """What became of an ego vehicle in the last step, as `step` returns it."""
+        """Outcome of the last step for an ego vehicle, as `step` returns it."""
         return (self.observe(ego), *self.judged(ego))
 
     def judged(self, ego: Ego) -> tuple[float, bool, bool, dict[str, Any]]:
@@ -520,7 +521,7 @@ class TrafficEnv(EgoEnv):
         return self.info(self.egos[0])
 
     def observe(self, ego: Ego) -> Observation:
-        """What an ego vehicle observes now."""
+        """Current observation of an ego vehicle."""
         self.road.locate()
         vehicle, observed = ego.vehicle, self.config["observed"]
         others = observable_agents(self.road, vehicle)[:observed]

@@ -1,4 +1,4 @@
-"""What the ego vehicle observes: itself, the others, their behaviours and the traffic graph."""
+"""Observations of the ego vehicle: itself, the others, their behaviours and the traffic graph."""
 
 from __future__ import annotations
 
@@ -101,11 +101,7 @@ def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[
 
 
 def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
-    """The stop line and the crossing ahead of a front bumper, which is at ``front`` m on its lane.
-
-    Returns distance to the stop line, m; (3,) whether its signal is red, yellow, green; distance to
-    the next crossing, m; whether a pedestrian is on it or at its kerb.
-    """
+    """Stop line and crossing ahead of a front bumper, which is at ``front`` m on its lane."""
     network, lane = road.network_info, ego.lane_index
     info = network.info[lane]
     lit = np.zeros(3)
@@ -135,7 +131,7 @@ def observe_agents(
 
     Args:
         ego: the ego vehicle.
-        others: who is observed, at most ``observed``.
+        others: observed agents, at most ``observed``.
         behaviors: (n, 6) probabilities of the behaviours, or None for no such columns.
         observed: how many rows there are.
 
@@ -164,7 +160,7 @@ def observe_agents(
 
 
 def observe_graph(ego: Any, others: list[Any], observed: int) -> Observation:
-    """The observations ``mask`` and ``adjacency``: who is among whose nearest, either way."""
+    """The observations ``mask`` and ``adjacency`` of nearest neighbours, symmetric."""
     mask = np.zeros(observed + 1, dtype=np.int8)
     mask[: len(others) + 1] = 1
     adjacency = np.zeros((observed + 1, observed + 1), dtype=np.int8)

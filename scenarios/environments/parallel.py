@@ -2,8 +2,8 @@
 
 Needs ``pip install graphrqi[multi]``. Observations, actions, rewards and infos of each agent are
 those of `scenarios.environments.environment.TrafficEnv`; the other agents' vehicles are among what
-it observes. Agents come one after another, each at the beginning of its route as soon as there is
-room, and go when their episode ends; their vehicles are then taken off the road.
+it observes. Agents enter one after another, each at the beginning of its route as soon as there is
+room. Their vehicles leave the road when their episode ends.
 
 References:
     Terry et al. (2021), PettingZoo: Gym for multi-agent reinforcement learning, NeurIPS.
@@ -81,11 +81,11 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         return self
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """What an agent observes; the same for all."""
+        """Observation space of an agent; the same for all."""
         return self.traffic.observation_space
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """What an agent can do; the same for all."""
+        """Action space of an agent; the same for all."""
         return self.traffic.action_space
 
     def reset(
@@ -125,8 +125,7 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
             and infos, by agent: of those that were there, and of those that have come.
 
         Raises:
-            InputError: if an action is of an agent that is not there, or not one that the
-                environment for one vehicle takes; nobody has moved.
+            InputError: if an action is invalid, or of an absent agent; no vehicle has moved.
         """
         traffic, there = self.traffic, {self._names[ego.id]: ego for ego in self.traffic.egos}
         chosen = {

@@ -117,7 +117,7 @@ class TrafficVectorEnv(VectorEnv[Any, Any, Any]):
             Observations, rewards, whether the episode has ended, whether its time is up, and infos.
 
         Raises:
-            InputError: if an action is not of the action space; nobody has moved.
+            InputError: if an action is not of the action space; no vehicle has moved.
         """
         begins, infos = self._ended.copy(), dict[str, Any]()
         rewards = np.zeros(self.num_envs)

@@ -45,7 +45,7 @@ GRID_OPTIONS: Final = (
 signals (common sizes of blocks in towns)."""
 
 LIMITS_MPS: Final = (8.33, 11.11, 16.67, 19.44)
-"""Other speed limits whose nets are shipped for the two main roads: 30, 40, 60 and 70 km/h."""
+"""Other speed limits, km/h, whose nets are shipped for the two main roads."""
 
 SHIPPED: Final[dict[str, Geometry]] = {
     "straight_road": StraightGeometry(),
@@ -196,7 +196,7 @@ def run_program(
         within_s: it is stopped after this time, s; None for never.
 
     Returns:
-        What the program warned of.
+        Warnings of the program.
 
     Raises:
         InputError: if the program refuses, or takes too long.
@@ -228,7 +228,7 @@ def _reason(stderr: str) -> str:
 
 
 def _without_header(text: str) -> str:
-    """A net without the comment that tells when, where and by what it was built."""
+    """A net without the comment that records when, where and by what it was built."""
     begin, end = text.find("<!--"), text.find("-->")
     if begin < 0 or end < 0:
         return text

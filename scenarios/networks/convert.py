@@ -61,9 +61,8 @@ OPTIONS: Final[dict[str, tuple[str, ...]]] = {
     "sumo": ("--no-internal-links", "false"),
     "lanes": (*_COMMON, "--junctions.limit-turn-speed", "5.5", "--geometry.remove", "false"),
 }  # fmt: skip
-"""netconvert's options for each kind of map (after SUMO's own guide for OpenStreetMap): signals
-where the map has them, with fixed programmes; nobody turns round; turns are as slow as in our
-nets."""
+"""netconvert's options for each kind of map, after SUMO's guide for OpenStreetMap. Signals have
+fixed programmes, turnarounds are left out, and turns are as slow as in the shipped nets."""
 
 MOST_GAP_M: Final = 1.0
 """Lanes that a way joins without a path are at most this far apart, m (less than a vehicle moves in
@@ -100,14 +99,14 @@ _UNUSABLE: Final = re.compile(r"[^\w.-]+")
 
 
 def kind_of(path: Path, content: bytes | None = None) -> str:
-    """Which kind of map a file is, by its name and its content: a key of ``KINDS``.
+    """Kind of a map, by its file's name and content: a key of ``KINDS``.
 
     Args:
         path: the file.
         content: what it holds, unpacked; None if it is still to be read.
 
     Raises:
-        InputError: if the file is missing, too large, declares a document type, or is no map.
+        InputError: if the file is missing, too large, declares a document type, or is not a map.
     """
     content = _content(path) if content is None else content
     name = path.name.lower().removesuffix(".gz")
@@ -137,7 +136,7 @@ def _content(path: Path) -> bytes:
 
 
 def name_of(path: Path) -> str:
-    """What a map is called: its file's name up to the first dot.
+    """Name of a map: its file's name up to the first dot.
 
     Examples:
         >>> name_of(Path("maps/old town.net.xml"))
@@ -147,7 +146,7 @@ def name_of(path: Path) -> str:
 
 
 def source_of(path: Path, left_hand: bool | None = None) -> tuple[str, Source]:
-    """Which kind of map a file is, and its content as netconvert takes it.
+    """Kind of a map, and its content as netconvert takes it.
 
     Args:
         path: a map.
@@ -192,7 +191,7 @@ def drivable_net(path: Path, left_hand: bool | None = None) -> Path:
 
 
 def warnings_of(path: Path, left_hand: bool | None = None) -> tuple[str, ...]:
-    """What netconvert warns of when it makes a net of a map; nothing where it is missing.
+    """Warnings of netconvert when it makes a net of a map; none if netconvert is missing.
 
     Args:
         path: a map.

@@ -1,7 +1,7 @@
 """Roads lane by lane as the plain XML that netconvert turns into a SUMO net.
 
 Every lane for cars keeps its line, width and limit. Edges whose lanes are joined by connections
-meet in one node; netconvert works out there who has to let whom go first.
+meet in one node, whose priorities netconvert derives.
 """
 
 from __future__ import annotations
@@ -98,10 +98,7 @@ def plain_files(road: Road) -> dict[str, str]:
 
 
 def _kept_apart(edges: dict[str, list[Lane]], side: float) -> dict[str, list[Lane]]:
-    """The lanes of each edge; those too near to an oncoming lane are moved to the kerb.
-
-    Maps draw narrow streets so, and drivers there would stand face to face for ever.
-    """
+    """The lanes of each edge; those too near to an oncoming lane are moved to the kerb."""
     every = [lane for lanes in edges.values() for lane in lanes]
     dense = np.concatenate([_sampled(lane.centerline) for lane in every])
     tree = cKDTree(dense[:, :2])
@@ -135,10 +132,7 @@ def _sampled(line: np.ndarray) -> np.ndarray:
 
 
 def _without(links: list[_Link], loops: set[str]) -> list[_Link]:
-    """The ways between edges, with those that lead over some edges joined to one each.
-
-    An edge that begins and ends in one node lies inside a junction.
-    """
+    """The ways between edges, with those that lead over some edges joined to one each."""
     kept = [link for link in links if link[0] not in loops and link[2] not in loops]
     onward: dict[tuple[str, int], list[_Link]] = {}
     for link in links:

@@ -1,11 +1,10 @@
 """Demand made from a road: from every place where it begins to every place that can be reached.
 
-Vehicles enter at edges that no other edge leads to and leave at edges that lead nowhere; a way back
-to where one comes from (a turnaround) counts as neither. On a road without such edges, a ring say,
-or with few of them for its size, every edge is both: vehicles begin and end inside, too. Each pair
-of edges that a way joins gets a share of the traffic by the lanes of both, on the way that takes
-the least time. The traffic as a whole is so much that the lane that is used most carries a given
-share of what it can.
+Vehicles enter at edges without a predecessor and leave at edges without a successor; turnarounds
+are not counted. On a road without such edges, a ring say, or with few of them for its size, every
+edge is both: vehicles begin and end inside, too. Each pair of edges that a way joins gets a share
+of the traffic by the lanes of both, on the way that takes the least time. The total traffic loads
+the busiest lane to a given share of its capacity.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ SIGNAL_SHARE: Final = 0.4
 """Share of the time that a lane at a signal is let go (24 of 60 s)."""
 
 YIELDING_SHARE: Final = 0.35
-"""What a lane whose way yields to others passes of it (after the capacity of minor roads at
+"""Capacity of a yielding lane over that of a free one (after the capacity of minor roads at
 moderate traffic)."""
 
 MOST_ROUTES: Final = 600
@@ -47,10 +46,10 @@ MOST_EDGES: Final = 120
 """Most edges at which vehicles enter, and most at which they leave; the widest are taken."""
 
 SLOWEST_MPS: Final = 0.5
-"""Lanes with a lower limit are on no way (nobody would leave within an episode)."""
+"""Lanes with a lower limit are on no route."""
 
 TURN_S: Final = 3.0
-"""What a turn costs beside its length, s (routes go straight on where they can)."""
+"""Cost of a turn beside its length, s (routes go straight on where they can)."""
 
 SHORTEST_ENTRY_M: Final = 15.0
 """Vehicles enter and leave at edges at least this long, where there are any (a bus fits)."""
@@ -77,7 +76,7 @@ class EdgeGraph:
         """The lanes for cars of each edge, from right to left."""
         found: dict[str, list[Lane]] = {}
         for lane in self.road.lanes:
-            usable = not lane.speed_limit_mps < SLOWEST_MPS  # an unknown limit is no low one
+            usable = not lane.speed_limit_mps < SLOWEST_MPS  # unknown limits are not low
             if lane.cars and not lane.walking and not lane.internal and usable:
                 found.setdefault(lane.edge, []).append(lane)
         return {edge: sorted(lanes, key=lambda one: one.index) for edge, lanes in found.items()}

@@ -51,8 +51,8 @@ def own_road(
         The scenario, named after the map.
 
     Raises:
-        InputError: if a file is broken, an option is out of range, or nobody can drive there; one
-            line that names it.
+        InputError: if a file is broken, an option is out of range, or no route exists; one line
+            that names it.
     """
     given = [name for name, value in (("routes", routes), ("demand", demand), ("flows", flows))
              if value is not None]  # fmt: skip

@@ -1,7 +1,7 @@
 """Demand from a SUMO route file: how often each route of the file is driven.
 
-Departures and vehicles are drawn anew, as for every scenario: of a file counts only which routes
-there are and how many vehicles an hour each of them has. Vehicle types and walks are left out.
+Only the routes and their vehicles per hour are taken from a file; departures and vehicles are
+drawn as for every scenario. Vehicle types and walks are left out.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sim.scenario import MAX_DURATION_S, RouteFlow
 from sim.xml_tree import read_tree
 
 LEAST_SPAN_S: Final = 60.0
-"""Single vehicles count as departing over at least this time, s (so that a file with one vehicle is
-no flow of thousands an hour)."""
+"""Single vehicles count as departing over at least this time, s, so that one vehicle does not
+become a large flow."""
 
 
 def read_routes(path: Path, road: Road) -> list[RouteFlow]:

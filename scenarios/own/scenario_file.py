@@ -50,7 +50,7 @@ class Flow(BaseModel):
 
 
 class ScenarioFile(BaseModel):
-    """The keys of a scenario's file; without ``scenario`` and ``net`` there is no road."""
+    """The keys of a scenario's file; ``scenario`` or ``net`` gives the road."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False,
@@ -65,7 +65,7 @@ class ScenarioFile(BaseModel):
     path from the file's folder."""
 
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[\w.-]+$")] | None = None
-    """What it is called; by default the file's name."""
+    """Name of the scenario; by default the file's name."""
 
     routes: str | None = None
     """A SUMO route file, for a map; a path from the file's folder."""

@@ -23,7 +23,7 @@ SOURCE, SINK = "#2f7d4f", "#2c5f9e"
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of a map.
+    """Survey of a map.
 
     Attributes:
         name: what it is called.
@@ -31,7 +31,7 @@ class Survey:
         net: the SUMO net that both engines drive on.
         road: read from it.
         knows: which facts the map provides.
-        warnings: what netconvert warned of, and edges that nobody can come to or leave.
+        warnings: netconvert's warnings, and edges without an entry or an exit.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Survey:
         return EdgeGraph(self.road)
 
     def rows(self) -> list[dict[str, str | int | float]]:
-        """What was found, what is lacking and every warning, as rows of ``what`` and ``value``."""
+        """Findings, gaps and every warning, as rows of ``what`` and ``value``."""
         road, graph = self.road, self.graph
         cars = [lane for lanes in graph.lanes.values() for lane in lanes]
         limits = [lane.speed_limit_mps for lane in cars]
@@ -90,7 +90,7 @@ def survey(path: Path, left_hand: bool | None = None) -> Survey:
         left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
 
     Raises:
-        InputError: if it is no map, or no road can be made of it; one line says why.
+        InputError: if it is not a map, or no road can be made of it; one line says why.
     """
     kind, source = source_of(path, left_hand)
     net, doubts = drivable_net(path, left_hand), tuple[str, ...]()

@@ -1,1 +1,1 @@
-"""What happened in an episode or a recording: rows, observables, events and shown traits."""
+"""Description of an episode or a recording: rows, observables, events and shown traits."""

@@ -17,16 +17,15 @@ from sim.road import Road
 from sim.safety import Conflicts, conflicts
 
 MIN_FRAMES: Final = 3
-"""Fewest frames from which anything is told: the shortest motion with a change of speed."""
+"""Fewest frames for annotations: the shortest motion with a change of speed."""
 
 MAX_STEP_S: Final = 1.0
-"""Longest time between frames at which anything is told, s (traits are told from what lasts one
-second and more)."""
+"""Longest time between frames for annotations, s; traits last one second and more."""
 
 
 @dataclass(frozen=True, slots=True)
 class Annotations:
-    """What was found in an episode or recording of m rows.
+    """Annotations of an episode or recording of m rows.
 
     Attributes:
         inputs: what the trait detectors read, with the rules that applied.
@@ -72,8 +71,8 @@ def annotate_recording(
 ) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
     """Find the events and shown traits of a recording, whose frames may have breaks between them.
 
-    Nobody knows what happened in a break, so each part between breaks is looked at by itself.
-    Nothing is told from parts whose frames are more than `MAX_STEP_S` apart.
+    Parts between breaks are annotated separately, because the motion in a break is unknown.
+    Parts whose frames are more than `MAX_STEP_S` apart are not annotated.
 
     Args:
         steps: a recording.
@@ -101,7 +100,7 @@ def shown_traits(ids: IntArray, inputs: DetectorInputs) -> tuple[ShownTrait, ...
         inputs: what the detectors read, with the rules that applied.
 
     Returns:
-        Shown traits in order of time; their ``agent`` and ``other`` are ids (-1: nobody).
+        Shown traits in order of time; their ``agent`` and ``other`` are ids (-1: none).
     """
     return tuple(
         dataclasses.replace(

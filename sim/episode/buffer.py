@@ -24,7 +24,7 @@ class FrameBuffer:
 
     Tables of agents by times are twice as wide as needed. A frame is written into the next column;
     only when the right end is reached do the kept columns move back to the left. They have more
-    rows than agents, too: who appears takes the next one, and nobody else moves.
+    rows than agents: a new agent takes the next free row, and the others keep theirs.
 
     Args:
         steps: how many frames to keep.
@@ -50,9 +50,9 @@ class FrameBuffer:
         """Add the next frame.
 
         Raises:
-            InputError: if its time is not after the last one's or beyond ``MAX_TIME_S``, its ids
-                do not ascend, a place or kind in it is none, or there are other signals than
-                before. What is kept stays as it was.
+            InputError: if the time is out of order or beyond ``MAX_TIME_S``, the ids do not
+                ascend, a position or kind is invalid, or the signals differ. The buffer then stays
+                unchanged.
         """
         self._check(frame)
         if self._last is None:

@@ -1,4 +1,4 @@
-"""Who collided, and which party caused it."""
+"""Collisions, and which party caused each."""
 
 from __future__ import annotations
 
@@ -28,15 +28,14 @@ CUT_IN_S: Final = 3.0
 """A cut-in causes a collision within this time (the time to restore a headway)."""
 
 TURNED_M: Final = 6.0
-"""A vehicle whose rear is no farther than this beyond a junction may still be straightening up (a
+"""A vehicle whose rear is within this distance beyond a junction may still be straightening up (a
 car's length and more)."""
 
 STOOD_M: Final = 0.5
 """A vehicle that was never farther than this from where it was hit stood there."""
 
 REACTION_S: Final = 1.0
-"""A driver reacts to a standing vehicle after this time (Green 2000, Transportation Human Factors
-2(3): 0.7 s when expected, 1.25 s when not)."""
+"""Reaction time to a standing vehicle, s (Green 2000, Transportation Human Factors 2(3))."""
 
 APART_S: Final = 3.0
 """Two agents that touch again within this time are still in the same collision."""
@@ -51,9 +50,9 @@ def collisions(
 ) -> list[tuple[tuple[int, int], IntArray]]:
     """The pairs that collided, and the columns in which they touch.
 
-    A pair touches by the engine's word or by its outlines. Outlines alone do not tell that a
-    pedestrian was hit, because a turning vehicle's outline sweeps over the kerb where pedestrians
-    wait: only the engine's word counts for them.
+    A pair touches by the engine's word or by its outlines. A pedestrian counts as hit only if the
+    engine reports it, because a turning vehicle's outline sweeps over the kerb where pedestrians
+    wait.
 
     Args:
         steps: an episode or a recording, with the engine's events.
@@ -183,9 +182,8 @@ class Crashes:
     def cause(self, pair: tuple[int, int], time_s: float) -> Event:
         """A collision with its cause: the first of the following that applies.
 
-        A party ran a red light or a stop sign and has not left the junction; drove the wrong way;
-        walked where pedestrians may not, or into a standing vehicle; did not yield to a pedestrian;
-        cut in just before; or what `_between_vehicles` finds.
+        A party broke a rule that still applied: red light or stop sign, direction, walking,
+        yielding to a pedestrian, or cutting in. Otherwise `_between_vehicles` decides.
 
         Args:
             pair: ids of the parties, in any order.
@@ -235,14 +233,7 @@ class Crashes:
         return self._between_vehicles(*parties)
 
     def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:
-        """The cause that lies in how two vehicles stand to each other.
-
-        The first of these that applies: a party entered a junction that the other was still
-        clearing (where signals never let both go, or each yields to the other); was between lanes
-        (German road traffic act, section 7(5)); ran into a standing vehicle though there was room
-        to stop; took the other's priority; ran into a standing vehicle. Otherwise the follower
-        caused it.
-        """
+        """The cause that lies in how two vehicles stand to each other."""
         ways = one.connection, two.connection
         meet = min(ways) >= 0 and ways[0] != ways[1]
         if meet and self.road.first_come(*ways):

@@ -1,4 +1,4 @@
-"""Which road-agents touch each other, and for how long: their outlines overlap.
+"""Contacts of road agents: which outlines overlap, and for how long.
 
 An outline is a rectangle of an agent's length and width about its centre, turned by its heading.
 """

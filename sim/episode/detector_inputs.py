@@ -1,4 +1,4 @@
-"""What the trait detectors read of an episode: its observables and the rules of the road."""
+"""Inputs of the trait detectors: an episode's observables and the rules of the road."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def with_encounters(
 def detector_inputs(
     steps: TrajectoryRows, road: Road, observed: Observables | None = None
 ) -> DetectorInputs:
-    """What the detectors read, without the rules that applied (`with_encounters` adds them).
+    """Inputs of the detectors without the rules that applied (`with_encounters` adds them).
 
     Args:
         steps: an episode or a recording.
@@ -119,7 +119,7 @@ def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray
         inside[rows] = near & (u > 0.3) & (u < total - 0.3)
         for run in row_index.runs(inside):
             entered = int(row_index.step[run.start])
-            # nobody saw the entry of pedestrians that are there from the first frame on
+            # the entry of pedestrians present in the first frame is unknown
             if entered > 0 and steps.signals[crossing.signal, entered] == Signal.RED.code:
                 on_red[run] = True
     off[rows[on_road]] = True

@@ -32,7 +32,7 @@ from sim.safety import (
 )
 
 GRACE_S: Final = 0.3
-"""Passing a light this soon after it turned red is no red run (one glance)."""
+"""Passing a light this soon after it turned red is not a red run (one glance)."""
 
 STOP_ZONE_M: Final = 8.0
 """Stopping counts within this distance before the line (a car's length and more)."""
@@ -139,8 +139,8 @@ def _wrong_way(steps: TrajectoryRows, observed: Observables) -> list[Event]:
 def near_misses(met: Conflicts) -> list[Event]:
     """The near misses among conflicts, each at its least time to collision or encroachment.
 
-    ``agent`` is the one that had to let the other go first; where nobody knows, the one that came
-    later to the place that both drove over.
+    ``agent`` is the one that had to yield; where priority is unknown, the one that came later to
+    the shared position.
 
     Args:
         met: conflicts, as `sim.safety.conflicts` finds them.

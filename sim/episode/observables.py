@@ -1,12 +1,11 @@
-"""What can be seen of the traffic from positions, headings and speeds on a known road.
+"""Observables of traffic, from positions, headings and speeds on a known road.
 
-Who is on which lane, who follows whom and how closely, what limit holds, which signal, stop line
-or crossing lies ahead and whether someone walks there. One function serves a single frame and a
-whole episode, of which many instants are worked on at once.
+They give each agent's lane, leader and gap, limit, and the signal, stop line or crossing ahead
+with its pedestrians. One function serves a single frame and the many instants of an episode.
 
-Leaders are looked for along the lane and onward over the junctions. Where a lane goes on in
-several ways the straightest one is followed, because a frame does not say where a driver wants to
-go; gaps are bumper to bumper. Vehicles on a junction's other paths are not leaders.
+Leaders are looked for along the lane and onward over the junctions. Where a lane branches the
+straightest way is followed, because a frame does not give a driver's destination. Gaps are bumper
+to bumper. Vehicles on a junction's other paths are not leaders.
 
 References:
     Surrogate safety measures: Hayward (1972), "Near miss determination through use of a scale of
@@ -35,7 +34,7 @@ of the kerb)."""
 
 @dataclass(frozen=True, slots=True)
 class Observables:
-    """What is seen of n agents of a `Frame`, or in the n rows of `TrajectoryRows`.
+    """Observables of n agents of a `Frame`, or of the n rows of `TrajectoryRows`.
 
     Distances are +inf and indices -1 where there is nothing; for pedestrians everything is.
 
@@ -159,7 +158,7 @@ def _perceive(
 def crossing_people(
     road: Road, instant: IntArray, xy: FloatArray, instants: int
 ) -> tuple[BoolArray, BoolArray]:
-    """On which crossings someone walks, and beside which someone stands.
+    """Crossings with a pedestrian on them, and beside them.
 
     Args:
         road: where it happens.
@@ -168,7 +167,8 @@ def crossing_people(
         instants: how many instants there are.
 
     Returns:
-        (C, instants) occupied, and (C, instants) someone within `CROSSING_MARGIN_M` of an end.
+        (C, instants) occupied, and (C, instants) a pedestrian within `CROSSING_MARGIN_M` of an
+        end.
     """
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
@@ -194,10 +194,7 @@ def _observe(
     by_time: IntArray,
     begins: IntArray,
 ) -> Observables:
-    """What is seen in m rows of T instants.
-
-    ``signals`` is (S, T); the rows of each instant begin in ``by_time`` at ``begins`` (T + 1,).
-    """
+    """Observables of m rows of T instants."""
     graph = LaneGraph.of(road)
     m = speed.size
     place, view = _perceive(road, xy, heading, length, ~walking, by_time, begins)

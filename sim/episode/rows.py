@@ -1,6 +1,6 @@
 """An episode as one row per agent and time step, for searches over whole episodes.
 
-`sim.frames.Tracks` holds the same, and gives dense arrays to those who want them.
+`sim.frames.Tracks` holds the same, and gives dense arrays on request.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ BLOCK_ROWS: Final = 200_000
 take some 20 to 60 MB)."""
 
 BREAK_S: Final = 1.0
-"""Longest time between two frames that is no break, s (what agents do for less than a second is not
-told from recordings)."""
+"""Longest time between two frames without a break, s."""
 
 BREAK_STEPS: Final = 3.0
 """Most usual steps that may lie between two frames without a break."""

@@ -1,8 +1,8 @@
-"""A window of interest: the part of the traffic that somebody wants to know about.
+"""A window of interest: the part of the traffic that is reported.
 
 A stream or a predictor that is given a window never sees the agents outside it, and costs what the
-agents inside cost. So do its answers: a vehicle just outside is nobody's leader. Choose a window
-that is wider than what is asked about by what drivers there react to, some 100 m.
+agents inside cost. Its answers are limited likewise: a vehicle just outside is not a leader.
+Choose a window that is wider than what is asked about by what drivers there react to, some 100 m.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ DEFAULT_RADIUS_M: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Which agents are of interest at a time: those that every given condition admits.
+    """Selection of agents at a time: those that satisfy every given condition.
 
     Attributes:
         region: smallest x and y and largest x and y, m; None for everywhere.
-        around: id of an agent; only it and those within ``radius_m`` of it count, and nobody while
+        around: id of an agent; only it and those within ``radius_m`` of it count, and none while
             it is absent.
         radius_m: m.
-        agents: ids; None for everybody.
+        agents: ids; None for all.
 
     Examples:
         >>> frame = Frame(0.0, [3, 7], [[0.0, 0.0], [500.0, 0.0]], [0, 0], [9, 9], [4, 4], [2, 2],

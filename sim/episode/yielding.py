@@ -14,7 +14,7 @@ from sim.road import Crossing, Road
 from sim.road.lane_coordinates import along
 
 ROLLING_MPS: Final = 0.5
-"""A vehicle below this speed has stopped (slower than anyone walks)."""
+"""A vehicle below this speed has stopped (slower than walking)."""
 
 PATH_S: Final = 2.5
 """A pedestrian who reaches the vehicle's path within this time is in its way (about the time that a
@@ -221,11 +221,7 @@ def _unhindered_s(speed: float, distance: float, limit: float) -> float:
 def _others_cross(
     steps: TrajectoryRows, road: Road, links: IntArray, since: int, entry: int, until: int
 ) -> bool:
-    """Whether another vehicle was on a connection that crosses or joins this vehicle's.
-
-    Others count from row ``since`` of the vehicle, which enters in row ``entry``, to column
-    ``until``.
-    """
+    """Whether another vehicle was on a connection that crosses or joins this vehicle's."""
     row_index = steps.row_index
     agent, begin = int(row_index.agent[entry]), int(row_index.step[since])
     soon = int(row_index.step[entry]) + round(5.0 / steps.step_s)

@@ -83,7 +83,7 @@ def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
 
 
 def near_pairs(boxes: FloatArray, others: FloatArray, size_m: float) -> IntArray:
-    """Which boxes touch which others.
+    """Pairs of boxes that touch.
 
     Args:
         boxes: (n, 4) smallest x, smallest y, largest x and largest y, m.

@@ -18,7 +18,7 @@ ENDINGS: Final = (".road.json", MAP_SUFFIX, ".net.xml")
 """Endings of the roads that a dataset keeps, in the order in which they are looked for."""
 
 ROOT_BYTES: Final = 4096
-"""How much of an XML file is looked at to tell its root element."""
+"""Bytes of an XML file that are read to find its root element."""
 
 
 def read_road_file(
@@ -78,4 +78,4 @@ def _is_commonroad(path: Path) -> bool:
         with opened(path) as file:
             return b"<commonRoad" in file.read(ROOT_BYTES)
     except (OSError, EOFError, InputError, zlib.error):
-        return False  # whoever reads it says why
+        return False  # its reader reports the error

@@ -9,8 +9,8 @@ import numpy as np
 from sim.compiled import compiled, in_place
 
 FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
-"""Pieces of lane are sorted into cells of this width, m, and each cell lists those within the
-margin, m (a driver is nearly always within 4 m of its lane, so one cell suffices)."""
+"""Width of the cells into which lane pieces are sorted, m, and the margin within which a cell
+lists them, m."""
 
 
 @in_place(inner=True)
@@ -29,7 +29,7 @@ def fit(
 ) -> None:  # fmt: skip
     """Find the straight piece of lane that fits each place and heading best.
 
-    Of pieces that fit equally well it is the first.
+    The first of equally good pieces is taken.
 
     Args:
         xy: (n, 2) m.

@@ -29,12 +29,12 @@ DIRECTIONS: Final = ("straight", "right", "left", "turnaround")
 code order of ``LaneGraph.direction``."""
 
 NEAR_M, CELL_M = 0.01, 30.0
-"""Lines whose boxes are farther apart than this do not meet; width of the cells in which such boxes
-are looked for, m (beyond rounding errors, and about the size of a junction)."""
+"""Greatest distance between the boxes of lines that meet; width of the cells of the search, m
+(about the size of a junction)."""
 
 TURN_COST_M, PATH_TURN_COST_M = 0.7, 4.0
-"""What facing across a lane costs when a place is put on a lane, m, and what it costs on a path
-inside a junction (a lane is some 3 m wide)."""
+"""Cost of facing across a lane in locating an agent, m, and the cost on a path inside a
+junction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +152,9 @@ class LaneGraph:
     def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
         """Lane coordinates of points, on the vehicles' lane that fits place and heading best.
 
-        The fit is the distance to the centre line plus, in metres, how far the heading is from
-        the lane's: little on ordinary lanes (someone may drive on the wrong side), much inside
-        junctions, where paths overlap and only the heading tells them apart.
+        The fit is the distance to the centre line plus, in metres, a cost of the heading's
+        deviation. The cost is small on ordinary lanes and large inside junctions, where only the
+        heading separates overlapping paths.
 
         Args:
             xy: (n, 2) m.

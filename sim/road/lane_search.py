@@ -1,4 +1,4 @@
-"""Searches along lanes, compiled: who is ahead or behind, which stop lines and crossings come.
+"""Searches along lanes, compiled: vehicles ahead and behind, next stop lines and crossings.
 
 `sim.episode.observables` says what each observable means; here they are loops over plain arrays.
 """
@@ -33,7 +33,7 @@ OFF_END_M = 5.0
 
 
 class LaneView(NamedTuple):
-    """What m rows of vehicles see along their lanes; distances are +inf and indices -1 for none.
+    """Neighbours of m vehicles along their lanes; distances are +inf and indices -1 for none.
 
     Attributes:
         lane: (m,) lane that the vehicle's centre is on.
@@ -81,7 +81,7 @@ def perceive(
         graph: the road.
 
     Returns:
-        What each row sees.
+        Neighbours of each row.
     """
     m = s.size
     on_lane, forward, segment = np.full(m, -1), np.full(m, -1), np.empty(m, np.int64)
@@ -113,7 +113,7 @@ def perceive(
 def adjacent_vehicles(
     lane: IntArray, s: FloatArray, length: FloatArray, graph: LaneGraph
 ) -> tuple[IntArray, FloatArray]:
-    """Who is ahead and behind on the lanes beside, at one instant.
+    """Find the vehicles ahead and behind on the lanes beside, at one instant.
 
     Args:
         lane: (p,) lane that each vehicle is on, -1: none.
@@ -136,7 +136,7 @@ def _search(
     by_time: IntArray, begins: IntArray, lane: IntArray, s: FloatArray, length: FloatArray,
     begin: IntArray, graph: LaneGraph,
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """(m, K) who is next from each of K lanes, ahead, behind, ahead and so on, and the gaps, m."""
+    """(m, K) next vehicle on each of K lanes, ahead and behind in turn, and the gaps, m."""
     who, gap = np.full(begin.shape, -1), np.full(begin.shape, np.inf)
     lanes, at = lane[by_time], s[by_time]
     if begins.size > 2:
@@ -151,7 +151,7 @@ def _search(
 
 
 def _followers(leader: IntArray, gap: FloatArray) -> IntArray:
-    """(m,) who is nearest behind each; of several at the same distance the last."""
+    """(m,) nearest vehicle behind each; the last of several at the same distance."""
     follower = np.full(leader.size, -1)
     behind = np.flatnonzero(leader >= 0)
     behind = behind[np.argsort(-gap[behind], kind="stable")]
@@ -243,7 +243,7 @@ def _find_neighbors(
     rows: Any, lanes: Any, at: Any, begins: Any, s: Any, length: Any, begin: Any, road: Any,
     who: Any, gap: Any,
 ) -> None:  # fmt: skip
-    """Find who is next along K ways, among rows in order of time, lane and place."""
+    """Find the next vehicles along K paths, among rows in order of time, lane and position."""
     lane_length, ahead, behind = road
     _, ways = begin.shape
     for t in range(begins.size - 1):

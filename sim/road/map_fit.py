@@ -1,7 +1,7 @@
 """Does the map fit the recording? Before anything uses a map, moving vehicles must be in its lanes.
 
-A position is inside if it is no farther from a lane's centre line than half the lane's width, and
-drives in the lane's direction. Maps of another place, or in other coordinates, show at once.
+A position fits if it is within half the lane's width of a centre line and moves in the lane's
+direction. Maps of another place, or in other coordinates, show at once.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class MapFit:
         return math.isnan(self.limit_ratio) or LIMIT_LOW <= self.limit_ratio <= LIMIT_HIGH
 
     def notes(self) -> tuple[str, ...]:
-        """What was found, one sentence each."""
+        """Findings, one sentence each."""
         if math.isnan(self.share):
             return ("too little moves to judge whether the map fits",)
         inside = f"{self.share:.0%} of moving positions are inside the map's lanes"

@@ -67,13 +67,14 @@ MAX_LENGTH_M: Final = 1e7
 _NO_NUMBER: Final = re.compile(
     rb"""\s(?:shape|speed|length|width)\s*=\s*(?:"[^"]*[_\x80-\xff][^"]*"|'[^']*[_\x80-\xff][^']*')"""
 )
-"""What sumolib, as Python does, may take for numbers that no other program does: ``1_0``."""
+"""Spellings of numbers that sumolib, as Python does, accepts and other programs reject:
+``1_0``."""
 
 _BROKEN: Final = (
     xml.sax.SAXException, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
     OSError, RuntimeError, TypeError, ValueError, zlib.error,
 )  # fmt: skip
-"""What sumolib raises on a broken net."""
+"""Exceptions of sumolib on a broken net."""
 
 
 _LEFT_HAND: Final = re.compile(rb"""<net\b[^>]*?\blefthand\s*=\s*["'](?:true|1)["']""")
@@ -83,7 +84,7 @@ _OFFSET: Final = re.compile(
 
 
 def net_offset(path: Path) -> tuple[float, float]:
-    """What was added to the coordinates of a SUMO net when it was made, m; 0 where it says none.
+    """Offset that was added to the coordinates of a SUMO net, m; 0 by default.
 
     Args:
         path: a net, or any other map.
@@ -116,7 +117,7 @@ def read_road(path: str | Path, name: str | None = None) -> Road:
         Its lanes (junction paths and sidewalks too), connections, crossings and signals.
 
     Raises:
-        InputError: if the file is missing or is no SUMO net with at least one drivable lane.
+        InputError: if the file is missing or is not a SUMO net with at least one drivable lane.
     """
     source = Path(path)
     if not source.is_file():
@@ -157,11 +158,7 @@ _ID: Final = re.compile(rb"""<(edge|lane)\b[^>]*?\sid\s*=\s*(?:"([^"]*)"|'([^']*
 
 
 def _check_ids(source: Path, data: bytes, road: Road) -> None:
-    """Refuse lanes whose ids are not those of their edges, as SUMO calls them.
-
-    sumolib counts an edge's lanes and does not look at their ids, so that a lane which stands in
-    another edge, or has another id or none, would silently be another lane.
-    """
+    """Refuse lanes whose ids are not those of their edges, as SUMO calls them."""
     told: dict[str, list[str]] = {}
     edge = ""
     for kind, plain, other in _ID.findall(data):
@@ -269,10 +266,7 @@ def _lane(lane: Any, edge: Any) -> Lane:
 def _signals(
     net: Any,
 ) -> tuple[tuple[SignalPlan, ...], tuple[str, ...], dict[tuple[str, int], int]]:
-    """The signal plans, the names of all groups, and each link's group.
-
-    Links of one set of traffic lights whose states are equal in every phase form one group.
-    """
+    """The signal plans, the names of all groups, and each link's group."""
     plans: list[SignalPlan] = []
     names: list[str] = []
     group_of: dict[tuple[str, int], int] = {}

@@ -170,14 +170,14 @@ class LanePosition:
 
 @dataclass(frozen=True, slots=True)
 class MapKnowledge:
-    """Which facts a map provides; anything else is unknown.
+    """Facts that a map provides; all others are unknown.
 
     Attributes:
         limits: whether it has speed limits.
         signals: whether it says where lights stand and what they show.
         priority: whether it says who has to let whom go first.
-        limits_rule: whether traffic there drives as its limits say; False where recorded traffic
-            is much slower or faster, so that a limit predicts nobody's speed.
+        limits_rule: whether traffic follows the limits; False where recorded traffic is much
+            slower or faster.
     """
 
     limits: bool = True
@@ -208,7 +208,7 @@ class Road:
         signal_groups: names of the groups whose states `Frame.signals` gives, in that order.
         source: the file it was read from.
         signal_plans: the programmes behind the signal groups, at most one for each group.
-        knows: what its map tells; a SUMO net tells everything.
+        knows: facts that its map provides; a SUMO net provides all.
         left_hand: whether traffic drives on the left; a lane's index 0 is then the leftmost.
         doubts: what of its map is left out because it is broken, a sentence each.
     """
@@ -353,7 +353,7 @@ class Road:
     def first_come(self, one: int, two: int) -> bool:
         """Whether neither of two connections has priority: the vehicle that comes first goes first.
 
-        So it is where signals never let both go, and where each yields to the other (all-way
+        This holds where signals never let both go, and where each yields to the other (all-way
         stops).
 
         Args:

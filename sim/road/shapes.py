@@ -23,7 +23,7 @@ BAR_M: Final = (0.5, 0.5)
 """Width of a zebra's bar and of the gap after it, m."""
 
 LONGEST_M: Final = 1_000.0
-"""So much of a crossing is drawn, m (broken maps have crossings across a country)."""
+"""Longest part of a crossing that is drawn, m (broken maps have crossings across a country)."""
 
 CORNER_M: Final = 4.0
 """How much wider a junction's paving is than its asphalt, m (two sidewalks)."""

@@ -1,7 +1,7 @@
-"""Which bodies are at one place within a few seconds of each other, as driven and as predicted.
+"""Searches for agents that share a position within a few seconds, as driven and as predicted.
 
-Two searches over a whole episode, whose cost grows with what is near each body, not with the number
-of pairs: whose driven area does a body enter, and which areas ahead overlap?
+Two searches cover a whole episode: for bodies that enter another's driven area, and for areas
+ahead that overlap. Their cost grows with the bodies near each other, not with the number of pairs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ CELL_M: Final = 5.0
 """Width of the cells in which driven areas are looked for (a car's length)."""
 
 BREAK_S: Final = 1.0
-"""Between frames farther apart than this and than three usual steps, nobody knows the motion."""
+"""Motion is unknown between frames farther apart than this and than three usual steps."""
 
 TURN_WINDOW_S: Final = 0.5
 """How fast a body turns is measured from this long before to this long after, s."""
@@ -42,7 +42,7 @@ TURN_WINDOW_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """What is known of m rows, by agent and then by time.
+    """State of m rows, by agent and then by time.
 
     A piece is the straight motion from one row to the next; it takes no time before a break.
     """
@@ -58,7 +58,7 @@ class Driven:
 
     @classmethod
     def of(cls, tracks: Tracks) -> Driven:
-        """What is known of the rows of tracks."""
+        """State of the rows of tracks."""
         rows = tracks.as_rows()
         agent, time_s = rows.index.agent, tracks.time_s[rows.index.step]
         usual_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 1.0
@@ -98,10 +98,10 @@ class Shared(NamedTuple):
 
 
 def shared_places(driven: Driven, within_s: float) -> Shared:
-    """Who comes where another one has been, at most ``within_s`` after.
+    """Find bodies that come where another one has been, at most ``within_s`` after.
 
     Each piece is compared with the others' of the last seconds, and for each other body the least
-    time counts. Of those that went the same way only the last counts, which is the one followed.
+    time counts. Among bodies that went the same way only the last counts, which is the leader.
     """
     by_time, _ = driven.index.by_time()
     time_s = driven.time_s[by_time]
@@ -147,9 +147,8 @@ def _find_shared(
 ) -> Any:  # fmt: skip
     """Find the moments of `Shared`; returns how many, of which those that fit are set.
 
-    A piece is x, y, heading as a vector, velocity, half sizes, time, duration; ``corners`` are the
-    cells that it touches, and ``best`` has the least time after each agent, when, the piece, and
-    the agents that have one.
+    A piece is x, y, heading as a vector, velocity, half sizes, time, duration. ``corners`` are the
+    cells that it touches; ``best`` holds each agent's least time and its piece.
     """
     found = 0
     for i in range(begin, len(pieces)):
@@ -240,7 +239,7 @@ def areas_ahead(driven: Driven, within_s: float) -> IntArray:
 
 @in_place()
 def _meet(bodies: FloatArray, pairs: IntArray, kept: BoolArray) -> None:
-    """Which pairs count in `areas_ahead`; a body is x, y, heading, way ahead, half sizes."""
+    """Select the pairs of `areas_ahead`; a body is x, y, heading, length, half sizes."""
     for n in range(len(pairs)):
         one, other = bodies[pairs[n, 0]], bodies[pairs[n, 1]]
         ahead, ahead_2 = (one[2], one[3]), (other[2], other[3])

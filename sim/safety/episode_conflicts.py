@@ -60,8 +60,8 @@ ONCOMING_RAD: Final = math.radians(150.0)
 class ConflictKind(StrEnum):
     """How two road users meet; the members' order is the code order.
 
-    The angle is that between the headings at the place that both drove over, where the time between
-    them was least; if they share none, between the headings when they were nearest to a collision.
+    The angle is between the headings at the shared position with the least time between the two.
+    Without a shared position, it is that of their nearest approach to a collision.
 
     - following: below 30 degrees, one behind the other when they first share a place
     - merging: below 30 degrees there or in the end, but one came in from aside
@@ -84,15 +84,15 @@ CONFLICT_KINDS: Final = tuple(ConflictKind)
 
 FOLLOWING, MERGING, CROSSING, ONCOMING, SIDE, WALKING = range(len(CONFLICT_KINDS))
 DECIDED: Final = (MERGING, CROSSING, ONCOMING, WALKING)
-"""Kinds of which one party has to let the other go first."""
+"""Kinds in which one party has to yield."""
 
 
 @dataclass(frozen=True, eq=False)
 class Conflicts:
     """The k encounters of an episode, by begin, then by ids. Ids are -1 where there is none.
 
-    Times to collision count at instants at which the straight prediction holds: until then, neither
-    body would leave its straight path by more than half its width as fast as it turns now.
+    Times to collision count only while each body's present turn keeps it within half its width of
+    its straight path.
 
     Attributes:
         first: (k,) id of one agent, the smaller one.
@@ -104,16 +104,15 @@ class Conflicts:
         ttc_time_s: (k,) when, s; nan if never.
         mttc_s: (k,) least modified time to collision, s; inf if there was none.
         drac_mps2: (k,) largest deceleration rate to avoid the crash before contact, m/s2.
-        pet_s: (k,) post-encroachment time of the areas that they drove over, s: the least time
-            from the last instant at which one covers a place to the first at which the other does.
-            nan where they share no place within the time that makes an encounter.
+        pet_s: (k,) post-encroachment time, s: the least time between one's leaving a shared
+            position and the other's arrival. nan where they share none within an encounter's time.
         pet_time_s: (k,) when the later one came there, s; nan where there is none.
         gap_m: (k,) least distance between the outlines, m; nan if never seen at one time.
         closing_mps: (k,) rate at which it shrank then, m/s.
-        delta_v_mps: (k,) change of velocity of the lighter one if they had collided and stuck
-            together at their least time to collision, or nearest to each other if none, m/s.
+        delta_v_mps: (k,) change of velocity of the lighter one in an inelastic collision at their
+            least time to collision, else at their nearest, m/s.
         passed_first: (k,) id of the one that was first at the place of ``pet_s``.
-        priority: (k,) id of the one that the other had to let go first, as far as the map tells.
+        priority: (k,) id of the one with priority, as far as the map gives it.
         near_miss: (k,) whether they nearly collided (`sim.safety.is_near_miss`). Post-encroachment
             time counts where one does not follow the other: the later one comes in from aside.
     """
@@ -168,14 +167,14 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     """Every encounter of two road users.
 
     An encounter lasts while the areas overlap that the two would sweep within ``within_s`` at
-    constant velocity; for bodies that go the same way, while a collision is that near. It lasts,
-    too, from when one leaves a place to when the other comes there, if that is no longer than
-    ``within_s``; a body follows only the last one of those that went the same way. Encounters of a
-    pair are one if no more than that lies between them. Pedestrians do not meet each other.
+    constant velocity. For bodies on the same way it lasts while a collision is that near. It also
+    lasts between one's leaving a position and the other's arrival, up to ``within_s``. A body
+    follows only the last of those on the same way. Encounters of a pair are one if no more than
+    that lies between them. Pedestrians do not meet each other.
 
     Args:
         tracks: an episode or a recording.
-        road: its map, which tells who has priority; None if unknown.
+        road: its map with the priorities; None if unknown.
         within_s: how near in time an encounter is, s.
 
     Returns:
@@ -228,7 +227,7 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     depth = -separation(outlines.rows(rows[0, touch]), outlines.rows(rows[1, touch]))
     contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
     aside_s = np.where(aside & (kind != FOLLOWING)[of_place], places.gap_s, np.inf)
-    aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # what grazes is no contact
+    aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # a graze is not a contact
     close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k)
     close += np.bincount(of_place[is_near_miss(np.inf, 0.0, aside_s)], minlength=k)
     mass = np.array([MASS_KG[each] for each in KINDS])[tracks.kind[agents]]
@@ -305,10 +304,7 @@ def _kinds(
     at_pet: IntArray,
     nearest: IntArray,
 ) -> tuple[CodeArray, BoolArray]:
-    """(k,) the kinds, as `ConflictKind` says, and to which shared places one comes from aside.
-
-    ``nearest`` are the rows nearest to a collision.
-    """
+    """(k,) the kinds, as `ConflictKind` says, and to which shared places one comes from aside."""
     k = at_pet.size
     turn = np.abs(wrapped(*np.diff(driven.piece_heading[[places.earlier, places.later]], axis=0)))
     aside, _, wide, _ = _beside(outlines, places.earlier, places.later)

@@ -8,11 +8,10 @@ References:
     Record 384 (time to collision).
     Allen, Shin, Cooper (1978), Analysis of traffic conflicts and collisions, Transportation
     Research Record 667 (post-encroachment time).
-    Hansson (1975), Studies in driver behaviour, Lund; Laureshyn, Svensson, Hydén (2010), Evaluation
-    of traffic safety, based on micro-level behavioural data, Accident Analysis and Prevention 42(6)
-    (time advantage; time to collision of rectangles in any position).
-    Mahmud, Ferreira, Hoque, Tavassoli (2017), Application of proximal surrogate indicators for
-    safety evaluation, IATSS Research 41(4) (a review of all of them).
+    Hansson (1975), Studies in driver behaviour, Lund. Laureshyn, Svensson, Hydén (2010), Accident
+    Analysis and Prevention 42(6) (time advantage; time to collision of rectangles). Mahmud,
+    Ferreira, Hoque, Tavassoli (2017), Application of proximal surrogate indicators for safety
+    evaluation, IATSS Research 41(4) (a review of all of them).
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from sim.safety.kernels import SLABS, measure
 
 NEAR_MISS_TTC_S: Final = 1.5
 """A near miss has a time to collision below this, s (van der Horst 1990, A time-based analysis of
-road user behaviour in normal and critical encounters, Delft; Hydén 1987, Lund, agrees in towns)."""
+road user behaviour in normal and critical encounters, Delft)."""
 
 NEAR_MISS_MPS: Final = 3.0
-"""So short a time to collision is a near miss only if the two approach each other faster than this,
-m/s: the size of their relative velocity. From slower approaches a driver stops within half a metre
-(Hydén 1987: how serious a conflict is depends on the speed as well as on the time)."""
+"""Such a time to collision is a near miss only above this closing speed, m/s: the norm of the
+relative velocity. From slower approaches a driver stops within half a metre (Hydén 1987: how
+serious a conflict is depends on the speed as well as on the time)."""
 
 NEAR_MISS_PET_S: Final = 1.0
 """A near miss has a post-encroachment time below this, s (Allen, Shin, Cooper 1978)."""
@@ -66,16 +65,14 @@ class PairMeasures(NamedTuple):
         gap_m: (n,) least distance between the outlines, m; 0 where they touch or overlap.
         closing_mps: (n,) rate at which that distance shrinks now, m/s; negative when it grows, 0
             where they overlap.
-        ttc_s: (n,) time to collision, s: the first time at which the outlines touch if both keep
-            their velocity; 0 where they touch now, inf if they never do.
+        ttc_s: (n,) time until the outlines touch at constant velocities, s; 0 where they touch
+            now, inf if they never do.
         mttc_s: (n,) modified time to collision, s: the same with today's accelerations. A body that
             comes to stand stays there; one that stands and has a negative acceleration stays, too.
-        drac_mps2: (n,) deceleration rate to avoid the crash, m/s2: the constant deceleration of the
-            relative motion that just avoids contact, relative speed / (2 ttc_s). 0 if they never
-            meet, inf where they touch now.
-        time_advantage_s: (n,) predicted post-encroachment time, s: the least time between the
-            moments at which one body has been at a place and the other comes there, if both keep
-            their velocity. 0 if they meet; nan where the areas ahead of them share no place.
+        drac_mps2: (n,) deceleration rate to avoid the crash, m/s2: relative speed / (2 ttc_s). 0
+            if they never meet, inf where they touch now.
+        time_advantage_s: (n,) predicted post-encroachment time at constant velocities, s. 0 if
+            they meet; nan where the areas ahead of them share no position.
 
     References:
         Almqvist, Hydén, Risser (1991), Use of speed limiters in cars for increased safety and a

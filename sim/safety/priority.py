@@ -1,4 +1,4 @@
-"""Which of two road users has to let the other go first, as far as the map tells."""
+"""Priority between two road users, as far as the map gives it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ JUNCTION_M: Final = 60.0
 def priorities(
     driven: Driven, tracks: Tracks, road: Road, first: IntArray, second: IntArray
 ) -> IntArray:
-    """(k,) ids of those that have priority, of the bodies in (k,) rows; -1 where nobody knows.
+    """(k,) ids of those that have priority, of the bodies in (k,) rows; -1 if unknown.
 
     A pedestrian on a crossing has priority over vehicles unless the map or its red light says no.
     Between vehicles, one that has or had a red light at the junction has none; otherwise their
@@ -74,7 +74,7 @@ def priorities(
         return int(link[came]), entered(came, link), True
 
     def vehicle_first(pair: tuple[int, int]) -> int:
-        """Which of two vehicles has priority, 0 or 1; -1 where nobody knows."""
+        """Index of the vehicle that has priority, 0 or 1; -1 if unknown."""
         (one, came, seen), (other, came_2, seen_2) = (way_of(row) for row in pair)
         if min(one, other) < 0 or one == other:
             return -1

@@ -114,13 +114,13 @@ def write_catalogue(
 
 
 def read_header(place: Place) -> tuple[Header, int]:
-    """What concerns a dataset as a whole, and how many episodes it has.
+    """Header of a dataset, and its number of episodes.
 
     Args:
         place: the dataset.
 
     Raises:
-        InputError: if there is no catalogue, or it is broken or of another version.
+        InputError: if the catalogue is missing, broken or of another version.
     """
     path = place.path / EPISODES
     if place.size(EPISODES) is None:
@@ -173,7 +173,7 @@ def totals_of(table: pa.Table) -> pa.Table:
 
 
 def _why_none(place: Place) -> str:
-    """Why there is no catalogue, in words."""
+    """The reason for a missing catalogue, in words."""
     if not place.filesystem.exists(place.full()):
         return f"{place.url}: found nothing there, expected a dataset"
     if not place.remote and not place.path.is_dir():
@@ -202,7 +202,7 @@ def rows_where(
     """The rows of a catalogue that fit; see `sim.store.dataset.Dataset.episodes`.
 
     Raises:
-        InputError: if a filter is no behaviour, no split, or no mix.
+        InputError: if a filter is not a behaviour, a split, or a mix.
     """
     if split is not None and split not in get_args(Split):
         raise InputError(f"split: found {split!r}, expected one of {', '.join(get_args(Split))}")
@@ -261,5 +261,5 @@ def entries_of(table: pa.Table, path: Path) -> tuple[EpisodeEntry, ...]:
     except ValidationError as error:
         raise InputError(f"{path}: row {len(found)}: {first_wrong_field(error)}") from None
     except (ValueError, RecursionError):
-        raise InputError(f"{path}: row {len(found)}: found options that are no JSON") from None
+        raise InputError(f"{path}: row {len(found)}: found options that are not JSON") from None
     return tuple(found)

@@ -1,7 +1,7 @@
 """A dataset of labelled episodes: opened by its catalogue, read back as arrays.
 
 It is opened by the catalogue's last bytes alone. Its rows are read when they are asked for, and
-become `EpisodeEntry` objects only where an episode is. So a million episodes open in less than a
+become `EpisodeEntry` objects only where an episode is. A million episodes open in less than a
 second. `sim.store.schema` says what the files hold; `sim.store.writing` writes them.
 """
 
@@ -62,7 +62,7 @@ class Episode:
         entry: what it is and how it was made.
         tracks: every agent that was seen, with labels in ``tracks.behavior``.
         agents: every agent that was drawn, seen or not, in order of id.
-        shown_traits: in order of time; their ``agent`` and ``other`` are ids (-1: nobody).
+        shown_traits: in order of time; their ``agent`` and ``other`` are ids (-1: none).
     """
 
     entry: EpisodeEntry
@@ -147,7 +147,7 @@ class Dataset:
             Their entries. Only those that fit become objects.
 
         Raises:
-            InputError: if a filter is no behaviour, or no mix.
+            InputError: if a filter is not a behaviour or a mix.
         """
         if (split, scenario, behavior, mix, flow) == (None,) * 5:
             return self.manifest.episodes
@@ -169,7 +169,7 @@ class Dataset:
             Only the shards that hold a fitting episode are opened.
 
         Raises:
-            InputError: if there is no such table, or a filter is wrong.
+            InputError: if no such table exists, or a filter is wrong.
         """
         from pyarrow import dataset as arrow_dataset
 
@@ -265,7 +265,7 @@ class Dataset:
             identity: the id of one of `episodes`.
 
         Raises:
-            InputError: if there is no such episode, or it cannot be read.
+            InputError: if no such episode exists, or it cannot be read.
         """
         found = self.entries(self.catalogue.filter(pc.equal(self.catalogue["id"], identity)))
         if not found:
@@ -310,7 +310,7 @@ def open_dataset(path: str | Path) -> Dataset:
         The dataset; the catalogue's rows and the episodes are read when asked for.
 
     Raises:
-        InputError: if there is no catalogue, or it is broken or of another version.
+        InputError: if the catalogue is missing, broken or of another version.
     """
     place = place_of(path)
     try:

@@ -1,4 +1,4 @@
-"""What a dataset on disk consists of: every table, every column, and the catalogue.
+"""Layout of a dataset on disk: every table, every column, and the catalogue.
 
     DATASET/
       episodes.parquet              the catalogue: a row per episode; how it was made and a checksum
@@ -10,17 +10,17 @@
                                     a shard: those of the scenario's episodes FIRST to LAST that are
                                     of this split, a row group for each
 
-Every row says in ``episode`` to which episode it belongs. A shard's table of agents is put there
-last and says, in its metadata, which episodes the shard holds and what its other files are; so a
-run that was stopped goes on with the shards that are there.
+Every row says in ``episode`` to which episode it belongs. A shard's table of agents is written
+last and lists, in its metadata, the shard's episodes and files. A stopped run therefore continues
+after the finished shards.
 
 Positions are agents' centres, x east and y north in metres; headings are radians counter-clockwise
 from +x in (-pi, pi]; speeds m/s along the heading; times s. Labels are words. The tables are plain
 Parquet and open as they are in pandas, polars, duckdb and pyarrow.
 
 Simulated steps are float32 rounded to multiples of ``POSITION_QUANTUM`` and ``HEADING_QUANTUM``,
-which is finer than any observer could measure and makes the files small. Recordings brought in
-from elsewhere are stored as float64, exactly.
+which is finer than any observer could measure and makes the files small. Recordings are stored as
+float64, exactly.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ MAX_STEPS: Final = 5 * 10**7
 memory)."""
 
 SMALLEST_BLOCK, LARGEST_BLOCK, BLOCKS_OF_A_SIZE = 5, 640, 32
-"""Episodes of the first blocks of a scenario (one round of `split_of`) and of the last ones of a
-very long one (an hour's work), and how many blocks there are of each size between."""
+"""Episodes in the first blocks of a scenario and in the last ones of a very long one, and how many
+blocks of each size lie between."""
 
 Split = Literal["train", "validation", "test"]
 
@@ -68,8 +68,8 @@ _SPLIT_CYCLE: Final[tuple[Split, ...]] = ("train", "validation", "test", "train"
 def split_of(index: int) -> Split:
     """The split of a scenario's episode by its index: 60 % train, 20 % validation, 20 % test.
 
-    The pattern does not depend on how many episodes there are, so a dataset can grow and every
-    episode keeps its split; from three episodes on there is one of each.
+    The pattern does not depend on the number of episodes, so every episode keeps its split when a
+    dataset grows. Three episodes already give one of each.
 
     Args:
         index: 0 for a scenario's first episode.
@@ -123,7 +123,7 @@ def steps_schema(exact: bool) -> pa.Schema:
 
     Returns:
         The schema. ``agent`` is the id in ``agents``, ``step`` that in ``frames``, ``time_s`` its
-        time. What follows ``speed_mps`` is null where it is not known, such as on unknown roads.
+        time. Columns after ``speed_mps`` are null where unknown, such as on unknown roads.
     """
     number = pa.float64() if exact else pa.float32()
     return pa.schema(
@@ -234,8 +234,8 @@ CONFLICTS: Final = pa.schema(
         pa.field("gap_m", pa.float64()),  # least distance of the outlines
         pa.field("closing_mps", pa.float64()),  # how fast it shrank then
         pa.field("delta_v_mps", pa.float64()),  # of the lighter one, had they collided
-        pa.field("passed_first", pa.int64()),  # who was there first
-        pa.field("priority", pa.int64()),  # who had priority; null: the map does not tell
+        pa.field("passed_first", pa.int64()),  # the one that was there first
+        pa.field("priority", pa.int64()),  # the one with priority; null if the map does not give it
         _column("near_miss", pa.bool_()),
     ]
 )
@@ -318,7 +318,7 @@ class FileEntry(_Strict):
 
 
 class EpisodeMeta(_Strict):
-    """What an episode is made from.
+    """Metadata of an episode.
 
     Attributes:
         scenario: registered name of the scenario, or the recording's name.
@@ -382,12 +382,12 @@ class EpisodeEntry(EpisodeMeta):
 
     @property
     def name(self) -> str:
-        """What people call it: its recording, or its scenario and index."""
+        """Display name: its recording, or its scenario and index."""
         return self.recording or f"{self.scenario} {self.index}"
 
 
 class Header(_Strict):
-    """What a dataset says of itself as a whole. Nothing in it differs between two equal runs.
+    """Metadata of a dataset. Nothing in it differs between two equal runs.
 
     Attributes:
         schema_version: version of the layout.

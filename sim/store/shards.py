@@ -39,12 +39,12 @@ METADATA_KEY: Final = b"graphrqi"
 """Under which key a Parquet file says in JSON what belongs to the file as a whole."""
 
 KEPT_FOOTERS: Final = 64
-"""Of how many files a process keeps the footer."""
+"""Most files whose footers a process keeps."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShardName:
-    """Which episodes a shard holds, and where it lies.
+    """Location of a shard, and its episodes.
 
     Attributes:
         scenario: of all its episodes.
@@ -196,7 +196,7 @@ def parquet_options(schema: pa.Schema) -> dict[str, Any]:
 
 
 def metadata_of(path: Path, metadata: pq.FileMetaData, model: type[M]) -> M:
-    """What a Parquet file of ours says of itself as a whole.
+    """Metadata of a dataset's Parquet file as a whole.
 
     Args:
         path: of the file, for messages.
@@ -221,7 +221,7 @@ def opened(place: Place, file: str) -> Iterator[pq.ParquetFile]:
 
     Raises:
         InputError: if it is broken.
-        FileNotFoundError: if there is no such file.
+        FileNotFoundError: if the file does not exist.
     """
     path = place.path / file
     try:

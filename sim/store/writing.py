@@ -44,7 +44,7 @@ _DETERMINING: Final[dict[str, tuple[str, ...]]] = {
     "highway": ("highway-env",),
     "highway-krauss": ("highway-env",),
 }
-"""Which packages, beside ours, numpy and pyarrow, determine an engine's bytes."""
+"""Packages that determine an engine's bytes, beside this one, numpy and pyarrow."""
 
 
 def made_with(*engines: str) -> dict[str, str]:
@@ -109,10 +109,9 @@ class EpisodeWriter:
         Args:
             meta: what the episode is made from.
             frames: the episode, in time order; closed here, also on an error.
-            agents: everyone who may appear in a frame.
-            road: the SUMO net that the episode happened on (``scenario.road.source``); with it the
-                events are completed (rules kept and broken, near misses, causes), and lanes,
-                leaders and the traits that were shown are found.
+            agents: all agents that may appear in a frame.
+            road: the episode's SUMO net (``scenario.road.source``); it is needed for rule events,
+                near misses, causes, lanes, leaders and shown traits.
             since_s: write only what is later than this, s. Events and traits are found with all
                 frames in sight. None writes everything.
 
@@ -120,8 +119,8 @@ class EpisodeWriter:
             The catalogue's entry of the episode.
 
         Raises:
-            InputError: if a frame holds an agent that is not among ``agents``, a number that is not
-                finite, or a time that does not increase; or if there are too many rows.
+            InputError: if a frame has an unknown agent, a value that is not finite, or a time that
+                does not increase, or there are too many rows.
             OSError: if something cannot be written.
         """
         try:
@@ -163,13 +162,13 @@ class EpisodeWriter:
         road: Path | Road | None = None,
         styles: Mapping[str, Style] = MappingProxyType({}),
     ) -> EpisodeEntry:
-        """Write tracks that come from elsewhere as one episode, exactly as they are.
+        """Write recorded tracks as one episode, exactly as they are.
 
         Args:
             meta: where the recording comes from.
             tracks: the recording.
             road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
-            styles: by name, of the drivers of whom the style is known but not the behaviour.
+            styles: by name, of drivers with a known style and an unknown behaviour.
 
         Returns:
             The catalogue's entry of the episode.
@@ -326,7 +325,7 @@ def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iter
         configuration: what the dataset is made from.
 
     Yields:
-        What takes its episodes.
+        Sink of its episodes.
 
     Raises:
         InputError: if there is something already.

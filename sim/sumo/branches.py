@@ -1,9 +1,9 @@
 """Exact branches of a running SUMO episode: one second, continued in several ways.
 
 A trunk is a process of its own that runs an episode and holds nothing else. Copying that process
-(``fork``) copies the whole simulation with all its random numbers, so an unchanged branch repeats
-the trunk's next frames to the bit, and a branch in which one driver was changed differs by that
-driver alone. SUMO's own saved states do not restore exactly.
+(``fork``) copies the whole simulation with its random numbers. An unchanged branch repeats the
+trunk's next frames to the bit; a changed branch differs by the changed driver alone. SUMO's own
+saved states do not restore exactly.
 
 Linux only: other systems cannot copy a running process, or end its copies with it.
 """
@@ -88,7 +88,7 @@ class Trunk(_Closing):
 
     Args:
         scenario: the road, the duration and the step.
-        agents: who travels.
+        agents: the drawn agents.
         seed: of the simulator's own noise.
         engine: "sumo" or "sumo-idm".
 
@@ -152,7 +152,7 @@ class Trunk(_Closing):
             is an `InputError`.
 
         Raises:
-            InputError: if there is no such driver, or only one of ``agent`` and ``to`` is given.
+            InputError: if no such driver exists, or only one of ``agent`` and ``to`` is given.
         """
         if (agent is None) != (to is None):
             raise InputError("branch: found only one of agent and change, expected both or none")
@@ -170,14 +170,14 @@ class Trunk(_Closing):
         return Branch(Connection(here.detach()))
 
     def drives(self, agent: int) -> bool:
-        """Whether somebody of that id drives in the episode, at whatever time."""
+        """Whether a driver of that id exists in the episode, at any time."""
         return agent in self._drivers
 
     def driver(self, agent: int) -> AgentSpec:
         """A driver of the episode.
 
         Raises:
-            InputError: if there is no driver of that id.
+            InputError: if no driver of that id exists.
         """
         if agent not in self._drivers:
             raise InputError(
@@ -190,7 +190,7 @@ class Trunk(_Closing):
         """A driver as it is with another behaviour: `sim.scenario.with_behavior`'s.
 
         Raises:
-            InputError: if there is no driver of that id.
+            InputError: if no driver of that id exists.
         """
         return with_behavior(self.driver(agent), behavior, self._spread, self._population)
 
@@ -235,7 +235,7 @@ def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> bo
     group: list[dict[str, Any]] = []
     try:
         for frame in frames:
-            # the receiver builds a frame anew, checked and read-only
+            # the receiver rebuilds a frame, checked and read-only
             group.append({name: getattr(frame, name) for name in frame.__dataclass_fields__})
             last = frame.time_s >= until_s - 1e-9
             if last or len(group) == FRAMES_A_MESSAGE:
@@ -290,7 +290,7 @@ def _changed(
 def _be_branch(
     trunk: int, control: Connection, out: Connection, frames: Iterator[Frame], until_s: float
 ) -> NoReturn:
-    """What the copied process does; it ends without any of Python's exit code."""
+    """Work of the copied process; it ends without any of Python's exit code."""
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() == trunk:  # else the trunk ended before the line above
@@ -298,7 +298,7 @@ def _be_branch(
             _send(out, frames, until_s)
             out.close()
     except (OSError, KeyboardInterrupt):
-        os._exit(1)  # nobody reads this branch any more
+        os._exit(1)  # the reader of this branch is gone
     os._exit(0)
 
 

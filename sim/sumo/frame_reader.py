@@ -39,7 +39,7 @@ def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
 
 @dataclass(frozen=True, slots=True)
 class _Present:
-    """What stays the same until an agent comes or goes: the n agents on the road.
+    """Constants until an agent comes or goes: the n agents on the road.
 
     Names are in SUMO's order, vehicles before persons; ``order`` sorts them by their ``rows``.
     ``angle`` is SUMO's of each vehicle that has just departed, and 0 of the others.
@@ -103,11 +103,11 @@ class FrameReader:
         self._touching = touching
 
     def names(self, again: bool) -> tuple[Sequence[str], Sequence[str]]:
-        """Names of vehicles and pedestrians, the same two objects until somebody comes or goes.
+        """Names of vehicles and pedestrians, the same two objects until an agent comes or goes.
 
         Args:
-            again: whether to ask SUMO in any case: its counts of departures and arrivals leave out
-                the agents that controllers removed, and those of steps that were not read.
+            again: whether to ask SUMO in any case; its counts leave out agents that controllers
+                removed, and steps that were not read.
         """
         sumo = self._sumo
         changed = again or sumo.simulation_getDepartedNumber() or sumo.simulation_getArrivedNumber()

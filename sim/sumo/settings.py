@@ -27,8 +27,8 @@ LONGEST_STEP_S: Final = 0.1
 """SUMO's own step is at most this long by default; frames further apart are made of several."""
 
 LANE_CHANGE_S: Final = 2.5
-"""How long a lane change takes by default (observed: 1 to 13 s, mostly 2 to 5; Toledo and Zohar
-2007, Transportation Research Record 1999)."""
+"""Default duration of a lane change, s (Toledo and Zohar 2007, Transportation Research Record
+1999)."""
 
 REFERENCE_MPS: Final = 13.89
 """Speed at which a law without a time headway gets the same gap as one with it: 50 km/h, the
@@ -39,9 +39,8 @@ LAWS: Final = (
     "Krauss", "KraussOrig1", "KraussPS", "Daniel1", "IDM", "IDMM", "EIDM", "ACC", "CACC", "W99",
     "Wiedemann", "BKerner",
 )  # fmt: skip
-"""SUMO's car-following laws for road vehicles. Left out are SmartSK, whose drivers collide (116
-times among 76 on a straight road in two minutes), and PWagner2009, whose drivers stand about on a
-free road at steps below half a second."""
+"""SUMO's car-following laws for road vehicles. SmartSK and PWagner2009 are left out, because their
+drivers collide or stand on a free road."""
 
 
 def law_attributes(law: str, profile: Profile) -> dict[str, float]:
@@ -55,7 +54,7 @@ def law_attributes(law: str, profile: Profile) -> dict[str, float]:
         Numbers by attribute.
 
     Raises:
-        InputError: if there is no such law; the message names the nearest.
+        InputError: if no such law exists; the message names the nearest.
 
     Examples:
         >>> from behaviors import Behavior
@@ -86,7 +85,7 @@ def check_law(law: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class SumoSettings:
-    """What is the same for all vehicles of a run.
+    """Settings that all vehicles of a run share.
 
     Attributes:
         law: the car-following law, one of ``LAWS``.

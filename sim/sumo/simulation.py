@@ -68,10 +68,7 @@ SIMULATION: Final = Simulation()
 
 @contextlib.contextmanager
 def _stderr_written_to(path: Path) -> Iterator[None]:
-    """Redirect stderr of C code to a file: SUMO writes its error messages only there.
-
-    libsumo holds Python's lock meanwhile, so no other thread writes into the file.
-    """
+    """Redirect stderr of C code to a file: SUMO writes its error messages only there."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

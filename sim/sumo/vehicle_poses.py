@@ -18,9 +18,9 @@ AXLE_SHARE: Final = 0.8
 """The rear axle is this share of the length behind the front bumper (as in most cars)."""
 
 TURNING, KEEPING = 0.8, 0.25
-"""A front bumper moves sideways by at most this share of its motion ahead, where the road turns and
-elsewhere (about 40 degrees, the full lock of ordinary cars, and 14 degrees, a hasty lane change).
-Sideways motion beyond it, which SUMO makes while cars crawl or stand, moves the rear axle, too."""
+"""Greatest sideways over forward motion of a front bumper: where the road turns (a car's full
+lock), and on straight roads (a hasty lane change). Sideways motion beyond it, which SUMO makes
+while cars crawl or stand, moves the rear axle, too."""
 
 STRAIGHTENING_M: Final = 6.0
 """A car is still straightening up this far after a turn (a car's length and more)."""

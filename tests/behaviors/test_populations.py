@@ -15,7 +15,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.populations import (
-    POPULATION_TOLD,
+    POPULATION_FIELDS,
     POPULATIONS,
     Around,
     Population,
@@ -43,7 +43,7 @@ DRIVERS = 3000
 def told_logs(population: Population, behavior: Behavior, count: int, seed: int) -> np.ndarray:
     source, rng = drivers_of(population), np.random.default_rng((seed, BEHAVIORS.index(behavior)))
     drawn = [source.draw(behavior, rng, 0.15) for _ in range(count)]
-    return np.log([[getattr(one, name) for name in POPULATION_TOLD] for one in drawn])
+    return np.log([[getattr(one, name) for name in POPULATION_FIELDS] for one in drawn])
 
 
 def test_all_behaviours_together_have_the_populations_medians_and_spreads() -> None:
@@ -60,23 +60,23 @@ def test_drivers_of_one_behaviour_correlate_as_the_population_says(around: Aroun
     logs = told_logs(population, Behavior.CAREFUL, DRIVERS, 1)
     np.testing.assert_allclose(np.corrcoef(logs.T), CORRELATION, atol=0.06)
     if around is Around.PROFILES:
-        median = [getattr(PROFILES[Behavior.CAREFUL], name) for name in POPULATION_TOLD]
+        median = [getattr(PROFILES[Behavior.CAREFUL], name) for name in POPULATION_FIELDS]
         np.testing.assert_allclose(np.exp(np.median(logs, axis=0)), median, rtol=0.04)
         np.testing.assert_allclose(logs.std(axis=0), PEOPLE.log_spread, rtol=0.06)
 
 
 def test_the_behaviours_keep_their_order_in_a_population() -> None:
     source = drivers_of(PEOPLE)
-    for name in POPULATION_TOLD:
+    for name in POPULATION_FIELDS:
         for one, other in itertools.combinations(BEHAVIORS, 2):
             before = getattr(PROFILES[one], name) - getattr(PROFILES[other], name)
             after = getattr(source.median(one), name) - getattr(source.median(other), name)
             assert before * after > 0
-    untold = [name for name in PROFILE_FIELDS if name not in POPULATION_TOLD]
+    others = [name for name in PROFILE_FIELDS if name not in POPULATION_FIELDS]
     for behavior in BEHAVIORS:
         median = source.median(behavior)
-        assert [getattr(median, n) for n in untold] == [
-            getattr(PROFILES[behavior], n) for n in untold
+        assert [getattr(median, n) for n in others] == [
+            getattr(PROFILES[behavior], n) for n in others
         ]
 
 
@@ -120,7 +120,7 @@ def _number(**change: Any) -> dict[str, Any]:
         (_number(median=float("nan")), "numbers.min_gap_m.median: found nan"),
         (_number(log_spread=-0.1), "log_spread: found"),
         (_number(correlation=[1.0]), "correlation: found [1.0], expected 5 numbers"),
-        (_number(correlation=[0.9, 0.3, 1.0, 0, 0]), "correlation: found no correlation matrix"),
+        (_number(correlation=[0.9, 0.3, 1.0, 0, 0]), "correlation: found not a correlation matrix"),
     ],
 )
 def test_a_broken_table_is_refused_by_its_key(table: dict[str, Any], said: str) -> None:

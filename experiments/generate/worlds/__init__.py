@@ -1,1 +1,1 @@
-"""Random worlds: traffic that differs from home in everything but what the labels mean."""
+"""Random worlds: they share only the labels' meaning with the simulated training traffic."""

@@ -82,7 +82,7 @@ def _scenario(world: World, net: Path) -> Scenario:
 
 
 def _recorded(world: World, scenario: Scenario, agents: tuple[AgentSpec, ...]) -> Tracks:
-    """What the sensor of a world records of its traffic, from the end of the warm-up on."""
+    """Recording of a world's traffic by its sensor, from the end of the warm-up on."""
     frames: Iterator[Frame]
     if world.engine == "sumo":
         from sim.sumo.engine import run_with

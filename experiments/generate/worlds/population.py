@@ -44,12 +44,12 @@ MIXES: Final = {
 """Chance of each way of drawing the mix."""
 
 ACTS: Final = ("cut_in_rate_per_min", "stop_rate_per_min", "wrong_way_rate_per_min")
-"""What drivers do on purpose; worlds differ in how often."""
+"""Rates of deliberate acts, which differ between worlds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """Who drives in a world.
+    """Drivers of a world.
 
     Attributes:
         mix: share of each behaviour.
@@ -108,7 +108,7 @@ _STREAM: Final = 8
 
 
 def draw_population(rng: np.random.Generator) -> Population:
-    """Draw who drives."""
+    """Draw the drivers."""
     kind = str(rng.choice(list(MIXES), p=list(MIXES.values())))
     shares = _draw_mix(kind, rng)
     shifted = rng.random() < 0.8

@@ -39,7 +39,7 @@ class WorldRoad:
 
     Attributes:
         family: straight, junction, ramp or two-way.
-        control: of a junction: who goes first; "" elsewhere.
+        control: priority at a junction; "" without one.
         lanes: in each direction.
         limit_mps: speed limit, m/s.
         length_m: of the road, of a junction from end to end, m.
@@ -61,7 +61,7 @@ class WorldRoad:
         """The text of the SUMO net.
 
         Raises:
-            InputError: if there is no such family or control.
+            InputError: if no such family or control exists.
         """
         if self.family == "straight":
             return straight_net(self.lanes, self.limit_mps, self.length_m)

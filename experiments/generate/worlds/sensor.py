@@ -57,7 +57,7 @@ PIXEL_STEP: Final = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What sees the traffic.
+    """Sensor that records the traffic.
 
     Attributes:
         step_s: time between frames, s.
@@ -69,7 +69,7 @@ class Sensor:
         found_as: ``same`` or ``new``: the id of an agent that is found again.
         has_map: whether the recording comes with the map.
         has_sizes: whether sizes are measured; otherwise all are cars of 4.5 m.
-        pixels_per_m: scale of an image whose scale nobody knows; 0 for metres.
+        pixels_per_m: scale of an image, hidden from the reader; 0 for metres.
         left_hand: whether the recording is mirrored and without a map.
         turned_rad: by how much the axes are turned; 0 with a map.
     """
@@ -88,7 +88,7 @@ class Sensor:
     turned_rad: float = 0.0
 
     def seen(self, tracks: Tracks, rng: np.random.Generator) -> Tracks:
-        """What the sensor records of traffic at its frame rate, with the same labels.
+        """Recording of traffic by the sensor at its frame rate, with the same labels.
 
         Headings and speeds follow from the positions, as in most recordings. Names begin with the
         agent's id; behind a slash follows the number of the track where an agent has several.

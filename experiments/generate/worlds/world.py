@@ -1,8 +1,8 @@
-"""Draws worlds: everything in which traffic elsewhere may differ from the traffic trained on.
+"""Draws random worlds: everything in which other traffic may differ from the training traffic.
 
-A world has its own road, car-following law, lane discipline, population and sensor. What stays is
-the meaning of the label: the behaviour that a driver was drawn with, relative to its world. All
-ranges are our choice, wide enough to hold the recordings that we know.
+A world has its own road, car-following law, lane discipline, population and sensor. The label
+keeps its meaning: the behaviour that a driver was drawn with, relative to its world. All ranges
+are our choice, wide enough to hold the recordings that we know.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SIMULATION_STEPS_S: Final = (0.1, 0.1, 0.2, 0.25)
 
 
 HIGHWAY_ENV: Final = "highway-env"
-"""What the laws of the other engine's drivers begin with."""
+"""Prefix of the names of the other engine's laws."""
 
 HIGHWAY_LAWS: Final = {"highway": "IDM", "highway-krauss": "Krauss"}
 """The other engine's names, by what its drivers follow."""

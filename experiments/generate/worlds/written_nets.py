@@ -1,8 +1,8 @@
 """The nets of worlds, made without netconvert: straight roads, ramps, other limits.
 
 The nets have no sidewalks and no lanes inside junctions, so a road of any number of lanes, length
-and limit is a few lines of XML. Axes: the road runs along +x from x = 0; its right edge is at
-y = 0, so lane 0, the rightmost, lies at y = 1.6 m.
+and limit is a few lines of XML. Axes: the road runs along +x from the origin; its right edge is at
+y = 0, so lane 0 is the rightmost.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def limited_net(name: str, limit_mps: float) -> str:
         The text of a SUMO net.
 
     Raises:
-        InputError: if there is no such net.
+        InputError: if no such net exists.
     """
     if name not in SHIPPED:
         raise InputError(f"net: found {name!r}, expected one of {', '.join(SHIPPED)}")

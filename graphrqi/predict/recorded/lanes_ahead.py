@@ -298,11 +298,7 @@ def _paths_of(table: PathTable, near: _Candidates, lane: IntArray, end: FloatArr
 def _places(graph: LaneGraph, table: PathTable, path: IntArray, s: FloatArray) -> FloatArray:
     """(m, H, 2) places at distances along paths, m; a path goes on straight after its end."""
     lane, at = along_path(path, s, table.lane, table.start)
-    xy = positions(
-        lane, at, np.zeros_like(at), graph.segment_start, graph.segment_direction,
-        graph.segment_at, graph.segment_first, graph.segment_last,
-    )  # fmt: skip
-    return np.asarray(xy)
+    return positions(graph, lane, at, np.zeros_like(at))
 
 
 def _own_frame(motion: Motion, agent: IntArray, xy: FloatArray) -> FloatArray:

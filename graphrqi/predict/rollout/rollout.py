@@ -18,6 +18,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+CHANGE_S = 3.0
+"""Duration of a lane change, s (3 to 6 s are observed)."""
+
 _NO_NUMBERS = np.empty((0, 0))
 _MOVE_TOGETHER = (np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
 
@@ -152,11 +155,7 @@ def positions(scene: Scene, rollout: Rollout) -> FloatArray:
 
 def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
     """(n, H, 2) positions of distances along lanes, and to the left of their centres, m."""
-    graph = scene.graph
-    return lane_positions.positions(
-        lane, s, offset, graph.segment_start, graph.segment_direction, graph.segment_at,
-        graph.segment_first, graph.segment_last,
-    )  # fmt: skip
+    return lane_positions.positions(scene.graph, lane, s, offset)
 
 
 def in_own_frame(
@@ -172,10 +171,15 @@ def in_own_frame(
         every: steps from one position returned to the next.
         step_s: time between steps, s.
     """
-    return lane_positions.in_own_frame(
-        on_lanes(scene, lane, s, offset), scene.xy, scene.heading, scene.speed, scene.on_path,
-        every, step_s,
-    )  # fmt: skip
+    xy = on_lanes(scene, lane, s, offset)[:, every - 1 :: every]
+    cos, sin = np.cos(scene.heading)[:, None], np.sin(scene.heading)[:, None]
+    gone = xy - scene.xy[:, None]
+    x, y = gone[..., 0], gone[..., 1]
+    own = np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+    time_s = np.arange(every, lane.shape[1] + 1, every) * step_s
+    straight = np.zeros_like(own)
+    straight[..., 0] = scene.speed[:, None] * time_s
+    return np.where(scene.on_path[:, None, None], own, straight)
 
 
 def steady(scene: Scene) -> Rollout:
@@ -200,14 +204,20 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
         The scene, and (n,) who has such a lane; the others are left where they are.
     """
     paths = scene.paths
-    lane, path = scene.lane.copy(), scene.path.copy()
-    offset, lateral_speed = scene.offset.copy(), scene.lateral_speed.copy()
-    there = np.zeros(lane.size, np.bool_)
-    lane_positions.turn_to_lane_beside(
-        0 if side > 0 else 1, other_ways, scene.on_path, lane, path, offset, lateral_speed, there,
-        paths.beside, paths.lane_spacing, paths.by_turn, paths.turn,
-    )  # fmt: skip
-    moving = scene.replaced(lane=lane, path=path, offset=offset, lateral_speed=lateral_speed)
+    number, sign = (0, 1.0) if side > 0 else (1, -1.0)
+    here = np.maximum(scene.lane, 0)
+    to = paths.beside[number, here]
+    onward = paths.by_turn[to, paths.turn[scene.path]]
+    if other_ways:
+        onward = np.where(onward < 0, paths.by_turn[to].max(axis=1), onward)
+    there = scene.on_path & (to >= 0) & (onward >= 0)
+    wide = sign * paths.lane_spacing[number, here]
+    moving = scene.replaced(
+        lane=np.where(there, to, scene.lane),
+        path=np.where(there, onward, scene.path),
+        offset=np.where(there, scene.offset - wide, scene.offset),
+        lateral_speed=np.where(there, wide / CHANGE_S, scene.lateral_speed),
+    )
     return moving, there
 
 

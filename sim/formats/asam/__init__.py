@@ -1,1 +1,10 @@
-"""ASAM's formats: an episode as OpenSCENARIO and its road as OpenDRIVE (``graphrqi[asam]``)."""
+"""ASAM's formats for other simulators; they need ``pip install graphrqi[asam]``."""
+
+from behaviors.errors import InputError
+
+try:
+    import scenariogeneration  # noqa: F401
+except ImportError:
+    raise InputError(
+        "openscenario: scenariogeneration not found, expected it: pip install graphrqi[asam]"
+    ) from None

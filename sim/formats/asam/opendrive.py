@@ -19,8 +19,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from scenariogeneration import xodr
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from sim.frames import FloatArray
+from sim.geometry import distances_along, pieces_of, points_at
 from sim.road import Connection, Crossing, Lane, Road
 
 PARALLEL_M: Final = 0.25
@@ -76,15 +80,10 @@ class _Part:
     @property
     def length_m(self) -> float:
         """Length of the reference line, m."""
-        return float(np.hypot(*np.diff(self.line, axis=0).T).sum())
+        return float(distances_along(self.line)[-1])
 
     def end_of(self, lane: int, *, after: bool) -> tuple[FloatArray, FloatArray, float]:
-        """The middle, the direction and the width of a lane at its end (or beginning).
-
-        Args:
-            lane: its number, -1 for the leftmost.
-            after: whether its end is asked for, not its beginning.
-        """
+        """The middle, direction and width of a lane (-1: the leftmost) at its end or start."""
         a, b = self.line[-2:] if after else self.line[:2]
         along = (b - a) / math.dist(a, b)
         left = np.array([-along[1], along[0]])
@@ -97,15 +96,6 @@ class _Part:
     def right_m(self) -> float:
         """How far the right edge lies to the right of the reference line, m."""
         return sum(lane.width_m for lane in self.lanes) - self.lanes[0].width_m / 2
-
-
-@dataclass
-class _Meeting:
-    """Where roads meet: the connections from some of them to others."""
-
-    number: int
-    direct: bool = False
-    ways: list[tuple[int, int, int, int]] = field(default_factory=list)
 
 
 @dataclass
@@ -145,10 +135,8 @@ def opendrive(road: Road, name: str) -> RoadFile:
     Returns:
         The file's content, and where its signals are.
     """
-    from scenariogeneration import xodr
-
     roads = _roads_of_edges(road)
-    meetings = _meet(road, roads)
+    junctions = _meet(road, roads)
     signals: list[list[str]] = [[] for _ in road.signal_groups]
     made = {part.number: _element(part) for part in roads.parts}
     _add_signals(road, roads, made, signals)
@@ -157,8 +145,8 @@ def opendrive(road: Road, name: str) -> RoadFile:
     file = xodr.OpenDrive(name, revMinor="7")
     for one in made.values():
         file.add_road(one)
-    for meeting in meetings:
-        file.add_junction(_junction(meeting))
+    for junction in junctions:
+        file.add_junction(junction)
     root = file.get_element()
     header = root.find("header")
     assert header is not None
@@ -213,85 +201,70 @@ def _parallel(lanes: Sequence[Lane]) -> bool:
     first, off_m = lanes[0], 0.0
     for one, then in itertools.pairwise(lanes):
         off_m += (one.width_m + then.width_m) / 2
-        for point in then.centerline:
-            s, t = _along(first.centerline, point)
-            if abs(t + off_m) > PARALLEL_M or not -0.5 <= s <= first.length_m + 0.5:
-                return False
+        s, t = _along(first.centerline, then.centerline)
+        if (
+            (np.abs(t + off_m) > PARALLEL_M).any()
+            or s.min() < -0.5
+            or s.max() > first.length_m + 0.5
+        ):
+            return False
         if abs(then.length_m - first.length_m) > 2.0 * off_m + 0.5:
             return False
     return True
 
 
-def _along(line: FloatArray, point: FloatArray) -> tuple[float, float]:
-    """Distance of a point along a line and to the left of it, m; the ends go on straight."""
-    best, found, at = math.inf, (0.0, 0.0), 0.0
-    for k, (a, b) in enumerate(itertools.pairwise(line)):
-        size = math.dist(a, b)
-        if size <= 0.0:
-            continue
-        d, off = (b - a) / size, point - a
-        along, left = float(off @ d), float(d[0] * off[1] - d[1] * off[0])
-        low = -math.inf if k == 0 else 0.0
-        high = math.inf if k == len(line) - 2 else size
-        clipped = min(max(along, low), high)
-        away = math.hypot(left, along - clipped)
-        if away < best:
-            best, found = away, (at + clipped, math.copysign(away, left))
-        at += size
-    return found
+def _along(line: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) distances along a line and (n,) to its left, m; its ends go on straight."""
+    pieces = pieces_of(line)
+    off = points[:, None] - pieces.start
+    along = (off * pieces.direction).sum(axis=2)
+    left = pieces.direction[:, 0] * off[..., 1] - pieces.direction[:, 1] * off[..., 0]
+    low, high = np.zeros(len(pieces.length)), pieces.length.copy()
+    low[0], high[-1] = -np.inf, np.inf
+    nearest = np.clip(along, low, high)
+    away = np.hypot(left, along - nearest)
+    place = np.arange(len(points)), away.argmin(axis=1)
+    return pieces.at[place[1]] + nearest[place], np.copysign(away, left)[place]
 
 
-def _meet(road: Road, roads: _Roads) -> list[_Meeting]:
-    """Join the roads: connecting roads over junctions, and what comes before and after each."""
+def _meet(road: Road, roads: _Roads) -> list[Any]:
+    """The junctions; roads are told what comes before and after them, paths become roads."""
     lanes = {lane.id: lane for lane in road.lanes}
     links = [
         link
         for link in road.connections
         if link.from_lane in roads.place and link.to_lane in roads.place
     ]
-    group_of: dict[tuple[int, bool], int] = {}
-    groups: list[list[Connection]] = []
-    ends: list[set[tuple[int, bool]]] = []
-    for link in links:  # those that share the end or the beginning of a road meet
-        mine = {(roads.place[link.from_lane][0].number, True)}
-        mine.add((roads.place[link.to_lane][0].number, False))
-        found = sorted({group_of[end] for end in mine if end in group_of})
-        at = found[0] if found else len(groups)
-        if not found:
-            groups.append([])
-            ends.append(set())
-        for other in found[1:]:
-            groups[at] += groups[other]
-            ends[at] |= ends[other]
-            groups[other], ends[other] = [], set()
-        groups[at].append(link)
-        ends[at] |= mine
-        group_of |= dict.fromkeys(ends[at], at)
     parts = {part.number: part for part in roads.parts}
-    meetings: list[_Meeting] = []
-    for group, here in zip(groups, ends, strict=True):
-        if not group:
+    # connections that share the end or the beginning of a road meet
+    ways = np.array([_way(link, roads) for link in links], dtype=np.int64).reshape(-1, 4)
+    places = 2 * ways[:, 0] + 1, 2 * ways[:, 2]
+    joined = coo_array((np.ones(len(ways)), places), shape=(2 * len(parts) + 2,) * 2)
+    _, meets = connected_components(joined)
+    groups: dict[int, list[Connection]] = {}
+    for link, at in zip(links, meets[places[0]].tolist(), strict=True):
+        groups.setdefault(at, []).append(link)
+    junctions: list[Any] = []
+    for group in groups.values():
+        direct = all(_touch(link, roads) for link in group)
+        through = [_way(link, roads) for link in group]
+        begins, ends = ({way[side] for way in through} for side in (0, 2))
+        if direct and len(begins) == len(ends) == 1:
+            parts[through[0][0]].after = [way[1:] for way in through]
+            parts[through[0][2]].before = [(way[3], way[0], way[1]) for way in through]
             continue
-        touching = all(_touch(link, roads) for link in group)
-        if touching and len(here) == 2:
-            ways = [(*_numbers(link, roads),) for link in group]
-            begin, end = parts[ways[0][0]], parts[ways[0][2]]
-            begin.after = [(one[1], one[2], one[3]) for one in ways]
-            end.before = [(one[3], one[0], one[1]) for one in ways]
-            continue
-        meeting = _Meeting(10_000 + len(meetings), touching)
-        for link in group:
-            meeting.ways.append(_way(link, lanes, roads, meeting))
-        for number, at_end in here:
-            if at_end:
-                parts[number].after = meeting.number
-            else:
-                parts[number].before = meeting.number
-        meetings.append(meeting)
-    return meetings
+        number = 10_000 + len(junctions)
+        if not direct:
+            through = [_path(link, lanes, roads, number) for link in group]
+        for begin in begins:
+            parts[begin].after = number
+        for end in ends:
+            parts[end].before = number
+        junctions.append(_junction(number, direct, through))
+    return junctions
 
 
-def _numbers(link: Connection, roads: _Roads) -> tuple[int, int, int, int]:
+def _way(link: Connection, roads: _Roads) -> tuple[int, int, int, int]:
     """The road and lane from which a connection leads, and those to which it leads."""
     begin, lane = roads.place[link.from_lane]
     end, to_lane = roads.place[link.to_lane]
@@ -307,37 +280,25 @@ def _touch(link: Connection, roads: _Roads) -> bool:
     return not link.via and near and math.dist(along, onward) * width < TOUCHING_M
 
 
-def _way(
-    link: Connection, lanes: dict[str, Lane], roads: _Roads, meeting: _Meeting
+def _path(
+    link: Connection, lanes: dict[str, Lane], roads: _Roads, junction: int
 ) -> tuple[int, int, int, int]:
-    """A connection of a junction: the roads and lanes that it leads from and onto."""
-    begin, from_lane, end, to_lane = _numbers(link, roads)
-    begin_part, end_part = roads.place[link.from_lane][0], roads.place[link.to_lane][0]
-    if meeting.direct:
-        return begin, from_lane, end, to_lane
-    at, along, width = begin_part.end_of(from_lane, after=True)
-    there, onward, wide = end_part.end_of(to_lane, after=False)
+    """A connection of a junction as a road of its own, and the way onto that road."""
+    (begin, from_lane), (end, to_lane) = roads.place[link.from_lane], roads.place[link.to_lane]
+    at, along, width = begin.end_of(from_lane, after=True)
+    there, onward, wide = end.end_of(to_lane, after=False)
     over = [lanes[via] for via in link.via if via in lanes]
-    inner = [one.centerline for one in over]
-    line = np.concatenate(
-        [
-            at[None],
-            (at + LEAD_M * along)[None],
-            *inner,
-            (there - LEAD_M * onward)[None],
-            there[None],
-        ]
-    )  # it begins and ends as its roads do, so that no gap opens at their borders
-    part = roads.add([over[0] if over else lanes[link.from_lane]], line, meeting.number)
+    # it begins and ends as its roads do, so that no gap opens at their borders
+    first, last = [at, at + LEAD_M * along], [there - LEAD_M * onward, there]
+    line = np.concatenate([first, *(one.centerline for one in over), last])
+    part = roads.add([over[0] if over else lanes[link.from_lane]], line, junction)
     part.widths = width, wide
-    part.before, part.after = [(-1, begin, from_lane)], [(-1, end, to_lane)]
-    return begin, from_lane, part.number, -1
+    part.before, part.after = [(-1, begin.number, from_lane)], [(-1, end.number, to_lane)]
+    return begin.number, from_lane, part.number, -1
 
 
 def _element(part: _Part) -> Any:
     """A road as the library has it."""
-    from scenariogeneration import xodr
-
     view = xodr.PlanView()
     for a, b in itertools.pairwise(part.line):
         heading = math.atan2(b[1] - a[1], b[0] - a[0])
@@ -380,13 +341,12 @@ def _element(part: _Part) -> Any:
     return made_road
 
 
-def _junction(meeting: _Meeting) -> Any:
-    from scenariogeneration import xodr
-
-    kind = xodr.JunctionType.direct if meeting.direct else xodr.JunctionType.default
-    made = xodr.Junction(f"junction {meeting.number}", meeting.number, kind)
+def _junction(number: int, direct: bool, ways: Sequence[tuple[int, int, int, int]]) -> Any:
+    """A junction of ways, each from a road and lane onto others."""
+    kind = xodr.JunctionType.direct if direct else xodr.JunctionType.default
+    made = xodr.Junction(f"junction {number}", number, kind)
     joined: dict[tuple[int, int], Any] = {}
-    for begin, lane, onto, to_lane in meeting.ways:
+    for begin, lane, onto, to_lane in ways:
         if (begin, onto) not in joined:
             joined[begin, onto] = xodr.Connection(begin, onto, xodr.ContactPoint.start)
         joined[begin, onto].add_lanelink(lane, to_lane)
@@ -397,8 +357,6 @@ def _junction(meeting: _Meeting) -> Any:
 
 def _add_signals(road: Road, roads: _Roads, made: dict[int, Any], signals: list[list[str]]) -> None:
     """A light for each signal group at the end of each road that it controls."""
-    from scenariogeneration import xodr
-
     controlled: dict[tuple[int, int], list[int]] = {}
     parts = {part.number: part for part in roads.parts}
     for link in road.connections:
@@ -419,8 +377,6 @@ def _add_signals(road: Road, roads: _Roads, made: dict[int, Any], signals: list[
 
 def _add_crosswalk(roads: _Roads, made: dict[int, Any], crossing: Crossing, number: int) -> None:
     """A crosswalk as an object of the nearest road that it crosses, or of any."""
-    from scenariogeneration import xodr
-
     begin, end = crossing.centerline[0], crossing.centerline[-1]
     middle, way = (begin + end) / 2, end - begin
     size = float(np.hypot(*way))
@@ -429,36 +385,20 @@ def _add_crosswalk(roads: _Roads, made: dict[int, Any], crossing: Crossing, numb
     if size <= 0 or not named:
         return
     part = min(named, key=lambda one: float(np.hypot(*(one.line - middle).T).min()))
-    s, t = _along(part.line, middle)
-    s = min(max(s, 0.0), part.length_m)
-    at, heading = _place(part.line, s)
+    (along,), (left,) = _along(part.line, middle[None])
+    s = float(np.clip(along, 0.0, part.length_m))
+    t = float(np.clip(left, -part.right_m, part.lanes[0].width_m / 2))
+    pieces = pieces_of(part.line)
+    dx, dy = pieces.direction[max(int(np.searchsorted(pieces.at, s)) - 1, 0)]
+    origin = points_at(part.line, np.array([s]))[0] + t * np.array([-dy, dx])
     across = np.array([-way[1], way[0]]) / size * (crossing.width_m / 2)
-    t = min(max(t, -part.right_m), part.lanes[0].width_m / 2)
-    origin = at + t * np.array([-math.sin(heading), math.cos(heading)])
     outline = xodr.Outline(id=0, closed=True)
     for corner in (begin + across, begin - across, end - across, end + across):
-        u, v = _turned(corner - origin, -heading)
-        outline.add_corner(xodr.CornerLocal(u, v, 0.0, 0.01))
+        u, v = np.array([[dx, dy], [-dy, dx]]) @ (corner - origin)
+        outline.add_corner(xodr.CornerLocal(float(u), float(v), 0.0, 0.01))
     walk = xodr.Object(
         s, t, xodr.ObjectType.crosswalk, id=str(number + 1), name=crossing.id,
         orientation=xodr.Orientation.none, length=size, width=crossing.width_m, height=0.01,
     )  # fmt: skip
     walk.add_outline(outline)
     made[part.number].objects.append(walk)
-
-
-def _place(line: FloatArray, s: float) -> tuple[FloatArray, float]:
-    """The point at a distance along a line, and the heading there."""
-    pairs = list(itertools.pairwise(line))
-    for k, (a, b) in enumerate(pairs):
-        size = math.dist(a, b)
-        if s <= size or k == len(pairs) - 1:
-            d = (b - a) / size
-            return a + s * d, math.atan2(d[1], d[0])
-        s -= size
-    raise AssertionError("a line has two points at least")
-
-
-def _turned(point: FloatArray, angle: float) -> tuple[float, float]:
-    c, s = math.cos(angle), math.sin(angle)
-    return float(c * point[0] - s * point[1]), float(s * point[0] + c * point[1])

@@ -12,13 +12,14 @@ References:
 from __future__ import annotations
 
 import datetime
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scenariogeneration import xosc
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.asam.opendrive import NO_DATE, RoadFile, as_bytes, opendrive
@@ -55,16 +56,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> 
 
     Returns:
         The files written.
-
-    Raises:
-        InputError: if scenariogeneration is not installed.
     """
-    try:
-        import scenariogeneration  # noqa: F401
-    except ImportError:
-        raise InputError(
-            "openscenario: scenariogeneration not found, expected it: pip install graphrqi[asam]"
-        ) from None
     made = None if road is None else opendrive(road, name)
     paths = []
     if made is not None:
@@ -87,22 +79,17 @@ def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | 
     Returns:
         The file's content.
     """
-    from scenariogeneration import xosc
-
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("episode", _at(0.0, "begin"))
     rows = tracks.as_rows()
     for agent in range(len(tracks.ids)):
-        what = _name(tracks, agent)
+        what = f"agent {int(tracks.ids[agent])}"  # names in recordings may be anything
         entities.add_scenario_object(what, _entity(tracks, agent))
-        mine = rows.index.agent == agent
-        steps = np.asarray(rows.index.step)[mine]
-        order = np.argsort(steps, kind="stable")
-        events = _events(
-            what, tracks.time_s, steps[order], rows.xy[mine][order], rows.heading[mine][order]
-        )
+        mine = rows.index.rows(agent)
         maneuver = xosc.Maneuver(f"{what} as recorded")
-        for event in events:
+        for event in _events(
+            what, tracks.time_s, rows.index.step[mine], rows.xy[mine], rows.heading[mine]
+        ):
             maneuver.add_event(event)
         group = xosc.ManeuverGroup(f"{what} alone")
         group.add_actor(what)
@@ -124,15 +111,8 @@ def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | 
     return as_bytes(made.get_element())
 
 
-def _name(tracks: Tracks, agent: int) -> str:
-    """An agent's name: its id, because names in recordings may be anything."""
-    return f"agent {int(tracks.ids[agent])}"
-
-
 def _entity(tracks: Tracks, agent: int) -> Any:
     """What an agent is: a vehicle with axles, or a pedestrian."""
-    from scenariogeneration import xosc
-
     kind = KINDS[tracks.kind[agent]]
     length, width = float(tracks.length[agent]), float(tracks.width[agent])
     height = HEIGHTS_M[kind]
@@ -153,8 +133,6 @@ def _entity(tracks: Tracks, agent: int) -> Any:
 
 def _at(time_s: float, name: str, *, stops: bool = False) -> Any:
     """A trigger at a time of the simulation."""
-    from scenariogeneration import xosc
-
     rule = xosc.Rule.greaterThan if stops else xosc.Rule.greaterOrEqual
     condition = xosc.SimulationTimeCondition(time_s, rule)
     point = "stop" if stops else "start"
@@ -165,8 +143,6 @@ def _events(
     what: str, time_s: FloatArray, steps: IntArray, xy: FloatArray, heading: FloatArray
 ) -> Iterator[Any]:
     """The events of an agent for each time that it is seen: it appears, drives, and disappears."""
-    from scenariogeneration import xosc
-
     gaps = np.flatnonzero(np.diff(steps) > 1) + 1
     for number, part in enumerate(np.split(np.arange(steps.size), gaps)):
         if not part.size:
@@ -177,33 +153,30 @@ def _events(
             for i in part
         ]
         about = f"{what}, part {number}"
-        event = xosc.Event(f"{about}: appear", xosc.Priority.parallel)
-        event.add_action(f"{about}: be there", xosc.AddEntityAction(what, places[0]))
-        event.add_trigger(_at(times[0], f"{about}: first seen"))
-        yield event
+        appears = xosc.AddEntityAction(what, places[0])
+        yield _event(f"{about}: appear", appears, times[0])
         if len(places) > 1:
             line = xosc.Trajectory(f"{about}: line", closed=False)
             line.add_shape(xosc.Polyline(times, places))
             follow = xosc.FollowTrajectoryAction(
                 line, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1.0, 0.0
             )
-            event = xosc.Event(f"{about}: drive", xosc.Priority.parallel)
-            event.add_action(f"{about}: follow the line", follow)
-            event.add_trigger(_at(times[0], f"{about}: set out"))
-            yield event
-        event = xosc.Event(f"{about}: disappear", xosc.Priority.parallel)
-        event.add_action(f"{about}: be gone", xosc.DeleteEntityAction(what))
-        event.add_trigger(_at(times[-1], f"{about}: last seen"))
-        yield event
+            yield _event(f"{about}: drive", follow, times[0])
+        yield _event(f"{about}: disappear", xosc.DeleteEntityAction(what), times[-1])
+
+
+def _event(name: str, action: Any, time_s: float) -> Any:
+    """An event of one action at a time."""
+    event = xosc.Event(name, xosc.Priority.parallel)
+    event.add_action(f"{name}: action", action)
+    event.add_trigger(_at(time_s, f"{name}: time"))
+    return event
 
 
 def _add_signals(tracks: Tracks, road: RoadFile, init: Any, act: Any) -> None:
     """What lights show at first, and every change."""
-    from scenariogeneration import xosc
-
-    group = xosc.ManeuverGroup("signals")
     maneuver = xosc.Maneuver("programme")
-    count = 0
+    count = itertools.count()
     for states, ids in zip(tracks.signals, road.signals, strict=True):
         if not len(states):
             continue
@@ -211,13 +184,10 @@ def _add_signals(tracks: Tracks, road: RoadFile, init: Any, act: Any) -> None:
             init.add_global_action(xosc.TrafficSignalStateAction(light, str(SIGNALS[states[0]])))
         for step in (np.flatnonzero(np.diff(states)) + 1).tolist():
             for light in ids:
-                shown = str(SIGNALS[states[step]])
-                event = xosc.Event(f"change {count}", xosc.Priority.parallel)
-                action = xosc.TrafficSignalStateAction(light, shown)
-                event.add_action(f"show {count}", action)
-                event.add_trigger(_at(float(tracks.time_s[step]), f"time of change {count}"))
-                maneuver.add_event(event)
-                count += 1
-    if count:
+                action = xosc.TrafficSignalStateAction(light, str(SIGNALS[states[step]]))
+                time_s = float(tracks.time_s[step])
+                maneuver.add_event(_event(f"change {next(count)}", action, time_s))
+    if maneuver.events:
+        group = xosc.ManeuverGroup("signals")
         group.add_maneuver(maneuver)
         act.add_maneuver_group(group)

@@ -1,8 +1,8 @@
 """The lanelets of a CommonRoad scenario (XML, versions 2017a to 2020a) as a `Road`.
 
 Limits are an element of the lanelet until 2018b and a traffic sign from 2020a on, m/s in both.
-Lights with a programme, signs and intersections exist from 2020a on; in earlier versions signals
-and priority are unknown, and junctions are told from crossing centre lines.
+Signals, signs and intersections exist from 2020a on; in earlier versions signals and priority are
+unknown, and junctions follow from crossing centre lines.
 
 References:
     Althoff, Koschi, Manzinger (2017), CommonRoad: composable benchmarks for motion planning on
@@ -62,8 +62,8 @@ COLORS: Final = {
 }
 
 SHORTEST_YELLOW_S: Final = 1.0
-"""A programme with a shorter yellow, or a green below twice that, is not in the unit that the file
-says, and is not believed (codes of practice ask for 3 s)."""
+"""A programme with a shorter yellow, or a green below twice that, has a wrong unit and is ignored
+(codes of practice ask for 3 s)."""
 
 
 def read_map(path: Path, name: str | None = None) -> Road:
@@ -165,12 +165,12 @@ def line_of(path: Path, element: Element | None, what: str) -> NDArray[np.float6
     try:
         return np.array(told, dtype=np.float64)
     except ValueError:
-        raise InputError(f"{path}: {what}: found a point that is no number") from None
+        raise InputError(f"{path}: {what}: found a point that is not a number") from None
 
 
 @dataclass(frozen=True)
 class _Sign:
-    """What a traffic sign says."""
+    """Meaning of a traffic sign."""
 
     limit_mps: float = math.nan
     stop: bool = False
@@ -207,7 +207,7 @@ def _limit(path: Path, text: str) -> float:
 
 @dataclass(frozen=True)
 class _Lights:
-    """Traffic lights whose programme can be believed."""
+    """Traffic lights with a plausible programme."""
 
     groups: tuple[str, ...]
     plans: tuple[SignalPlan, ...]
@@ -335,7 +335,7 @@ def _with_predecessors(
 def _yielding(
     path: Path, root: Element, lanelets: dict[int, Lanelet], signs: Mapping[int, _Sign]
 ) -> bool:
-    """Say who yields to whom at intersections with signs; whether any are known."""
+    """Set the priorities at intersections with signs; whether any are known."""
     if not any(sign.yields or sign.goes_first for sign in signs.values()):
         return False
     for intersection in root.iterfind("intersection"):

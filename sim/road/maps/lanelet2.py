@@ -162,7 +162,7 @@ def _table(path: Path, pairs: list[tuple[str | None, str | None]]) -> FloatArray
     try:
         return np.array([(float(a or ""), float(b or "")) for a, b in pairs])
     except ValueError:
-        raise InputError(f"{path}: found a node whose place is no number") from None
+        raise InputError(f"{path}: found a node whose position is not a number") from None
 
 
 def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
@@ -243,7 +243,7 @@ def _joined(one: _Border, then: _Border) -> _Border:
 def _related(
     lanelets: dict[int, Lanelet], borders: Mapping[int, tuple[_Border, _Border]]
 ) -> dict[int, Lanelet]:
-    """The lanelets with their successors and neighbours, told from the borders they share."""
+    """The lanelets with their successors and neighbours, from shared borders."""
     driven = [i for i, one in lanelets.items() if not one.walking]
     begins: dict[tuple[int, int], list[int]] = {}
     by_left: dict[tuple[int, ...], int] = {}
@@ -289,7 +289,7 @@ def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
 
 @dataclass(frozen=True)
 class _Rules:
-    """What the regulatory elements say of lanelets: who yields to whom, stops, limits."""
+    """Meaning of the regulatory elements for lanelets: priority, stops, limits."""
 
     yields: dict[int, tuple[int, ...]]
     stops: frozenset[int]

@@ -1,4 +1,4 @@
-"""What the maps of recordings share: lanelets become a road's lanes and the ways between them.
+"""Shared part of the recordings' maps: lanelets become a road's lanes and the paths between them.
 
 Argoverse 2 calls them lane segments, CommonRoad and Lanelet2 lanelets: pieces of lane with a
 beginning and an end, neighbours and successors.
@@ -60,7 +60,7 @@ class Lanelet:
         internal: whether it crosses a junction.
         left: id of the neighbour on the left, of the same direction; None without one.
         right: likewise on the right.
-        use: what may be there: nobody changes between lanelets of different use.
+        use: permitted traffic; there are no lane changes between lanelets of different use.
         limit_mps: speed limit, m/s; NaN where unknown.
         walking: whether it is for pedestrians only.
         cars: whether cars may drive on it.
@@ -172,7 +172,7 @@ def road_of_lanelets(
         broken: why lanelets are left out, a sentence for each.
 
     Raises:
-        InputError: if there is no lanelet for cars, or a line is none.
+        InputError: if no lanelet is for cars, or a line is broken.
     """
     if broken and len(broken) > len(lanelets):
         raise InputError(broken[0])
@@ -198,7 +198,8 @@ def road_of_lanelets(
 def lanes_of(lanelets: Mapping[int, Lanelet], left_hand: bool = False) -> Iterator[Lane]:
     """Every lanelet as a lane; those side by side in one direction share an edge.
 
-    Lanelets of another use (bicycles, buses) are edges of their own: nobody else changes to them.
+    Lanelets of another use (bicycles, buses) are edges of their own, without lane changes from
+    others.
 
     Args:
         lanelets: by id, in order of the ids.
@@ -331,10 +332,10 @@ def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection
 
 
 def with_junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
-    """Lanelets of a map that does not say which are part of a junction, told from their lines.
+    """Junction lanelets of a map without that information, from their lines.
 
-    A lanelet is part of one if its centre line crosses that of another at more than
-    `CROSSING_RAD`, or if it parts from, or joins, one that does.
+    A lanelet is part of a junction if its centre line crosses another at more than `CROSSING_RAD`.
+    It is also part of one if it parts from, or joins, such a lanelet.
 
     Args:
         lanelets: by id.

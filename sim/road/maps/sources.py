@@ -23,7 +23,7 @@ from behaviors.errors import InputError
 from sim.units import in_si
 
 FREE_MPS: Final = 130 / 3.6
-"""What a road without a limit gets, m/s (the speed that Germany recommends there)."""
+"""Speed on a road without a limit, m/s (the speed recommended in Germany)."""
 
 WALK_MPS: Final = 7 / 3.6
 """Walking speed, m/s, as courts have it."""
@@ -65,7 +65,8 @@ _PLACE: Final = re.compile(r"([a-z]{2})(?:-[a-z]+)?:(?:[a-z]{3}:)?([a-z_]+)(?::?
 def limit_of(text: str) -> float | None:
     """A limit as OpenStreetMap writes it, m/s; None where it says none that can be known.
 
-    Of several, the lowest. Limits at some times only, and signs that change, are unknown.
+    The lowest of several limits counts. Limits at certain times only, and signs that change, are
+    unknown.
 
     Args:
         text: the value of ``maxspeed`` or a tag like it.
@@ -138,7 +139,7 @@ def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = Non
         left_hand: whether traffic drives on the left; None for what the map says.
 
     Raises:
-        InputError: if the file is no XML.
+        InputError: if the file is not XML.
     """
     if kind not in ("openstreetmap", "opendrive"):
         return Source(content, bool(left_hand))
@@ -172,8 +173,7 @@ LEFT: Final = (
     (-26.0, -9.0, 30.5, 41.0), (-11.0, 4.0, 30.0, 41.5), (35.7, 36.1, 14.1, 14.6),
     (34.5, 35.7, 32.2, 34.6), (17.6, 18.6, -78.5, -76.1),
 )  # fmt: skip
-"""South, north, west and east of regions where traffic drives on the left, degrees: the British
-Isles, Japan, Australia, New Zealand, South Asia, South-East Asia, southern and eastern Africa."""
+"""South, north, west and east of regions where traffic drives on the left, degrees."""
 
 
 def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
@@ -212,7 +212,7 @@ def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
 
 
 def drives_left(latitude: float, longitude: float) -> bool:
-    """Whether traffic drives on the left at a place, as far as `LEFT` tells.
+    """Whether traffic drives on the left at a position, by the regions of `LEFT`.
 
     Examples:
         >>> drives_left(51.5, -0.12), drives_left(52.5, 13.4), drives_left(48.86, 2.35)

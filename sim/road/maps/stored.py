@@ -1,7 +1,7 @@
 """A road as one JSON file of ours: the map of a recording that has no map file of its own.
 
-Maps inside recordings (CommonRoad, Waymo), maps that need the recording's origin (Lanelet2) and
-maps that were shifted onto the tracks are stored so in datasets, with what they do not know.
+Datasets store in this form maps inside recordings (CommonRoad, Waymo), maps that need the
+recording's origin (Lanelet2), and shifted maps. Unknown facts are stored with them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _STORED_TYPES: Final = {
 
 
 def _as_stored(part: type) -> Any:
-    """What checks that a part of a road has all its fields, of their types."""
+    """Validator of a part of a road: all its fields, of their types."""
     types = get_type_hints(part) | _STORED_TYPES
     named: dict[str, Any] = {field.name: (types[field.name], ...) for field in fields(part)}
     config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)

@@ -158,7 +158,7 @@ def _following(lanes: Mapping[int, WaymoLane]) -> dict[int, tuple[int, ...]]:
 
 
 def _width(lane: WaymoLane, lanes: Mapping[int, WaymoLane]) -> float:
-    """What the map says, the distance to a neighbour's line, or the usual width, m."""
+    """Width by the map, by the distance to a neighbour's line, or the usual width, m."""
     if math.isfinite(lane.width_m):
         return lane.width_m
     for beside in (lane.left, lane.right):
@@ -186,7 +186,7 @@ def _crossing(path: Path, label: str, outline: FloatArray) -> Crossing:
 
 
 def with_neighbours(lanes: Sequence[WaymoLane]) -> list[WaymoLane]:
-    """Lanes with the neighbours of each also told to the other."""
+    """Lanes with symmetric neighbours."""
     known = {lane.id: lane for lane in lanes}
     told = dict(known)
     for lane in lanes:

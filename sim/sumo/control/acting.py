@@ -21,7 +21,7 @@ ACTION_S: Final = 4.0
 
 
 class Action(StrEnum):
-    """What a driver can be made to do."""
+    """Actions that a driver can be made to take."""
 
     BRAKE = "brake"
     """Brakes as hard as the driver ordinarily does, and stands if there is time left."""
@@ -65,7 +65,7 @@ class Acting:
         """Begin an action of a vehicle on the road at a simulated time, s.
 
         Raises:
-            InputError: if there is no lane on that side.
+            InputError: if that side has no lane.
         """
         sumo = self._sumo
         if action in (Action.CHANGE_LEFT, Action.CHANGE_RIGHT):

@@ -86,7 +86,7 @@ class Controls:
             there = ", ".join(sorted(self._sumo.vehicle_getIDList(), key=int)[:NAMED])
             raise InputError(
                 f"agent {name}: found it not on the road at {time_s:g} s, expected one that is, "
-                f"such as {there or 'nobody yet'}"
+                f"such as {there or 'none yet'}"
             )
         if self._wrong_way.overtakes(name):
             raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
@@ -103,7 +103,7 @@ class Controls:
         for controller in self._of_drivers:
             controller.change(agent, time_s)
         sumo.vehicle_setType(name, alternative_name(agent))
-        sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn anew
+        sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn again
         sumo.vehicle_setSpeed(name, -1.0)
         sumo.vehicle_setSpeedMode(name, ORDINARY_SPEED_MODE)
         sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)

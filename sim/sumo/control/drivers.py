@@ -1,4 +1,4 @@
-"""What the controllers of drivers have in common: the drivers, and which of them are present."""
+"""Common part of the drivers' controllers: the drivers, and which of them are present."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Driver:
 
 @dataclass(slots=True)
 class RouteDriver(Driver):
-    """A driver whose conduct is decided anew on every edge of its route.
+    """A driver whose conduct is decided again on every edge of its route.
 
     Attributes:
         edge: the last edge on which something was decided.
@@ -117,7 +117,7 @@ class Controller(ABC, Generic[D]):
 
     @abstractmethod
     def _driver(self, agent: AgentSpec, profile: Profile) -> D | None:
-        """What the controller keeps of a driver; None for one that it leaves alone."""
+        """The controller's state of a driver; None for one without control."""
 
     def _release(self, name: str) -> None:
         """Let SUMO choose a vehicle's speed and lane again."""
@@ -129,7 +129,7 @@ class Controller(ABC, Generic[D]):
         self._present = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]
 
     def change(self, agent: AgentSpec, time_s: float) -> None:
-        """Begin anew with a driver whose speed and modes were set back to SUMO's own.
+        """Begin again with a driver whose speed and modes were set back to SUMO's own.
 
         Args:
             agent: the driver as it is now.

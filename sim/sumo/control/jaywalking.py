@@ -205,7 +205,7 @@ def _places(road: Road, sidewalk: Lane) -> FloatArray:
 def _other_side(
     road: Road, sidewalk: Lane, place: np.ndarray, direction: np.ndarray
 ) -> tuple[float, float] | None:
-    """Where a straight walk from a sidewalk over the road ends; None if there is no road."""
+    """End of a straight walk from a sidewalk over the road; None without a road."""
     over = np.array([-direction[1], direction[0]])  # to the left: sidewalks are on the right
     farthest = 0.0
     for lane in road.lanes:

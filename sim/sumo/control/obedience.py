@@ -1,8 +1,8 @@
 """Running red lights, rolling over stop lines, not yielding to pedestrians.
 
 Each is decided once per encounter, with the driver's probability. SUMO's speed mode says which
-rules a vehicle obeys; it differs from the ordinary mode only until the vehicle has passed the
-junction for which a violation was decided.
+rules a vehicle obeys. It differs from the ordinary mode only up to the junction of a decided
+violation.
 """
 
 from __future__ import annotations
