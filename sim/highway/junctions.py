@@ -269,8 +269,11 @@ def _conflicts_gap(i: int, gap: float, scene: Scene) -> float:
             if j == i or not _must_wait(i, j, leaving, rank, conflict, enter_s, leave_s, scene):
                 continue
             at_line = to_line >= -ENTERED_M and (conflict.begin < AT_LINE_M or rank == 2)
-            stop = to_line if at_line else begin - CONFLICT_MARGIN_M
-            if can_stop(speed, stop, me.emergency_decel):
+            in_the_way = leaving or scene.vehicles[j].to_line + conflict.other_begin <= 0.0
+            stop = begin - CONFLICT_MARGIN_M
+            if at_line and can_stop(speed, to_line, me.emergency_decel):
+                gap = min(gap, to_line)
+            elif in_the_way or can_stop(speed, stop, me.emergency_decel):
                 gap = min(gap, stop)
     return gap
 
