@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, recorded
+from sim.formats.common.recording import Recording, Rows, left_out, recorded
 from sim.frames import AgentKind, FloatArray, Tracks
 from sim.input_files import stem
 from sim.road import Road
@@ -109,14 +109,14 @@ def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:
     sizes: list[tuple[float, float]] = []
     seen: list[FloatArray] = []
     standing: list[tuple[int, FloatArray]] = []
-    left_out: set[str] = set()
+    others: set[str] = set()
     for element in root:
         if element.tag not in OBSTACLES:
             continue
         name = str(whole_number(path, element, "id"))
         kind = TYPES.get((element.findtext("type") or "").strip())
         if kind is None:
-            left_out.add((element.findtext("type") or "without a type").strip()[:40])
+            others.add((element.findtext("type") or "without a type").strip()[:40])
             continue
         if name in names:
             raise InputError(f"{path}: found obstacle {name} twice, expected it once")
@@ -141,10 +141,7 @@ def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:
     rows = Rows(
         agent, tuple(names), table[:, 0], table[:, 1:3], table[:, 3], table[:, 4], kinds, lengths
     )
-    notes = []
-    if left_out:
-        found = ", ".join(sorted(left_out))
-        notes.append(f"left out, because they are not road-agents: {found}")
+    notes = left_out(others)
     if (lengths == 0).any():
         notes.append("those without a size have the one usual for their kind")
     return rows, notes

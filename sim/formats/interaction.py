@@ -123,15 +123,6 @@ def _cases(path: Path) -> dict[str, Table]:
 def _rows(table: Table) -> Rows:
     """The rows of one case."""
     agent, names = table.names("track_id", "agent_type")
-    kinds = []
-    for word in table.only("agent_type", agent):
-        kind = TYPES.get(word.lower())
-        if kind is None:
-            raise InputError(
-                f"{table.path}: column agent_type: found {word!r:.60}, expected one of "
-                f"{', '.join(TYPES)}"
-            )
-        kinds.append(kind)
     vx, vy = table.measured("vx"), table.measured("vy")
     speed, heading = np.hypot(vx, vy), table.measured("psi_rad")
     if np.isnan(heading).any():
@@ -139,7 +130,8 @@ def _rows(table: Table) -> Rows:
         heading = np.where(np.isnan(heading), moving, heading)
     return Rows(
         agent, names, table.numbers("timestamp_ms", "ms"), table.stacked("x", "y"), heading, speed,
-        kinds, first_sizes(agent, table.stacked("length", "width")),
+        table.kinds("agent_type", agent, TYPES),
+        first_sizes(agent, table.stacked("length", "width")),
     )  # fmt: skip
 
 

@@ -12,7 +12,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, recorded
+from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.tables import read_text
 from sim.frames import AgentKind
 from sim.input_files import opened, plain_name, stem
 
@@ -43,8 +43,14 @@ TYPES: Final[dict[str, AgentKind]] = {
 
 LEFT_OUT: Final = frozenset({"Misc", "DontCare"})
 
-LEAST_POSE: Final = 6
-"""Fields of a pose that are read: latitude, longitude, altitude, roll, pitch, yaw."""
+_COLUMNS: Final = (
+    "frame", "agent", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom",
+    "height", "width", "length", "x", "y", "z", "angle",
+)  # fmt: skip
+_PLACE: Final = ("x", "y", "z")
+_NUMBERS: Final = ("frame", "width", "length", *_PLACE, "angle")
+_POSE: Final = ("latitude", "longitude", "altitude", "roll", "pitch", "yaw")
+"""Columns of labels and of poses, in order."""
 
 EARTH_M: Final = 6378137.0
 """Radius of the earth that the Mercator projection of KITTI's tools takes, m."""
@@ -55,19 +61,6 @@ EGO_SIZE_M: Final = (4.77, 1.82)
 EGO_CENTRE_M: Final = (0.96, -0.05)
 """The car's centre before and left of its measuring unit, m: that is 0.32 m before the rear axle
 and 0.05 m left (KITTI's drawing of the sensors), which is 1.28 m behind the centre."""
-
-
-@dataclass(frozen=True)
-class _Labels:
-    """Boxes of road-agents: frame, agent, place in the camera's frame, m, and angle, rad."""
-
-    frame: NDArray[np.int64]
-    agent: NDArray[np.int64]
-    place: FloatArray
-    angle: FloatArray
-    names: tuple[str, ...]
-    kinds: tuple[AgentKind, ...]
-    sizes: FloatArray
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -83,33 +76,41 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is missing or broken; the message names file and line.
     """
-    labels = _labels(path)
+    table = read_text(path, _COLUMNS, _NUMBERS, ("agent", "type"))
+    road_agents, others = table.among("type", TYPES)
+    unknown = next((word for word in others if word not in LEFT_OUT), None)
+    if unknown is not None:
+        raise InputError(
+            f"{path}: type: found {unknown[:40]!r}, expected one of {', '.join(TYPES)}"
+        )
+    boxes = table.part(road_agents)
+    agent, names = boxes.names("agent")
+    frame, angle = boxes.whole("frame"), boxes.numbers("angle")
     poses = _poses(_neighbour(path, "oxts"))
     to_car = _camera_to_car(_neighbour(path, "calib"))
-    if labels.frame.size and int(labels.frame.max()) >= len(poses):
+    if ((frame < 0) | (frame >= len(poses))).any():
         raise InputError(
-            f"{path}: found frame {int(labels.frame.max())}, expected one of the {len(poses)} poses"
+            f"{path}: found frame {frame.max()}, expected one of the {len(poses)} poses"
         )
-    pose = poses[labels.frame]
-    in_car = labels.place @ to_car[:3, :3].T + to_car[:3, 3]
+    pose = poses[frame]
+    in_car = boxes.stacked(*_PLACE) @ to_car[:3, :3].T + to_car[:3, 3]
     xy = (np.einsum("nij,nj->ni", pose[:, :3, :3], in_car) + pose[:, :3, 3])[:, :2]
     # a box's angle turns about the camera's y axis, which points down, from its x axis
-    ahead = np.stack(
-        [np.cos(labels.angle), np.zeros(labels.angle.size), -np.sin(labels.angle)], axis=1
-    )
+    ahead = np.stack([np.cos(angle), np.zeros(angle.size), -np.sin(angle)], axis=1)
     ahead = np.einsum("nij,nj->ni", pose[:, :3, :3], ahead @ to_car[:3, :3].T)
     ego = poses[:, :2, 3] + poses[:, :2, :2] @ np.array(EGO_CENTRE_M)
     ego_heading = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
-    n, frames = len(labels.names), np.arange(len(poses))
+    frames = np.arange(len(poses))
+    sizes = first_sizes(agent, boxes.stacked("length", "width"))
     heading = np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), ego_heading)
     rows = Rows(
-        np.append(labels.agent, np.full(frames.size, n)),
-        (*labels.names, "ego"),
-        np.append(labels.frame, frames).astype(np.float64) * PERIOD_S,
+        np.append(agent, np.full(frames.size, len(names))),
+        (*names, "ego"),
+        np.append(frame, frames).astype(np.float64) * PERIOD_S,
         np.concatenate([xy, ego]),
         heading,
-        kinds=[*labels.kinds, AgentKind.CAR],
-        sizes=np.concatenate([labels.sizes, [EGO_SIZE_M]]),
+        kinds=[*boxes.kinds("type", agent, TYPES), AgentKind.CAR],
+        sizes=np.concatenate([sizes, [EGO_SIZE_M]]),
     )
     notes = (
         "the recording car's motion is undone with its poses; it is the agent ego",
@@ -119,11 +120,7 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 def _neighbour(path: Path, folder: str) -> Path:
-    """The file of a sequence in another folder beside that of its labels.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The file of a sequence in another folder beside that of its labels."""
     home = path.absolute().parent.parent
     names = (plain_name(path), plain_name(path) + ".gz")
     found = next((f for name in names if (f := home / folder / name).is_file()), None)
@@ -135,62 +132,10 @@ def _neighbour(path: Path, folder: str) -> Path:
     return found
 
 
-def _lines(path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Where every line that is not blank stands, and its fields."""
-    with opened(path) as file:
-        for number, line in enumerate(file, 1):
-            fields = line.decode("ascii", "replace").split()
-            if fields:
-                yield f"{path}: line {number}", fields
-
-
-def _numbers(where: str, fields: list[str], count: int) -> list[float]:
-    """So many finite numbers."""
-    try:
-        found = [float(field) for field in fields]
-    except ValueError:
-        raise InputError(f"{where}: found {fields[0][:40]!r}..., expected numbers") from None
-    if len(found) != count or not np.isfinite(found).all():
-        raise InputError(f"{where}: found {len(found)} numbers, expected {count} finite ones")
-    return found
-
-
-def _labels(path: Path) -> _Labels:
-    """The boxes in a file of labels."""
-    frames, agents, numbers = list[int](), list[int](), list[list[float]]()
-    index: dict[str, int] = {}
-    kinds, sizes = list[AgentKind](), list[list[float]]()
-    where = None
-    for where, fields in _lines(path):
-        if len(fields) < 17 or not fields[0].isdecimal():
-            raise InputError(f"{where}: found {fields[:2]}, expected a frame and 16 more fields")
-        word, name = fields[2], fields[1]
-        if word in LEFT_OUT:
-            continue
-        if word not in TYPES:
-            raise InputError(f"{where}: found {word[:40]!r}, expected one of {', '.join(TYPES)}")
-        if name not in index:
-            index[name] = len(index)
-            kinds.append(TYPES[word])
-            sizes.append(_numbers(where, [fields[12], fields[11]], 2))
-        frames.append(int(fields[0]))
-        agents.append(index[name])
-        numbers.append(_numbers(where, fields[13:17], 4))
-    if where is None:
-        raise InputError(f"{path}: found no label, expected at least one")
-    table = np.reshape(numbers, (-1, 4))
-    return _Labels(
-        np.array(frames, dtype=np.int64), np.array(agents, dtype=np.int64), table[:, :3],
-        table[:, 3], tuple(index), tuple(kinds), np.reshape(sizes, (-1, 2)),
-    )  # fmt: skip
-
-
 def _poses(path: Path) -> FloatArray:
     """(frames, 3, 4) rotation and place of the car at each frame, m from the first place."""
-    rows = [_numbers(where, fields[:LEAST_POSE], LEAST_POSE) for where, fields in _lines(path)]
-    if not rows:
-        raise InputError(f"{path}: found no pose, expected one for each frame")
-    latitude, longitude, altitude, roll, pitch, yaw = np.array(rows).T
+    table = read_text(path, _POSE, _POSE)
+    latitude, longitude, altitude, roll, pitch, yaw = (table.numbers(name) for name in _POSE)
     if (np.abs(latitude) > 89).any():
         raise InputError(f"{path}: found a latitude beyond 89 degrees")
     scale = np.cos(np.radians(latitude[0]))
@@ -215,12 +160,17 @@ def _turned(angle: FloatArray, axis: int) -> FloatArray:
 def _camera_to_car(path: Path) -> FloatArray:
     """(4, 4) from the rectified camera's frame to that of the car's measuring unit."""
     to_camera = np.eye(4)
-    found = {fields[0].rstrip(":"): (where, fields[1:]) for where, fields in _lines(path)}
-    for name, size in (("R_rect", 9), ("Tr_velo_cam", 12), ("Tr_imu_velo", 12)):
-        if name not in found:
-            raise InputError(f"{path}: found no {name}, expected it")
+    with opened(path) as file:
+        lines = [line.decode("ascii", "replace").split() for line in file]
+    found = {fields[0].rstrip(":"): fields[1:] for fields in lines if fields}
+    for name, columns in (("R_rect", 3), ("Tr_velo_cam", 4), ("Tr_imu_velo", 4)):
         matrix = np.eye(4)
-        matrix[:3, : size // 3] = np.reshape(_numbers(*found[name], size), (3, size // 3))
+        try:
+            matrix[:3, :columns] = np.reshape([float(x) for x in found[name]], (3, columns))
+        except (KeyError, ValueError):
+            raise InputError(
+                f"{path}: found no {name} of {3 * columns} numbers, expected them"
+            ) from None
         to_camera = to_camera @ matrix
     turn = to_camera[:3, :3]
     if not np.abs(turn @ turn.T - np.eye(3)).max() < 0.01:

@@ -12,7 +12,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -60,39 +59,23 @@ def _frame_rate(path: Path) -> float:
     return float(rates[0])
 
 
-@dataclass(frozen=True)
-class _Agents:
-    """The agent of each row; of each agent its name and kind; and notes."""
-
-    agent: NDArray[np.int64]
-    names: tuple[str, ...]
-    kinds: list[AgentKind]
-    notes: list[str]
-
-
-def _agents(table: Table, id_column: str) -> _Agents:
-    """The agents of a table, their kinds from the metadata beside it."""
+def _agents(
+    table: Table, id_column: str
+) -> tuple[NDArray[np.int64], tuple[str, ...], list[AgentKind], list[str]]:
+    """The agent of each row, the agents' names, their kinds from the metadata, and notes."""
     agent, names = table.names(id_column)
     facts = _beside(table.path, "tracksMeta")
     if facts is None:
         missing = plain_name(table.path).replace("_tracks.csv", "_tracksMeta.csv")
         notes = [f"{missing} is not there: all are taken for cars"]
-        return _Agents(agent, names, [AgentKind.CAR] * len(names), notes)
+        return agent, names, [AgentKind.CAR] * len(names), notes
     meta = read_table(facts, [], [id_column, "class"])
     code, words = meta.names(id_column)
-    word = dict(zip(words, meta.only("class", code), strict=True))
-    kinds = []
-    for name in names:
-        if name not in word:
-            raise InputError(f"{facts}: found no row of agent {name}, expected one")
-        kind = CLASSES.get(word[name].lower())
-        if kind is None:
-            raise InputError(
-                f"{facts}: column class: found {word[name]!r:.60}, expected one of "
-                f"{', '.join(CLASSES)}"
-            )
-        kinds.append(kind)
-    return _Agents(agent, names, kinds, [])
+    kinds = dict(zip(words, meta.kinds("class", code, CLASSES), strict=True))
+    missing = next((name for name in names if name not in kinds), "")
+    if missing:
+        raise InputError(f"{facts}: found no row of agent {missing}, expected one")
+    return agent, names, [kinds[name] for name in names], []
 
 
 def read_ind(path: Path) -> Iterator[Recording]:
@@ -119,21 +102,21 @@ def read_ind(path: Path) -> Iterator[Recording]:
                 f"{path}: column recordingid: found {several[0]} and {several[1]}, expected "
                 "one recording in a file"
             )
-    found = _agents(table, "trackid")
-    sizes = first_sizes(found.agent, table.stacked("length", "width"))
+    agent, names, kinds, notes = _agents(table, "trackid")
+    sizes = first_sizes(agent, table.stacked("length", "width"))
     if (sizes == 0).any():
-        found.notes.append("pedestrians and bicycles without a size have the usual one")
+        notes.append("pedestrians and bicycles without a size have the usual one")
     rows = Rows(
-        found.agent,
-        found.names,
+        agent,
+        names,
         table.numbers("frame") / _frame_rate(path),
         table.stacked("xcenter", "ycenter"),
         table.measured("heading", "deg"),
         np.hypot(table.measured("xvelocity"), table.measured("yvelocity")),
-        found.kinds,
+        kinds,
         sizes,
     )
-    yield recorded(path, stem(path), rows, found.notes)
+    yield recorded(path, stem(path), rows, notes)
 
 
 def read_highd(path: Path) -> Iterator[Recording]:
@@ -150,20 +133,20 @@ def read_highd(path: Path) -> Iterator[Recording]:
     """
     numbers = ("frame", "x", "y", "width", "height", "xvelocity", "yvelocity")
     table = read_table(path, numbers, ["id"])
-    found = _agents(table, "id")
+    agent, names, kinds, notes = _agents(table, "id")
     sides = table.stacked("width", "height")
     corner, velocity = table.stacked("x", "y"), table.stacked("xvelocity", "yvelocity")
     up = np.array([1.0, -1.0])
     vx, vy = (velocity * up).T
     speed = np.hypot(vx, vy)
     rows = Rows(
-        found.agent,
-        found.names,
+        agent,
+        names,
         table.numbers("frame") / _frame_rate(path),
         (corner + 0.5 * sides) * up,
         np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan),
         speed,
-        found.kinds,
-        first_sizes(found.agent, sides),
+        kinds,
+        first_sizes(agent, sides),
     )
-    yield recorded(path, stem(path), rows, [*found.notes, "headings are taken from velocities"])
+    yield recorded(path, stem(path), rows, [*notes, "headings are taken from velocities"])

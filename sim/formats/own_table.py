@@ -30,6 +30,15 @@ UNITS: Final[dict[str, dict[str, str]]] = {
 }
 """The units that each column may have, as `sim.units.in_si` takes them; the first is its usual."""
 
+KINDS: Final = {
+    **{kind.value: kind for kind in AgentKind},
+    **dict.fromkeys(("vehicle", "van"), AgentKind.CAR),
+    **dict.fromkeys(("cyclist", "bike"), AgentKind.BICYCLE),
+    **dict.fromkeys(("walker", "person"), AgentKind.PEDESTRIAN),
+    "motorbike": AgentKind.MOTORCYCLE,
+}
+"""The kind that each word of a column ``kind`` names."""
+
 
 def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
     """Refuse columns that are not known or missing, and units that a column cannot have.
@@ -94,7 +103,7 @@ def read(
     sides = np.nan_to_num(np.stack([column("length"), column("width")], axis=1))
     kinds = None
     if "kind" in lower:
-        kinds = [_kind(path, lower["kind"], word) for word in table.only(lower["kind"], agent)]
+        kinds = table.kinds(lower["kind"], agent, KINDS)
     rows = Rows(
         agent, names, time_s - np.nanmin(time_s), np.stack([column("x"), column("y")], axis=1),
         column("heading"), speed, kinds,
@@ -103,16 +112,3 @@ def read(
     missing = [key for key in ("heading", "speed", "kind", "length") if key not in lower]
     notes = [f"not in the table, taken from the motion or assumed: {', '.join(missing)}"]
     yield recorded(path, stem(path), rows, notes if missing else ())
-
-
-def _kind(path: Path, column: str, word: str | None) -> AgentKind:
-    """The kind that a word names."""
-    lower = str(word).strip().lower()
-    same = {"cyclist": "bicycle", "bike": "bicycle", "walker": "pedestrian", "vehicle": "car",
-            "van": "car", "motorbike": "motorcycle", "person": "pedestrian"}  # fmt: skip
-    lower = same.get(lower, lower)
-    if lower not in set(AgentKind):
-        raise InputError(
-            f"{path}: column {column}: found {word!r:.60}, expected one of {', '.join(AgentKind)}"
-        )
-    return AgentKind(lower)

@@ -33,7 +33,7 @@ BoolArray = NDArray[np.bool_]
 Predictor = Callable[[Scene, Posterior], Prediction]
 
 
-HOME_LIMITS_MPS: Final = (11.0, 17.0)
+TRAINED_LIMITS_MPS: Final = (11.0, 17.0)
 """Speed limits at which the networks predict drivers who come to no light, crossing or junction,
 m/s. They were trained at 50 km/h. On simulated straight roads and motorways at 30, 70, 80, 90 and
 130 km/h they have 1.31, .84, 1.34, .75 and 1.16 of constant velocity, the predictor for recordings
@@ -44,7 +44,7 @@ STOP_S, STOP_M = 5.0, 20.0
 speed, plus this distance."""
 
 
-def at_home(predictor: Predictor) -> Predictor:
+def on_trained_roads(predictor: Predictor) -> Predictor:
     """A learned predictor that leaves recordings, and fast roads, to the predictor for these.
 
     The networks were trained where limits, lights and priority are known and traffic drives as
@@ -89,7 +89,7 @@ def trained_for(scene: Scene) -> BoolArray:
     """
     if not knows_everything(scene):
         return np.zeros(scene.ids.size, bool)
-    low, high = HOME_LIMITS_MPS
+    low, high = TRAINED_LIMITS_MPS
     lane = np.maximum(scene.lane, 0)
     limit = scene.graph.limit[lane]
     stops = scene.paths.stop_x[scene.path] - scene.s[:, None]
@@ -112,7 +112,7 @@ def corrected_rollouts(scene: Scene, posterior: Posterior) -> Prediction:
     return spread_out(scene.history, network(inputs), scene.steps)
 
 
-@at_home
+@on_trained_roads
 def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     """Rollouts of the believed behaviours, corrected by a network: the best predictor here."""
     return corrected_rollouts(scene, posterior)
@@ -135,7 +135,7 @@ def with_weights(folder: Path) -> Predictor:
     return predict
 
 
-@at_home
+@on_trained_roads
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """A recurrent network that is given neither beliefs nor a driver model."""
     return spread_out(scene.history, shipped_lstm()(unlabelled_inputs(scene)), scene.steps)

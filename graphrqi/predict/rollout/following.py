@@ -36,7 +36,7 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
     knowing the behaviour gains. Drivers about whom there are no beliefs drive as the mean of all
     behaviours.
     """
-    return aware_with(scene, posterior.worth(scene.ids), default_table())
+    return aware_with(scene, posterior.discounted(scene.ids), default_table())
 
 
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
@@ -68,7 +68,7 @@ def shuffled_posterior(history: Tracks, posterior: Posterior) -> Posterior:
     The exchange is the same whenever the same agents are present.
     """
     drives = np.flatnonzero(history.kind != PEDESTRIAN)
-    probability = posterior.worth(history.ids)
+    probability = posterior.discounted(history.ids)
     rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in history.ids[drives]])
     probability[drives] = probability[drives][rng.permutation(drives.size)]
     return Posterior(history.ids, probability)

@@ -9,21 +9,19 @@ References:
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
 from sim.formats.common.tables import read_table
-from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
+from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
 from sim.frames import KINDS, Tracks
 from sim.input_files import stem
 
@@ -56,20 +54,11 @@ def read(path: Path) -> Iterator[Recording]:
     table = read_table(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
     agent, names = table.names("track_id")
     time_s = table.numbers("timestamp")
-    labels = _labels_beside(path, names)
+    labels = labels_beside(path.with_suffix(LABELS_SUFFIX), names)
     xy = table.stacked("x", "y")
     rows = Rows(agent, names, time_s - time_s.min(), xy, behavior=labels)
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
     yield recorded(path, stem(path), rows, notes)
-
-
-def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
-    """Behaviours from the file beside a recording; None without one."""
-    labels = path.with_suffix(LABELS_SUFFIX)
-    if not labels.is_file():
-        return None
-    table = read_table(labels, [], ["track_id", "behavior"], empty=["behavior"])
-    return behavior_codes(labels, names, table.words("track_id"), table.words("behavior"))
 
 
 def _is_number(label: str) -> bool:
@@ -110,24 +99,23 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
         focal = focal_agents(window)
         if not focal:
             continue
-        role = dict(zip(focal, ("AGENT", "AV"), strict=False))
-        text, labels = io.StringIO(), io.StringIO()
-        rows, label_rows = (csv.writer(file, lineterminator="\n") for file in (text, labels))
-        rows.writerow(["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"])
-        for step in range(STEPS):
-            for row in np.flatnonzero(window.valid[:, step]):
-                x, y = window.xy[row, step].tolist()
-                kind = role.get(int(row), "OTHERS")
-                time_s = float(window.time_s[step])
-                rows.writerow([time_s, window.names[row], kind, x, y, CITY])
-        label_rows.writerow(["TRACK_ID", "KIND", "BEHAVIOR"])
-        for i, label in enumerate(window.names):
-            code = -1 if window.behavior is None else int(window.behavior[i])
-            word = BEHAVIORS[code].value if code >= 0 else ""
-            label_rows.writerow([label, KINDS[window.kind[i]], word])
+        step, row = np.nonzero(window.valid.T)
+        role = np.full(len(window.names), "OTHERS")
+        role[focal[:2]] = ("AGENT", "AV")[: len(focal)]
+        x, y = window.xy[row, step].T
+        labels = np.array(window.names, dtype=object)
+        text = pandas.DataFrame(
+            {"TIMESTAMP": window.time_s[step], "TRACK_ID": labels[row], "OBJECT_TYPE": role[row],
+             "X": x, "Y": y, "CITY_NAME": CITY}
+        ).to_csv(index=False, lineterminator="\n")  # fmt: skip
+        codes = np.full(len(labels), -1) if window.behavior is None else window.behavior
+        words = [BEHAVIORS[code].value if code >= 0 else "" for code in codes]
+        kinds = [KINDS[kind].value for kind in window.kind]
+        known = pandas.DataFrame({"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": words})
         path = folder / f"{name}-{number:04d}.csv"
-        write_whole(path, text.getvalue().encode())
-        write_whole(path.with_suffix(LABELS_SUFFIX), labels.getvalue().encode())
+        write_whole(path, text.encode())
+        beside = known.to_csv(index=False, lineterminator="\n")
+        write_whole(path.with_suffix(LABELS_SUFFIX), beside.encode())
         written += [path, path.with_suffix(LABELS_SUFFIX)]
     if not written:
         raise NoWindowError(f"{name}: found no 5 s with an agent seen all the time, expected some")

@@ -20,13 +20,12 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from sim.files import whole_folder
-from sim.formats.common.recording import Recording, Rows, recorded
+from sim.formats.common.recording import Recording, Rows, left_out, recorded
 from sim.formats.common.tables import read_table
-from sim.formats.common.windows import NoWindowError, behavior_codes, focal_agents, windows
+from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.input_files import stem
 from sim.road import Road
@@ -111,12 +110,9 @@ def read(path: Path) -> Iterator[Recording]:
         InputError: if a file is broken; the message names file and column.
     """
     table = read_table(path, _NUMBERS, ("track_id", "object_type"))
-    types, type_words = table.codes("object_type")
-    road_agent = np.isin(type_words, list(OBJECT_TYPES))[types]
-    left_out = sorted({type_words[code] for code in np.unique(types)} - set(OBJECT_TYPES))
-    agents = table.part(np.flatnonzero(road_agent))
+    road_agents, others = table.among("object_type", OBJECT_TYPES)
+    agents = table.part(road_agents)
     agent, names = agents.names("track_id")
-    _, first = np.unique(agent, return_index=True)
     name = stem(path).removeprefix("scenario_")
     rows = Rows(
         agent,
@@ -125,25 +121,16 @@ def read(path: Path) -> Iterator[Recording]:
         agents.stacked("position_x", "position_y"),
         agents.measured("heading"),
         np.hypot(agents.measured("velocity_x"), agents.measured("velocity_y")),
-        [OBJECT_TYPES[type_words[code]] for code in types[road_agent][first]],
-        behavior=_labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
+        agents.kinds("object_type", agent, OBJECT_TYPES),
+        behavior=labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
     )
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
-    if left_out:
-        notes.append(f"left out, because they are not road-agents: {', '.join(left_out)}")
+    notes += left_out(others)
     archive = path.with_name(f"log_map_archive_{name}.json")
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
     yield recorded(path, name, rows, notes, road, own_road=True)
-
-
-def _labels_beside(path: Path, names: tuple[str, ...]) -> NDArray[np.int8] | None:
-    """Behaviours from the file beside a scenario; None without one."""
-    if not path.is_file():
-        return None
-    table = read_table(path, (), ("track_id", "behavior"), empty=("behavior",))
-    return behavior_codes(path, names, table.words("track_id"), table.words("behavior"))
 
 
 # --- writing ------------------------------------------------------------------------------------

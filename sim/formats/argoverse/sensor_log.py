@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.recording import Recording, Rows, first_sizes, left_out, recorded
 from sim.formats.common.tables import Table, read_table
 from sim.frames import AgentKind
 from sim.input_files import beside
@@ -92,12 +92,11 @@ def read(path: Path) -> Iterator[Recording]:
             f"{path}: found no {POSES} beside it, expected it: without it the recording car's "
             "motion cannot be undone"
         )
-    codes, categories = boxes.codes("category")
     sweeps, sweep = np.unique(boxes.whole("timestamp_ns"), return_inverse=True)
     turn, place = _poses_at(poses, sweeps)
     time_s = (sweeps - sweeps[0]) / 1e9
 
-    of_agents = np.flatnonzero(np.isin(categories, list(CATEGORIES))[codes])
+    of_agents, others = boxes.among("category", CATEGORIES)
     agents, at = boxes.part(of_agents), sweep[of_agents]
     agent, names = agents.names("track_uuid")
     if EGO_NAME in names:
@@ -105,7 +104,6 @@ def read(path: Path) -> Iterator[Recording]:
             f"{path}: column track_uuid: found {EGO_NAME}, expected other ids: it is the "
             "recording car's"
         )
-    _, first = np.unique(agent, return_index=True)
     xy = np.einsum("nij,nj->ni", turn[at, :2], agents.stacked(*_PLACE)) + place[at, :2]
     ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(agents)[:, :, 0])
     ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
@@ -117,7 +115,7 @@ def read(path: Path) -> Iterator[Recording]:
         np.append(time_s[at], time_s),
         np.concatenate([xy, ego]),
         np.arctan2(heading[:, 1], heading[:, 0]),
-        kinds=[*(CATEGORIES[categories[c]] for c in codes[of_agents][first]), AgentKind.CAR],
+        kinds=[*agents.kinds("category", agent, CATEGORIES), AgentKind.CAR],
         sizes=np.concatenate([sizes, [EGO_SIZE_M]]),
     )
     notes = [
@@ -125,10 +123,7 @@ def read(path: Path) -> Iterator[Recording]:
         f"Fusion of {EGO_SIZE_M[0]:g} by {EGO_SIZE_M[1]:g} m",
         "speeds are taken from the motion",
     ]
-    seen = {categories[code] for code in np.unique(codes).tolist()}
-    left_out = sorted(seen - {*CATEGORIES, EGO_CATEGORY})
-    if left_out:
-        notes.append(f"left out, because they are not road-agents: {', '.join(left_out)}")
+    notes += left_out(set(others) - {EGO_CATEGORY})
     maps = _maps_of(path)
     if len(maps) > 1:
         notes.append(f"found {len(maps)} maps: none is used")

@@ -7,7 +7,7 @@ headings and speeds that follow from the motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -121,6 +121,13 @@ class Rows:
     empty_s: Sequence[float] = ()
     ahead_lengths: float = 0.0
     in_metres: bool = True
+
+
+def left_out(words: Collection[str]) -> list[str]:
+    """The note on objects that are no road-agents, if there are any."""
+    if not words:
+        return []
+    return [f"left out, because they are not road-agents: {', '.join(sorted(words))}"]
 
 
 def default_size(kind: AgentKind) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import gzip
 import re
 import warnings
 import zlib
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +21,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.frames import AgentKind
 from sim.input_files import broken_as_one_line, opened, read_bytes
 from sim.units import in_si
 
@@ -281,6 +282,35 @@ class Table:
             )
         return [words[c] for c in code[first].tolist()]
 
+    def kinds(
+        self, name: str, agent: NDArray[np.int64], known: Mapping[str, AgentKind]
+    ) -> list[AgentKind]:
+        """The kind of each agent, from the word that a column has in all its rows.
+
+        Args:
+            name: of the column.
+            agent: (m,) of each row.
+            known: the kind of each word; upper and lower case do not matter.
+
+        Raises:
+            InputError: naming the first word that is not known.
+        """
+        lower = {word.lower(): kind for word, kind in known.items()}
+        words = [str(word).strip() for word in self.only(name, agent)]
+        wrong = next((word for word in words if word.lower() not in lower), None)
+        if wrong is not None:
+            raise InputError(
+                f"{self.path}: column {name}: found {wrong!r:.60}, expected one of "
+                f"{', '.join(known)}"
+            )
+        return [lower[word.lower()] for word in words]
+
+    def among(self, name: str, known: Collection[str]) -> tuple[NDArray[np.int64], list[str]]:
+        """(k,) the rows in which a column has one of some words, and the other words there."""
+        codes, words = self.codes(name)
+        rows = np.flatnonzero(np.isin(words, list(known))[codes])
+        return rows, sorted({words[code] for code in np.unique(codes)} - set(known))
+
     def part(self, rows: NDArray[np.int64]) -> Table:
         """Some of the rows, by their indices."""
         return Table(self.path, self.columns.take(pa.array(rows)))
@@ -406,27 +436,34 @@ def _check_quotes(path: Path, encoding: str) -> None:
                 )
 
 
-def read_text(path: Path, header: Sequence[str], wanted: Sequence[str]) -> Table:
-    """Read columns of numbers from a file without a header, fields separated by white space.
+def read_text(
+    path: Path, header: Sequence[str], numbers: Sequence[str], words: Sequence[str] = ()
+) -> Table:
+    """Read columns of a file without a header, fields separated by white space.
 
     Args:
         path: the file.
-        header: names of all columns, in order.
-        wanted: names of those to read.
+        header: names of the columns, in order, as far as they are read.
+        numbers: names of columns of numbers.
+        words: names of columns of text.
 
     Raises:
         InputError: naming the file and the row that is wrong.
     """
+    wanted = [*numbers, *words]
+    types = [(name, "U80" if name in words else "f8") for name in wanted]
     places = [header.index(name) for name in wanted]
     try:
         with opened(path) as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of no data, which is an error below
-            rows = np.loadtxt(file, comments=None, usecols=places, ndmin=2)
+            rows = np.loadtxt(file, dtype=types, comments=None, usecols=places, ndmin=1)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     if not len(rows):
         raise InputError(f"{path}: found no rows, expected at least one")
-    return Table(path, pa.table({name: rows[:, i] for i, name in enumerate(wanted)}))
+    columns = {name: pa.array(np.ascontiguousarray(rows[name])) for name in numbers}
+    columns |= {name: pa.array(rows[name].tolist()).dictionary_encode() for name in words}
+    return Table(path, pa.table(columns))
 
 
 def _each_once(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
+from sim.formats.common.tables import read_table
 from sim.frames import PEDESTRIAN, Tracks
 
 PERIOD_S: Final = 0.1
@@ -78,25 +79,26 @@ def focal_agents(window: Tracks) -> list[int]:
     return [int(r) for r in rows[np.argsort(-way, kind="stable")]]
 
 
-def behavior_codes(
-    path: Path, names: Sequence[str], labelled: Sequence[str], words: Sequence[str | None]
-) -> NDArray[np.int8] | None:
-    """The behaviours of a recording's agents, from the labels in a file beside it.
+def labels_beside(path: Path, names: Sequence[str]) -> NDArray[np.int8] | None:
+    """The behaviours of a recording's agents, from the table of labels beside it.
 
     Args:
-        path: the file with the labels, for messages.
+        path: the table, with the columns ``track_id`` and ``behavior``.
         names: the recording's agents.
-        labelled: the agents in the file.
-        words: the behaviour of each; empty or None for those without one.
 
     Returns:
-        (len(names),) codes into ``BEHAVIORS`` (-1: none), or None where no agent has one.
+        (len(names),) codes into ``BEHAVIORS`` (-1: none); None where no agent has one, or there is
+        no such file.
 
     Raises:
         InputError: if an agent is in the file twice or a word is no behaviour.
     """
+    if not path.is_file():
+        return None
+    table = read_table(path, (), ("track_id", "behavior"), empty=("behavior",))
     known: dict[str, int] = {}
-    for name, word in zip(labelled, words, strict=True):
+    words = table.words("behavior")
+    for name, word in zip(table.words("track_id"), words, strict=True):
         if name in known:
             raise InputError(f"{path}: found agent {name!r:.60} twice, expected it once")
         if word and word not in BEHAVIORS:
