@@ -193,7 +193,7 @@ class _NetworkAnswers:
         self.sees_noise = False
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
-        """Take the next positions, and answer anew where motion is measured."""
+        """Take the next positions, and update the answers where motion is measured."""
         observer = self._observer
         measured = observer.update(time_s, ids, xy, drives)
         self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S
