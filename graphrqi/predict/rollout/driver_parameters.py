@@ -51,7 +51,7 @@ def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, Bo
     """The parameters of each driver under each behaviour.
 
     Returns:
-        (6, n, 5) car-following parameters and (6, n, 2) kinds of stop constraints ignored.
+        (6, n, 5) car-following parameters. (6, n, 2) kinds of stop constraints ignored.
     """
     each = (len(BEHAVIORS), scene.ids.size)
     runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))

@@ -5,8 +5,8 @@ every step. A Laplacian has full rank outside its null space. The error after se
 the order of its (k+1)-th eigenvalue. Costs O(d (k + p)^2) for p changed edges.
 
 References:
-    Brand (2006), Fast low-rank modifications of the thin singular value decomposition,
-    Linear Algebra and its Applications 415, 20-30.
+    Brand (2006), Fast low-rank modifications of the thin singular value decomposition, Linear
+    Algebra and its Applications 415.
 """
 
 from __future__ import annotations

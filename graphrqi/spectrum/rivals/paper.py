@@ -4,8 +4,8 @@ Chandra et al. (2020), eq. 2 and algorithm 1: every arrival of edges at a vehicl
 
     L_t = [L_{t-1} 0; 0 1] + delta delta^T
 
-(without the border where the vehicle was there already), delta being 1 at its new neighbours, and
-each eigenpair follows by Rayleigh-quotient iterations x <- (L_t - mu I)^-1 x, the inverse by
+(without the border where the vehicle was there already). delta is 1 at its new neighbours. Each
+eigenpair follows by Rayleigh-quotient iterations x <- (L_t - mu I)^-1 x, the inverse by
 Sherman-Morrison in the old eigenbasis. This matrix is not a Laplacian for any binary delta, so the
 pairs drift from the graph's at the first step. Edges that vanish have no update. Several pairs
 converge to the same vector, so the columns are not orthonormal. The answer's ``residuals`` show the

@@ -5,7 +5,7 @@ power iterations leave large residuals. At the smallest end it works on s I - L,
 spectrum, whose largest eigenvalues lie closer still. Costs O((m + d k) k) per power iteration.
 
 References:
-    Halko, Martinsson, Tropp (2011), Finding structure with randomness, SIAM Review 53, 217-288.
+    Halko, Martinsson, Tropp (2011), Finding structure with randomness, SIAM Review 53, 217.
 """
 
 from __future__ import annotations
