@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Final
 
 PRESENT: Final = ("s", "speed", "accel", "half_length", "on_path")
-"""(n, 5) the drivers at present: distance along the first lane of its path m, m/s, m/s2 (or
-`UNKNOWN_ACCELERATION`), m, and 1 for a driver on a path."""
+"""(n, 5) the drivers at present, in m, m/s and m/s2 (or `UNKNOWN_ACCELERATION`); the last column is
+1 for a driver on a path."""
 START_S, START_SPEED, START_ACCEL, HALF_LENGTH, ON_PATH = range(5)
 
 MOTION: Final = (

@@ -27,8 +27,8 @@ sum of the squared column counts. Small graphs, and requests for a third of all 
 answered densely by component, which is faster there.
 
 References:
-    Parlett (1998), The Symmetric Eigenvalue Problem, sections 3.3, 4.6-4.9, 11. Grimes, Lewis,
-    Simon (1994), A shifted block Lanczos algorithm, SIMAX 15.
+    Parlett (1998), The Symmetric Eigenvalue Problem, chapters 3, 4 and 11. Grimes, Lewis, Simon
+    (1994), A shifted block Lanczos algorithm, SIMAX 15.
 
 Examples:
     >>> road = [(i, i + 1) for i in range(99)]

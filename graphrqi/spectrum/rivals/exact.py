@@ -4,8 +4,8 @@ With w_e = e_i - e_j for every edge that came (s_e = 1) or went (-1),
 
     L_t = blk(L_{t-1}, 0) + W S W^T,
 
-so in the old eigenbasis (padded with e_new at eigenvalue 0) the inverse of
-Lambda - mu I + W^ S W^^T is Woodbury's formula with one (p, p) system per pair.
+so Woodbury's formula gives the inverse of Lambda - mu I + W^ S W^^T in the old eigenbasis, with one
+(p, p) system per pair.
 
 Differs from the paper: the update is a Laplacian, p edges at once. Pairs that converge to the same
 vector are replaced by a Rayleigh-Ritz step in the complement (deflation). The iteration stops on
