@@ -54,8 +54,7 @@ class BehaviorStream:
         traffic: where the frames come from. The engines of this project are ``simulated``, and the
             model's own classifier answers, unless positions are noisy. In ``recorded`` and in
             ``other`` traffic its network for these answers.
-        is_scene: False if a check of the recording found no scene that can be believed: everybody
-            is unknown then.
+        is_scene: False if a recording is not plausible as a scene: all drivers are unknown then.
     """
 
     def __init__(
@@ -92,8 +91,8 @@ class BehaviorStream:
             Posterior of every driver that is present and was observed long enough.
 
         Raises:
-            InputError: if the frame's time does not increase or a value in it is not usable, see
-                `sim.episode.buffer.FrameBuffer.push`; the stream then stays as it was.
+            InputError: for an unusable frame, see `sim.episode.buffer.FrameBuffer.push`; the stream
+                then stays as it was.
         """
         self.push(frame)
         return self.posterior()
@@ -193,7 +192,7 @@ class _NetworkAnswers:
         self.sees_noise = False
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
-        """Take the next positions, and answer anew where motion is measured."""
+        """Take the next positions, and update the answers where motion is measured."""
         observer = self._observer
         measured = observer.update(time_s, ids, xy, drives)
         self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S
