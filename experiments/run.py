@@ -87,7 +87,7 @@ class _Beliefs:
         )
         return dataclasses.replace(
             known,
-            answered=np.array([p.told[row] for _, p, row in found], dtype=bool),
+            answered=np.array([p.labelled[row] for _, p, row in found], dtype=bool),
             domain=np.array([p.domain for _, p, _ in found], dtype=np.float64),
         )
 

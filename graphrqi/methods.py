@@ -44,10 +44,10 @@ class Method:
 
     Attributes:
         name: its key in ``METHODS``.
-        summary: one line for people.
-        observer: makes an observer from a solver's name.
-        classifier: a key of ``graphrqi.classify.CLASSIFIERS``.
-        options: keyword options of that classifier.
+        summary: one line on it.
+        observer: makes an observer of a solver.
+        classifier: a key of ``CLASSIFIERS``.
+        options: the classifier's.
     """
 
     name: str
@@ -142,13 +142,12 @@ class Model:
 
     Attributes:
         method: the method that was trained.
-        solver: the eigenvalue solver that its observer uses.
+        solver: its observer's eigenvalue solver.
         classifier: the trained classifier.
-        shares: share of each behaviour among the training windows; they sum to 1.
+        shares: share of each behaviour in training; they sum to 1.
         card: training data and scores, as JSON values.
-        other: how it answers in traffic unlike that of its classifier's training; None if it takes
-            all traffic for the same.
-        adaptation: what is done to answers at the place that it was adapted to; None if it was not.
+        other: networks for other traffic; None if the classifier answers everywhere.
+        adaptation: correction of the answers for a recording site, if any.
     """
 
     method: Method
@@ -182,10 +181,10 @@ def train(
 
     Args:
         method: a key of ``METHODS``.
-        training: samples of the training episodes.
-        validation: samples of other episodes, for early stopping and calibration.
+        training: the training samples.
+        validation: samples of other episodes.
         solver: a key of ``graphrqi.spectrum.SOLVERS``.
-        seed: the same seed and samples give the same model.
+        seed: of the randomness.
         card: the model's card.
 
     Returns:

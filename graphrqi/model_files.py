@@ -1,4 +1,4 @@
-"""Model folders: one file, ``model.safetensors``, with all that a trained model knows."""
+"""Model folders: one file, ``model.safetensors``, with the whole trained model."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _OTHER_VERSION: Final = (
 
 
 class _Adapted(BaseModel):
-    """What was learned at a place."""
+    """An adaptation to a recording site, as the file stores it."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -51,7 +51,7 @@ class _Adapted(BaseModel):
 
 
 class _About(BaseModel):
-    """What the header of a model's file says."""
+    """The header of a model's file."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -15,8 +15,8 @@ from behaviors.labels import BEHAVIORS, Behavior, Style
 if TYPE_CHECKING:
     import pandas as pd
 
-STYLE_TOLD: Final = 0.8
-"""Probability of a style from which it is told: four answers out of five are then right or more."""
+LABEL_PROBABILITY: Final = 0.8
+"""Least probability of a style for which a driver gets a label."""
 
 AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
 """(6,) which behaviours are of the aggressive style."""
@@ -45,10 +45,10 @@ class Posterior:
     Attributes:
         ids: (n,) agent ids, ascending.
         probability: (n, 6) in the order of ``behaviors.BEHAVIORS``; rows sum to 1.
-        domain: how foreign the traffic is to the model: 0 like its training, 1 of another kind.
-        unknown: (n,) probability that no answer is earned: that the style is only guessed, which is
-            twice the probability of the less likely style, and 1 where the frames show no scene
-            that can be believed. It follows from ``probability`` where it is not given.
+        domain: distance of the traffic from the training, 0 to 1.
+        unknown: (n,) probability that the style is only guessed: twice that of the less likely
+            style. It is 1 where the frames are not plausible as a scene. It follows from
+            ``probability`` where it is not given.
 
     Examples:
         >>> p = Posterior(ids=[7], probability=[[0.1, 0.7, 0.1, 0.1, 0.0, 0.0]])
@@ -113,23 +113,25 @@ class Posterior:
         return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
     @property
-    def told(self) -> NDArray[np.bool_]:
-        """(n,) whether a driver gets a label: where its style is likely enough (``STYLE_TOLD``)."""
-        return np.asarray(self.unknown <= 2.0 * (1.0 - STYLE_TOLD) + 1e-9)
+    def labelled(self) -> NDArray[np.bool_]:
+        """(n,) whether a driver gets a label: its style reaches `LABEL_PROBABILITY`."""
+        return np.asarray(self.unknown <= 2.0 * (1.0 - LABEL_PROBABILITY) + 1e-9)
 
     @property
     def behaviors(self) -> tuple[Behavior | None, ...]:
-        """Each agent's most likely behaviour; None where no answer is earned."""
+        """Each agent's most likely behaviour; None where it gets no label."""
         return tuple(
-            BEHAVIORS[code] if told else None
-            for code, told in zip(self.most_likely.tolist(), self.told.tolist(), strict=True)
+            BEHAVIORS[code] if labelled else None
+            for code, labelled in zip(
+                self.most_likely.tolist(), self.labelled.tolist(), strict=True
+            )
         )
 
-    def worth(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(m, 6) probabilities of the given agents as far as they are worth being relied on.
+    def discounted(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(m, 6) probabilities of the given agents, discounted by their reliability.
 
-        The more foreign the traffic and the less an answer is earned, the nearer they are to equal
-        chances; those of agents without an answer are equal chances.
+        Distance of the traffic from training, and unknown style, move them towards equal
+        probabilities. Agents without an answer get equal probabilities.
         """
         out = self.of(ids)
         if self.ids.size and self.domain > 0.0:
@@ -148,15 +150,15 @@ class Posterior:
         return out
 
     def __repr__(self) -> str:
-        """The number of drivers, of each most likely behaviour, and of how many none is told."""
+        """The number of drivers, of each most likely behaviour, and of drivers without a label."""
         n = self.ids.size
         counts = np.bincount(self.most_likely, minlength=len(BEHAVIORS)).tolist()
         found = [f"{k} {name}" for k, name in zip(counts, BEHAVIORS, strict=True) if k]
         said = f", most likely: {', '.join(found)}" if n else ""
         if n and self.domain > 0.0:
             said += f", {self.domain:.0%} foreign"
-        if not self.told.all():
-            said += f", {(~self.told).mean():.0%} unknown"
+        if not self.labelled.all():
+            said += f", {(~self.labelled).mean():.0%} unknown"
         return f"Posterior({n} driver{'s' * (n != 1)}{said})"
 
     def _repr_html_(self) -> str:
@@ -169,7 +171,7 @@ class Posterior:
 
         Returns:
             Rows indexed by agent id (``agent``); last columns ``most_likely``, ``unknown`` and
-            ``told``.
+            ``labelled``.
         """
         import pandas as pd
 
@@ -179,5 +181,5 @@ class Posterior:
         return table.assign(
             most_likely=[names[code] for code in self.most_likely],
             unknown=np.array(self.unknown),
-            told=np.array(self.told),
+            labelled=np.array(self.labelled),
         )

@@ -21,20 +21,19 @@ from sim.frames import Tracks
 FloatArray = NDArray[np.float64]
 
 WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, float("inf"))
-"""Lengths of the observation windows for training; the infinite one is a driver's life so far,
-which is what a stream knows."""
+"""Lengths of the observation windows for training, s; the infinite one is a driver's whole track so
+far, as in a stream."""
 
 SHORTEST_LIFE_S: Final = 1.0
-"""A driver's life so far is a sample once it lasts this long, and no window begins sooner after the
-first frame: before, velocities are hardly known."""
+"""Least length of a track that is a sample, and least time from the first frame to a window, s;
+earlier velocities are uncertain."""
 
 NEAR_S: Final = 0.25
-"""A window may begin and end this far from the times asked for, s, or half a frame step if that is
-longer (a tenth of the shortest window that scores are given for, so that windows are found where
-frames are lost or come at uneven times)."""
+"""Largest distance of a window's begin and end from the times asked for, s; half a frame step if
+that is longer."""
 
 RETURNED_S: Final = 0.5
-"""A driver that is missing for longer than this within a window has no sample of it."""
+"""A driver that is missing for longer than this within a window has no sample of it, s."""
 
 SAME_TIME_S: Final = 1e-6
 """Times that differ by less are the same, s (rounding of sums of steps)."""
@@ -50,12 +49,12 @@ class Samples:
     Attributes:
         features: (n, F) float32.
         codes: (n,) true classes, codes into ``BEHAVIORS``.
-        episode: (n,) number of the episode.
-        agent: (n,) agent id within the episode.
+        episode: (n,) its number.
+        agent: (n,) agent id.
         time_s: (n,) end of the observation, s.
         seconds: (n,) length of the observation, s.
-        window_s: (n,) length requested, s; inf for a driver's life so far.
-        moving: (n,) whether the driver moved in it.
+        window_s: (n,) length requested, s; inf for the whole track.
+        moving: (n,) whether the driver moved.
     """
 
     features: NDArray[np.float32]
@@ -129,14 +128,14 @@ def collect(
     Args:
         tracks: with labels in ``tracks.behavior``.
         observer: a fresh one.
-        episode: the samples' episode number.
-        windows_s: requested lengths of observation; ``inf`` is a driver's life so far.
+        episode: the episode's number.
+        windows_s: requested lengths, s; ``inf`` is the whole track.
         every_s: time between the ends of windows.
-        per_moment: number of lengths drawn for each driver and moment; None takes all.
+        per_moment: lengths drawn for each driver and moment; None for all.
         seed: of that draw.
 
     Returns:
-        One sample per labelled driver, moment and window that fits into its life.
+        One sample per labelled driver, moment and window that fits into its track.
 
     Raises:
         NoSamplesError: if the recording has no labels, or shows no driver for long enough.
@@ -233,7 +232,7 @@ def _nearest(time_s: FloatArray, wanted_s: FloatArray, near_s: float) -> NDArray
 
 
 def _life(last: _Snapshot, observer: Observer, shortest_s: float) -> _Window:
-    """What was seen so far of everybody who has been there for long enough."""
+    """The whole track so far of every driver observed for long enough."""
     long_enough = last.seen.seconds >= shortest_s - SAME_TIME_S
     rows, life = np.flatnonzero(long_enough), last.seen.where(long_enough)
     features = observer.features(life.seconds, life.sums, life.instant)
@@ -241,7 +240,7 @@ def _life(last: _Snapshot, observer: Observer, shortest_s: float) -> _Window:
 
 
 def _cut(first: _Snapshot, last: _Snapshot, observer: Observer) -> _Window:
-    """The window between two snapshots, of everybody who was there all the time."""
+    """The window between two snapshots, of drivers present all the time."""
     past, now = first.seen, last.seen
     rows, before = align(past.ids, now.ids)
     seconds = now.seconds[rows] - past.seconds[before]

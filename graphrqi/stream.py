@@ -27,10 +27,10 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 MIN_SECONDS: Final = 1.0
-"""Time after which a driver is classified; before it, velocity is hardly known."""
+"""Time after which a driver is classified, s; earlier velocities are uncertain."""
 
 PRIOR_EVERY_S: Final = 1.0
-"""Time between estimates of the shares of behaviours; drivers come and go more slowly."""
+"""Time between estimates of the shares of behaviours, s."""
 
 HISTORY_STEPS: Final = 50
 """Frames remembered for prediction; 5 s at 10 Hz."""
@@ -42,20 +42,19 @@ DEFAULT_MODEL: Final = "graphrqi-plus"
 class BehaviorStream:
     """Classifies drivers frame by frame.
 
-    Of a frame only the time and the agents' ids, positions and kinds (driver or pedestrian) are
-    used. Evidence on a driver accumulates for as long as it is present, and the shares of the
-    behaviours are estimated from all drivers (`graphrqi.prior_shift`).
+    It uses only a frame's time and the agents' ids, positions and kinds (driver or pedestrian).
+    Evidence on a driver accumulates while it is present. The shares of the behaviours are estimated
+    from all drivers (`graphrqi.places.prior_shift`).
 
     Args:
         model: a trained model.
         min_seconds: time observed after which a driver is classified, s.
-        window: which agents are of interest; None for everybody. The others cost nothing, and are
-            nobody's neighbours.
+        window: which agents are of interest; None for everybody. The others cost nothing
+            and are not seen by any driver.
         traffic: where the frames come from. The engines of this project are ``simulated``, and the
             model's own classifier answers, unless positions are noisy. In ``recorded`` and in
             ``other`` traffic its network for these answers.
-        is_scene: False if a check of the recording found no scene that can be believed: everybody
-            is unknown then.
+        is_scene: False if a recording is not plausible as a scene: all drivers are unknown then.
     """
 
     def __init__(
@@ -92,8 +91,8 @@ class BehaviorStream:
             Posterior of every driver that is present and was observed long enough.
 
         Raises:
-            InputError: if the frame's time does not increase or a value in it is not usable, see
-                `sim.episode.buffer.FrameBuffer.push`; the stream then stays as it was.
+            InputError: for an unusable frame, see `sim.episode.buffer.FrameBuffer.push`; the stream
+                then stays as it was.
         """
         self.push(frame)
         return self.posterior()
@@ -193,7 +192,7 @@ class _NetworkAnswers:
         self.sees_noise = False
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
-        """Take the next positions, and answer anew where motion is measured."""
+        """Take the next positions, and update the answers where motion is measured."""
         observer = self._observer
         measured = observer.update(time_s, ids, xy, drives)
         self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S

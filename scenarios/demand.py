@@ -48,7 +48,7 @@ def make_scenario(
 
     Args:
         name: of the scenario and of its road.
-        geometry: of the road; its net is built with netconvert if it is not shipped.
+        geometry: of the road; netconvert builds nets that are not shipped.
         flows: the demand.
         options: the population.
 

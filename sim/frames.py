@@ -289,7 +289,7 @@ class Tracks:
         Args:
             frames: frames in time order.
             behaviors: the true behaviour of each agent id, if known.
-            names: the source's own id of each agent id; by default the id itself.
+            names: the source's name of each id; by default the id.
 
         Returns:
             Tracks of all agents that are in a frame.

@@ -372,7 +372,7 @@ def with_behavior(
         agent: a driver.
         behavior: the behaviour to draw the profile of.
         spread: how much drivers of one behaviour differ, as in `Scenario`.
-        population: of which drivers are drawn, as in `Scenario`.
+        population: as in `Scenario`.
 
     Returns:
         The agent with that behaviour and its profile.

@@ -244,7 +244,7 @@ def measure(
     Args:
         scenarios: keys of ``SCENARIOS``; () for all.
         engine: a key of ``ENGINES``.
-        seeds: one episode per scenario and seed.
+        seeds: one for each episode.
         duration_s: length of each episode, s.
         jobs: processes; None for one per core.
 

@@ -93,7 +93,7 @@ def measure(repeats: int = 4, duration_s: float = 300.0, episodes: int = 8) -> I
     Args:
         repeats: episodes per scenario whose parts are timed.
         duration_s: of each episode, s.
-        episodes: per scenario, of the dataset that is made with one job and with one per core.
+        episodes: per scenario, of the datasets for the speedup.
 
     Yields:
         Rows of the CPU time over that of bare SUMO steps: of reading frames, of the engine with

@@ -93,7 +93,7 @@ def last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
         here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
         at = np.searchsorted(posterior.ids, tracks.ids[here])
         style[here] = aggressive_share(posterior.probability[at])
-        told[here] = posterior.told[at]
+        told[here] = posterior.labelled[at]
     return style, told
 
 

@@ -109,7 +109,7 @@ def measure(
 
     Args:
         sizes: numbers of vehicles.
-        graphs: where the vehicles are: road, crossing, city.
+        graphs: road, crossing or city.
         solvers: keys of ``SOLVERS``, "lapack-dsyevr", or "primme"; () for all that are installed.
         steps: observations of each sequence.
 

@@ -196,3 +196,11 @@ def generate(quick: Quick = False, json: Json = None) -> None:
     from experiments.benchmarks.generate import measure
 
     _show("generate", measure(1, 30.0, 2) if quick else measure(), json)
+
+
+@bench.command(epilog="example: graphrqi bench conflicts --quick --json rows.json")
+def conflicts(quick: Quick = False, json: Json = None) -> None:
+    """Compare our conflicts with those of SUMO's own device, in the same episodes."""
+    from experiments.benchmarks.ssm import measure
+
+    _show("conflicts", measure((0,), 60.0) if quick else measure(range(3), 120.0), json)

@@ -24,7 +24,7 @@ from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.packing import differences, pack, quantum
 from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
-from graphrqi.posterior import STYLE_TOLD
+from graphrqi.posterior import LABEL_PROBABILITY
 from sim.files import write_whole
 from sim.formats import FORMATS
 from sim.frames import KINDS, SIGNALS, Event, EventKind, FloatArray, IntArray, Tracks
@@ -142,7 +142,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "behaviors": [
             {"name": b.value, "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
         ],
-        "told": {"style": STYLE_TOLD},
+        "told": {"style": LABEL_PROBABILITY},
         "unknown": UNKNOWN_COLOR,
         "ramp": ramp(),
         "kinds": [k.value for k in KINDS],

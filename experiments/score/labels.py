@@ -77,7 +77,7 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
     row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for _, a in answers])
     each = [a.ids.size for _, a in answers]
     probability = np.concatenate([a.probability for _, a in answers])
-    told = np.concatenate([a.told for _, a in answers])
+    told = np.concatenate([a.labelled for _, a in answers])
     aggressive = aggressive_share(probability) >= 0.5
     known = {agent.id: agent for agent in episode.agents}
     drivers = [known[i] for i in tracks.ids.tolist()]

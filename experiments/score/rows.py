@@ -49,7 +49,7 @@ def tidy_row(
         value: the figure.
         low: lower end of its 95 % interval.
         high: upper end.
-        n: how many cases it rests on.
+        n: number of cases.
 
     Examples:
         >>> tidy_row({"solver": "eigh"}, "cpu_ms", 2.5, float("nan"), float("nan"), 10)

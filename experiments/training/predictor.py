@@ -237,7 +237,7 @@ def train_predictors(
 
     Args:
         source: a dataset.
-        model: the classifier whose beliefs are used: a shipped one's name or a folder.
+        model: the classifier: a shipped one's name or a folder.
         out: the folder to write into.
         quiet: whether to show no progress.
 

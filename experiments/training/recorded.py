@@ -260,7 +260,7 @@ def examples_of(
         every_s: time between instants, s.
         group: number of its dataset.
         rng: draws noise and the rest.
-        versions: whether other versions than the recorded one are wanted.
+        versions: whether to add altered versions.
     """
     found, tracks = [], one.tracks
     filled_in = between_key_frames(tracks, rng) if versions else tracks

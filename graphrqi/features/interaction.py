@@ -108,8 +108,8 @@ def differences(
         scales: number of scales.
 
     Returns:
-        (n, scales) column j is P^j s - P^(j+1) s; NaN where the signal is unknown or there is no
-        neighbour.
+        (n, scales) column j is P^j s - P^(j+1) s; NaN where the signal is unknown, and without
+        neighbours.
 
     Examples:
         >>> path = TrafficGraph.from_edges([1, 2, 3], [(1, 2), (2, 3)])

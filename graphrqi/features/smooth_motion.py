@@ -74,8 +74,8 @@ def parabolas(trail: FloatArray, times: FloatArray, straight: BoolArray) -> Floa
         straight: (n,) which get a straight line instead.
 
     Returns:
-        (n, 3, 2) coefficients of the powers 0, 1 and 2 of time; NaN where positions do not
-        determine them, and for power 2 of straight lines.
+        (n, 3, 2) coefficients of ascending powers of time; NaN where positions do not determine
+        them, and for the square of straight lines.
 
     Examples:
         >>> times = np.array([-1.0, 0.0, 1.0, 2.0])

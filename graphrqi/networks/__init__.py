@@ -1,1 +1,1 @@
-"""What all learned models share: the file format of their weights, and how PyTorch trains them."""
+"""Shared by all learned models: the file format of their weights, and training with PyTorch."""

@@ -1,9 +1,9 @@
 """PyTorch arithmetic that gives the same bits on processors of different makers.
 
-Elementary operations are rounded alike everywhere. Not so the square root that PyTorch takes from
-Intel's MKL: it begins with an estimate for which each maker's processors have another table. What
-is here does without it. Products of matrices are left to MKL, which ``make model`` asks for the
-same results everywhere, and to oneDNN, which can only be left out.
+Elementary operations are rounded alike everywhere. The square root that PyTorch takes from Intel's
+MKL starts from an estimate that differs between processors. This module avoids it. Products of
+matrices are left to MKL, which ``make model`` asks for the same results everywhere, and to oneDNN,
+which can only be left out.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ class Descent:
     """Steps of AdamW, whose rate rises and falls in one cycle (Smith 2018).
 
     Args:
-        module: what is trained.
-        steps: how many there will be.
-        learning_rate: the highest.
+        module: the network.
+        steps: number of steps.
+        learning_rate: its peak.
         weight_decay: AdamW's.
-        rising: share of the steps in which the rate rises.
-        longest: gradients are shortened to this norm.
+        rising: share of steps with a rising rate.
+        longest: largest gradient norm.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Files of trained weights: arrays in a safetensors file, and what they are as JSON in its header.
+"""Files of trained weights: arrays in a safetensors file, and a JSON header.
 
 Nothing in such a file is executed when it is read.
 """
@@ -61,7 +61,7 @@ def load_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArr
         kind: what it must hold.
 
     Returns:
-        What `save_weights` was given: JSON values, and arrays without gaps by name.
+        The JSON values, and the arrays by name, as given to `save_weights`.
 
     Raises:
         InputError: if the file is missing, broken, of another kind or of another version.

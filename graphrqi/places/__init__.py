@@ -1,6 +1,6 @@
-"""Drivers among the other drivers of their place, for traffic whose level nobody knows.
+"""Drivers compared with the other drivers of their recording site.
 
-A classifier that sees one driver at a time ranks the drivers of other traffic well and is offset as
-a whole: a place where everybody drives close looks like a place of aggressive drivers. What all
-drivers of a place are like shows much of that offset.
+A classifier that sees one driver at a time ranks the drivers of other traffic well, but its
+probabilities are offset. A site with short headways, for example, looks like a site of aggressive
+drivers. The averages over all drivers of the site show much of that offset.
 """

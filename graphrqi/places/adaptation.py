@@ -1,9 +1,9 @@
-"""Adapts a model's answers to a place, from a few labelled drivers.
+"""Adapts a model's answers to a recording site, from a few labelled drivers.
 
-The answers of a model in other traffic rank drivers well and are offset as a whole: a place where
-everybody drives close looks aggressive. An `Adaptation` therefore keeps the ranking and moves the
-probabilities: it multiplies their logarithms by a scale and adds an offset for each behaviour. Both
-are fitted by penalised likelihood: few drivers move them little.
+The answers of a model in other traffic rank drivers well, but their probabilities are offset. An
+`Adaptation` therefore keeps the ranking and moves the probabilities. It multiplies their logarithms
+by a scale and adds an offset for each behaviour. Both are fitted by penalised likelihood, so that
+few drivers move them little.
 
 References:
     Guo, Pleiss, Sun, Weinberger (2017), On calibration of modern neural networks, ICML: vector
@@ -26,16 +26,15 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 OFFSET_SD: Final = 1.0
-"""Standard deviation of the offsets before any label, in logarithms of odds: places differ by a
-factor of three or so."""
+"""Prior standard deviation of the offsets, in logarithms of odds."""
 
 SCALE_SD: Final = 0.5
-"""Standard deviation of the scale's logarithm before any label."""
+"""Prior standard deviation of the scale's logarithm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Adaptation:
-    """What is done to a model's probabilities at a place.
+    """A correction of a model's probabilities at a recording site.
 
     Attributes:
         scale: factor of their logarithms; less than 1 makes answers less certain.
@@ -63,7 +62,7 @@ class Adaptation:
         object.__setattr__(self, "offset", offset)
 
     def applied(self, probability: FloatArray) -> FloatArray:
-        """(n, 6) probabilities at the place, from the model's (n, 6)."""
+        """(n, 6) probabilities at the site, from the model's (n, 6)."""
         return softmax(self.scale * np.log(np.maximum(probability, FLOOR)) + self.offset)
 
 

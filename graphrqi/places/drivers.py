@@ -1,4 +1,4 @@
-"""The drivers of a place so far: each once, with its last numbers."""
+"""The drivers of a recording site so far: each once, with its last numbers."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 MEMORY_S: Final = 300.0
-"""A driver counts for so long after it was last seen, s: as long as scenes remember what is
-usual."""
+"""A driver counts for this time after it was last seen, s; scenes average over the same time."""
 
 LEAST_WEIGHT_S, FULL_WEIGHT_S = 0.1, 20.0
 """A driver's weight is the time it was watched, between these, s."""
 
 
 class PlaceDrivers:
-    """What is known of the drivers of a place so far.
+    """The drivers of a recording site so far, with their last numbers.
 
     Args:
         width: numbers of a driver.
@@ -41,13 +40,13 @@ class PlaceDrivers:
     def observe(
         self, time_s: float, ids: IntArray, values: FloatArray, seconds: FloatArray
     ) -> None:
-        """Take what is known now.
+        """Add or update drivers.
 
         Args:
-            time_s: not earlier than at the call before.
+            time_s: not decreasing.
             ids: (n,) drivers, each once.
             values: (n, width) numbers of each.
-            seconds: (n,) for how long each was watched, s.
+            seconds: (n,) time each was watched, s.
         """
         kept = ~np.isin(self._ids, ids) & (self._seen_s >= time_s - MEMORY_S)
         self._ids = np.concatenate([self._ids[kept], ids])

@@ -1,8 +1,8 @@
-"""A perceptron that sees each driver among all the drivers of its place.
+"""A perceptron that sees each driver among all drivers of its recording site.
 
-One layer describes a driver, a second one says what of it matters to others. The weighted mean and
-deviation of that over the drivers of the place stand beside each driver's own layer in a third one,
-whatever the number and the order of the drivers. The network is trained by PyTorch
+One layer describes a driver, and a second one gives the numbers that are pooled. Their weighted
+mean and deviation over the site's drivers join each driver's own description in a third layer. The
+number and the order of the drivers do not matter. The network is trained by PyTorch
 (`graphrqi.places.training`) and answers in numpy: a stream needs no PyTorch.
 
 References:
@@ -30,16 +30,16 @@ FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
 CLIP: Final = 4.0
-"""Standardised inputs are held within this, so that no feature far outside the training leads."""
+"""Standardised inputs are clipped at this value."""
 
 LEAST_VARIANCE: Final = 1e-4
-"""Added to a variance before its root is taken: the root of zero has no slope to learn from."""
+"""Added to a variance before its root is taken, so that the gradient is finite."""
 
 LOG_DRIVERS: Final = 4.0
-"""Divides the logarithm of the number of drivers, which then is about one (e^4 is 55)."""
+"""Divides the logarithm of the number of drivers, which is then about one."""
 
 LAYERS: Final = ("own", "shown", "joint", "answer")
-"""A driver's description, what others see of it, both together, and the scores of the classes."""
+"""Layers: a driver's description, its pooled numbers, both together, and the class scores."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class Member:
 
     @property
     def width(self) -> int:
-        """How many numbers of a driver others see."""
+        """How many numbers of a driver are pooled."""
         return int(self.biases[1].size)
 
 
@@ -77,7 +77,7 @@ class PlaceNetwork:
         return [_rectified(x @ m.weights[0] + m.biases[0]) for m in self._members]
 
     def shown(self, described: list[SingleArray]) -> FloatArray:
-        """(n, width) what others see of drivers, from `described`."""
+        """(n, width) the numbers that are pooled, from `described`."""
         parts = [
             _rectified(own @ m.weights[1] + m.biases[1])
             for own, m in zip(described, self._members, strict=True)
@@ -85,11 +85,11 @@ class PlaceNetwork:
         return np.concatenate(parts, axis=1).astype(np.float64)
 
     def among(self, described: list[SingleArray], place: PlaceDrivers) -> FloatArray:
-        """Probabilities of drivers among those of their place.
+        """Probabilities of drivers among those of their site.
 
         Args:
             described: of n drivers, from `described`.
-            place: all the drivers of the place, these included, with the numbers of `shown`.
+            place: all drivers of the site, these included, with the numbers of `shown`.
 
         Returns:
             (n, C) that sum to one.
@@ -101,7 +101,7 @@ class PlaceNetwork:
         return self._answer(described, mean[None], variance[None], crowd)
 
     def alone(self, described: list[SingleArray]) -> FloatArray:
-        """(n, C) probabilities of drivers, from `described`, each as if alone at its place."""
+        """(n, C) probabilities of drivers, from `described`, each as if alone at its site."""
         shown = self.shown(described)
         return self._answer(described, shown, np.zeros_like(shown), 0.0)
 
@@ -123,7 +123,7 @@ class PlaceNetwork:
         return np.asarray(out / len(self._members))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What was learned, to be saved."""
+        """The learned arrays, to be saved."""
         out: dict[str, NDArray[Any]] = {
             name: value.astype(np.float32) for name, value in self._inputs.arrays().items()
         }
@@ -137,7 +137,7 @@ class PlaceNetwork:
     def restored(
         cls, arrays: Mapping[str, NDArray[Any]], num_features: int, num_classes: int
     ) -> PlaceNetwork:
-        """From what was saved.
+        """The network from its saved arrays.
 
         Raises:
             InputError: if the arrays are not those of `arrays`.

@@ -1,13 +1,11 @@
 """How a model answers in traffic unlike that of its own classifier's training.
 
-A classifier that is trained on one simulator is right in that simulator's traffic. In other traffic
-it is surely wrong: it takes another law of driving, another limit or a noisy sensor for another
-behaviour. `OtherTraffic` holds two networks that see each driver among all drivers of its place, on
-features that are smoothed and relative to the scene. One learned from the simulators' traffic seen
-with noise, the other one from many random worlds, too. Where traffic comes from is said by whoever
-opens the stream (`TRAFFIC`). Among recorded people only differences between drivers count, since
-nobody knows the level of their place. Where a scene lies outside everything that was trained on,
-the answer goes towards equal chances.
+A classifier that is trained on one simulator mistakes another driver model, limit or noisy sensor
+for another behaviour. `OtherTraffic` holds two networks that see each driver among all drivers of
+its site. Their features are smoothed and relative to the scene. One network learned from noisy
+simulated traffic, the other one also from many random simulations. The caller states the kind of
+traffic (`TRAFFIC`). For recorded drivers only differences within a site count, since the average of
+the site is unknown. Outside the range of training scenes, answers move towards equal probabilities.
 """
 
 from __future__ import annotations
@@ -33,8 +31,7 @@ from graphrqi.posterior import AGGRESSIVE, aggressive_share
 FloatArray = NDArray[np.float64]
 
 Traffic = Literal["simulated", "recorded", "other"]
-"""Where traffic comes from: from the engines of this project, from recordings of people, or from
-other simulators."""
+"""Kinds of traffic: from the engines of this project, from recordings, or from other simulators."""
 
 TRAFFIC: Final[tuple[Traffic, ...]] = get_args(Traffic)
 
@@ -42,38 +39,37 @@ FEATURES: Final = DriverObserver("smoothed").feature_names
 """Columns of the features that the networks see."""
 
 MOST_DRIVERS: Final = 40.0
-"""Drivers at once beyond which their number does not count: a city is no other kind of traffic."""
+"""Drivers at once; larger numbers count as this one."""
 
 GLIMPSED_S, WATCHED_S = 1.0, 2.0
-"""Time for which a scene was watched, s, up to which nothing is known of it, and from which answers
-count fully (our choice)."""
+"""Time a scene was watched, s: up to the first, answers do not count; from the second, they count
+fully (our choice)."""
 
 FARTHEST: Final = 0.5
 """Distance outside the range, in lengths of the range, at which nothing is known (our choice)."""
 
 CLOSE: Final = ("headway", "law's headway", "standstill gap", "gap while starting")
-"""Quantities, compared within a scene, of which aggressive drivers have less by the meaning of the
-behaviours."""
+"""Quantities, compared within a scene, that are smaller for aggressive drivers by definition."""
 
 FAST: Final = ("speed over pace", "speed over place", "speed over neighbours")
-"""The same of which they have more."""
+"""Quantities that are larger for them."""
 
 COMPARISON_LOG_ODDS: Final = 2.0
 """Log-odds for a mean deviation of one in either (our choice)."""
 
 BESIDE_S, BEHIND_S = 0.4, 0.7
-"""Mean time headways of a scene, s, up to which nobody follows whoever is ahead, and from which
-everybody does (our choice). Headways say nothing about two-wheelers that share no lanes."""
+"""Mean time headways of a scene, s (our choice). Up to the first, no driver is taken to follow the
+vehicle ahead, as among two-wheelers. From the second on, all are."""
 
 FINEST_S: Final = 0.09
-"""Time between frames below which the classifier's answers do not hold, s: it learned from frames
-.1 s apart, and how a simulated driver dawdles depends on the step."""
+"""Shortest frame time at which the classifier's answers hold, s: simulated driver noise depends on
+the step."""
 
 _OF_PEOPLE: Final = (
     "noise", "mean weaving", "mean unrest", "deviation of weaving", "deviation of unrest",
     *(f"{name} over noise" for name in LEFT_OVER),
 )  # fmt: skip
-"""Numbers of a scene that tell recorded people from simulations."""
+"""Numbers of a scene that distinguish recorded from simulated traffic."""
 
 _LEARNED: Final = ("noisy", "other")
 """Attributes of `OtherTraffic` that have arrays."""
@@ -87,7 +83,7 @@ def check_traffic(traffic: str) -> Traffic:
     """The kind of traffic of this name.
 
     Raises:
-        InputError: if there is none.
+        InputError: if the name is unknown.
 
     Examples:
         >>> check_traffic("recorded")
@@ -101,11 +97,11 @@ def check_traffic(traffic: str) -> Traffic:
 
 @dataclass(frozen=True, slots=True)
 class KnownPlace:
-    """The drivers of a place so far.
+    """The drivers of a recording site so far.
 
     Attributes:
-        drivers: what the network shows of each to the others.
-        people: how unlike the scene each is: log-odds of the aggressive style.
+        drivers: the pooled numbers of each.
+        people: each driver's deviation from the scene, as log-odds of the aggressive style.
     """
 
     drivers: PlaceDrivers
@@ -114,13 +110,13 @@ class KnownPlace:
 
 @dataclass(frozen=True, slots=True)
 class OtherTraffic:
-    """Answers where the model's own classifier does not hold.
+    """Answers in traffic for which the model's classifier was not trained.
 
     Attributes:
-        noisy: answers in simulated traffic that is seen with noise.
-        other: answers in all other traffic.
-        low: (S,) lower ends of the range of the numbers of scenes in training.
-        high: (S,) upper ends.
+        noisy: for noisy simulated traffic.
+        other: for all other traffic.
+        low: (S,) least numbers of training scenes.
+        high: (S,) largest ones.
     """
 
     noisy: PlaceNetwork
@@ -133,7 +129,7 @@ class OtherTraffic:
         return self.noisy if traffic == "simulated" else self.other
 
     def empty_place(self, traffic: Traffic) -> KnownPlace:
-        """A place of which nothing is known yet."""
+        """A site without drivers."""
         return KnownPlace(PlaceDrivers(self.network(traffic).width), PlaceDrivers(1))
 
     def among(
@@ -144,14 +140,14 @@ class OtherTraffic:
         time_s: float,
         place: KnownPlace,
     ) -> FloatArray:
-        """Answers about all drivers of one scene, each seen among the others.
+        """Probabilities of all drivers of one scene, each compared with the others.
 
         Args:
-            features: (n, F) of a `DriverObserver` of smoothed motion.
-            traffic: where they come from.
-            seen: the same drivers, and for how long each was watched.
-            time_s: not earlier than at the call before.
-            place: the drivers of the place so far; these are added.
+            features: (n, F) of smoothed motion.
+            traffic: the kind of traffic.
+            seen: the drivers and their time observed.
+            time_s: not decreasing.
+            place: the site's drivers; these are added.
 
         Returns:
             (n, 6) probabilities.
@@ -190,10 +186,7 @@ class OtherTraffic:
         return np.asarray(1.0 / (1.0 + np.exp(-beside_others(unlike, seen.seconds, place.people))))
 
     def _novelty(self, scene: FloatArray, traffic: Traffic) -> float:
-        """How far a scene (S,) lies outside the training's range: 0 within, 1 far beyond.
-
-        Noise and restlessness, in which people differ from simulations, do not count for them.
-        """
+        """How far a scene (S,) lies outside the training's range: 0 within, 1 far beyond."""
         length = self.high - self.low
         outside = np.maximum(np.maximum(self.low - scene, scene - self.high), 0.0)
         if traffic == "recorded":
@@ -202,7 +195,7 @@ class OtherTraffic:
         return min(far / FARTHEST, 1.0)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What was learned, to be saved."""
+        """The learned arrays, to be saved."""
         learned = {
             f"{part}.{name}": value
             for part in _LEARNED
@@ -212,7 +205,7 @@ class OtherTraffic:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, NDArray[Any]]) -> OtherTraffic:
-        """From what was saved.
+        """The networks from their saved arrays.
 
         Raises:
             InputError: if the arrays are not those of `arrays`.
@@ -228,7 +221,7 @@ class OtherTraffic:
 
 
 def scene_of(features: NDArray[np.floating]) -> FloatArray:
-    """(n, S) numbers of scenes among features (n, F); a city counts as a crossing."""
+    """(n, S) numbers of scenes among features (n, F), driver counts limited to `MOST_DRIVERS`."""
     out = features[:, _SCENE].astype(np.float64)
     drivers = _IN_SCENE["drivers"]
     out[:, drivers] = np.minimum(out[:, drivers], MOST_DRIVERS)
@@ -236,11 +229,7 @@ def scene_of(features: NDArray[np.floating]) -> FloatArray:
 
 
 def _share_compared(scene: FloatArray, traffic: Traffic) -> float:
-    """How far drivers of a scene (1, S) are only compared with one another, 0 to 1.
-
-    Recorded people are, except where recordings give distances along a lane. Drivers of other
-    simulators are where nobody follows.
-    """
+    """How far drivers of a scene (1, S) are only compared with one another, 0 to 1."""
     if traffic == "simulated":
         return 0.0
     weaving = scene[0, _IN_SCENE["mean weaving"]]
@@ -251,7 +240,7 @@ def _share_compared(scene: FloatArray, traffic: Traffic) -> float:
 
 
 def _share_following(scene: FloatArray) -> float:
-    """How far the drivers of a scene (1, S) follow those ahead, 0 to 1; 1 without any headway."""
+    """How far the drivers of a scene (1, S) follow those ahead; full without any headway."""
     log_headway = float(scene[0, _IN_SCENE["mean headway"]])
     if log_headway == UNKNOWN_SCENE:
         return 1.0

@@ -1,4 +1,4 @@
-"""Recorded people are compared with one another: nobody knows the level of their place."""
+"""Recorded drivers are compared with one another, since the average of their site is unknown."""
 
 from __future__ import annotations
 
@@ -12,44 +12,39 @@ from graphrqi.places.drivers import PlaceDrivers
 FloatArray = NDArray[np.float64]
 
 FARTHEST_ODDS: Final = 9.2
-"""Log-odds beyond this count as this: 1 in 10,000."""
+"""Log-odds are limited to this."""
 
 USUAL_DEVIATION: Final = 3.5
-"""Mean deviation of log-odds from the median on either side, where few drivers are known. At eight
-recorded places it is .9 to 6.6, and the median itself -1.0 to 2.9, so that 0 stands for that."""
+"""Mean deviation of log-odds from the median on either side, where few drivers are known."""
 
 LEAST_DEVIATION: Final = 1.0
-"""Log-odds that lie closer together than this do not tell drivers apart."""
+"""Log-odds that lie closer together than this do not distinguish drivers."""
 
 CONFIDENCE: Final = 1.75
-"""Log-odds of a driver at a recorded place that lies a mean deviation from the median, watched for
-long. Answers of two halves of a track rank drivers of a place alike with Spearman .3 to .8, so that
-only the outer third of the drivers is told (our choice)."""
+"""Log-odds of a recorded driver one mean deviation from the median, watched for long (our choice).
+About the outer third of the drivers gets a label."""
 
 MOST_CONFIDENCE: Final = 3.0
-"""Log-odds that the farthest one approaches: a probability of .95. Of those who stand out in the
-first half of their track, .63 to .84 are on the same side of the median in the second one."""
+"""Log-odds that the farthest driver approaches, a probability of 0.95."""
 
 HALF_CONFIDENCE_S: Final = 2.0
-"""Time watched at which half of that confidence is reached, s. On US-101 halves of tracks agree
-then as often as they claim."""
+"""Time watched at which half of that confidence is reached, s."""
 
 HALF_CONFIDENCE_DRIVERS: Final = 5.0
-"""Drivers seen at the place at which half of it is reached, and at which its own median and
-deviations count half: few show no level."""
+"""Drivers seen at which half of the confidence is reached, and the site's own median and deviations
+count half."""
 
 
 def beside_others(log_odds: FloatArray, seconds: FloatArray, place: PlaceDrivers) -> FloatArray:
-    """Log-odds of drivers of a place whose level nobody knows.
+    """Log-odds of the aggressive style relative to the other drivers of the site.
 
-    A driver's distance from the place's median is taken in mean deviations of those on its side of
-    it, so that few far ones do not make everybody else look alike. Where few drivers are known,
-    median and deviation stay near what is usual.
+    The distance from the site's median is divided by the mean deviation on the driver's side of it.
+    Where few drivers are known, median and deviation stay near their usual values.
 
     Args:
-        log_odds: (n,) of the aggressive style, as a classifier gives them.
-        seconds: (n,) for how long each was watched, s.
-        place: log-odds of the drivers of the place so far; at least one must be known.
+        log_odds: (n,) from a classifier.
+        seconds: (n,) time each was watched, s.
+        place: log-odds of the site's drivers so far, at least one.
 
     Returns:
         (n,) near 0 at the median.
@@ -70,7 +65,7 @@ def beside_others(log_odds: FloatArray, seconds: FloatArray, place: PlaceDrivers
 
 
 def level_shown(drivers: int) -> float:
-    """How far a number of drivers shows what is usual at their place, from 0 to 1.
+    """How far a number of drivers shows the average of their site, from 0 to 1.
 
     Examples:
         >>> level_shown(5)

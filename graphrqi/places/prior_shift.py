@@ -22,9 +22,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 PRIOR_DRIVERS: Final = 60.0
-"""Strength of a Dirichlet prior at the training shares, in drivers: after this many drivers the
-observed shares weigh as much as those of the training data. The paper has no such prior; its
-strength was chosen on validation episodes with equal and with unequal shares."""
+"""Strength of a Dirichlet prior at the training shares, in drivers (chosen on validation episodes;
+the paper has no prior)."""
 
 CONVERGED: Final = 1e-4
 """The estimate has converged when no share changes by more than this."""

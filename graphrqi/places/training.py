@@ -1,8 +1,8 @@
-"""Teaches `graphrqi.places.network.PlaceNetwork` from places whose drivers' behaviours are known.
+"""Trains `graphrqi.places.network.PlaceNetwork` on sites whose drivers' behaviours are known.
 
-An example is a place at one moment: all drivers seen there so far, each by the last that is known
-of it. Every pass over the places draws a moment of each and leaves some of its drivers out, so that
-the network meets few drivers as well as many. Classes and styles both count in the loss.
+An example is a site at one moment, with the last sample of each driver so far. Every pass draws one
+moment of each site and leaves some of its drivers out. The network thus learns from few drivers as
+well as many. Classes and styles both count in the loss.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 KEPT: Final = (0.4, 1.0)
-"""Least and largest share of a place's drivers that an example has."""
+"""Least and largest share of a site's drivers that an example has."""
 
 MOST_DRIVERS: Final = 150
-"""Most drivers of an example; more teach little about the level of one place."""
+"""Most drivers of an example."""
 
 SAME_TIME_S: Final = 1e-6
 """Times that differ by less are the same, s."""
@@ -54,13 +54,13 @@ class NetworkOptions:
     """How large the networks are, and how they are trained.
 
     Attributes:
-        members: networks whose answers are averaged.
-        own: numbers that describe a driver.
-        shown: numbers of a driver that others see.
-        joint: numbers of a driver among the others.
+        members: networks that are averaged.
+        own: width of a driver's description.
+        shown: width of the pooled numbers.
+        joint: width of both together.
         dropout: share of numbers silenced while training.
-        passes: how often each place is an example.
-        places_a_step: examples of a step of the optimiser.
+        passes: examples of each site.
+        places_a_step: examples of one step.
         learning_rate: peak of a one-cycle schedule (Smith 2018) for AdamW.
         weight_decay: AdamW's.
     """
@@ -77,14 +77,14 @@ class NetworkOptions:
 
 
 EXACT, NOISY, OTHER = range(3)
-"""Parts of the training: simulated traffic as it is, the same seen with noise, and worlds."""
+"""Parts of the training: exact simulated traffic, the same with noise, and random simulations."""
 
 RANGE: Final = 0.002
 """Share of the training scenes beyond each end of a number's range."""
 
 
 class Examples:
-    """Places at all moments that were sampled.
+    """Sites at all moments that were sampled.
 
     Args:
         samples: of drivers that are each seen since they appeared; several moments of each.
@@ -110,11 +110,11 @@ class Examples:
         self.places = [(int(a), int(b)) for a, b in itertools.pairwise(starts)]
 
     def moments(self, place: tuple[int, int]) -> FloatArray:
-        """(M,) the times at which drivers of the place were sampled, s."""
+        """(M,) the times at which drivers of the site were sampled, s."""
         return np.unique(self._time_s[slice(*place)])
 
     def latest(self, place: tuple[int, int], time_s: float) -> IntArray:
-        """(n,) rows of the last that is known, at a time, of each driver of the place so far."""
+        """(n,) rows of the last sample, at a time, of each driver of the site so far."""
         here = slice(*place)
         known = self._time_s[here] <= time_s + SAME_TIME_S
         agent = self._agent[here]
@@ -123,14 +123,14 @@ class Examples:
         return place[0] + np.flatnonzero(known & ~older)
 
     def drawn(self, rng: np.random.Generator, at_once: int) -> Iterator[tuple[IntArray, IntArray]]:
-        """One moment of every place, some places at a time.
+        """One moment of every site, several sites at a time.
 
         Args:
             rng: source of the order, the moments and the drivers that are left out.
-            at_once: places.
+            at_once: number of sites.
 
         Yields:
-            Rows (n,) of drivers, and the number of the place of each, from 0 on without gaps.
+            Rows (n,) of drivers, and the number of the site of each, from 0 on without gaps.
         """
         order = rng.permutation(len(self.places))
         for at in range(0, len(order), at_once):
@@ -157,7 +157,7 @@ class _Network(nn.Module):
         self.dropout = nn.Dropout(options.dropout)
 
     def forward(self, x: Tensor, weights: Tensor, place: Tensor) -> Tensor:
-        """(n, C) scores of drivers (n, F) with weights (n,) at places (n,)."""
+        """(n, C) scores of drivers (n, F) with weights (n,) at sites (n,)."""
         own = self.dropout(torch.relu(self.own(x)))
         shown = torch.relu(self.shown(own))
         count = int(place[-1]) + 1
@@ -174,7 +174,7 @@ class _Network(nn.Module):
         return torch.as_tensor(self.answer(self.dropout(joint)))
 
     def member(self) -> Member:
-        """What was learned."""
+        """The trained weights, for numpy."""
         layers = [getattr(self, name) for name in LAYERS]
         return Member(
             tuple(np.ascontiguousarray(layer.weight.detach().numpy().T) for layer in layers),
@@ -187,13 +187,12 @@ def train_place_network(
     seed: int = 0,
     options: NetworkOptions | None = None,
 ) -> PlaceNetwork:
-    """Learn from places.
+    """Train a network.
 
     Args:
-        training: samples of drivers that are each seen since they appeared, several moments of
-            each; those without a behaviour (a negative code) count for the others only.
-        seed: the same seed and samples give the same network.
-        options: None for the usual ones.
+        training: samples at several moments of each driver; unlabelled drivers are only context.
+        seed: of the randomness.
+        options: of the network; None for the defaults.
 
     Returns:
         The network.
@@ -222,7 +221,7 @@ def _trained(examples: Examples, rng: np.random.Generator, options: NetworkOptio
 
 
 def _loss(network: _Network, examples: Examples, rows: IntArray, place: IntArray) -> Tensor:
-    """Cross entropy of classes and of styles; a crowded place counts as the root of its drivers."""
+    """Cross entropy of classes and of styles; a site counts as the root of its drivers."""
     at = torch.from_numpy(place)
     scores = network(examples.x[rows], examples.weights[rows], at)
     codes = examples.codes[rows]
@@ -240,14 +239,13 @@ def _loss(network: _Network, examples: Examples, rows: IntArray, place: IntArray
 def train_other_traffic(
     training: Samples, parts: CodeArray, seed: int = 0, options: NetworkOptions | None = None
 ) -> OtherTraffic:
-    """Learn from simulated traffic, from the same seen with noise, and from many worlds.
+    """Train on exact simulated traffic, on the same with noise, and on random simulations.
 
     Args:
-        training: samples with features of smoothed motion, of drivers that are each seen since
-            they appeared, several moments of each.
-        parts: (n,) the part of the training of each sample; all three must occur.
-        seed: the same seed and samples give the same answers.
-        options: of the networks; None for the usual ones.
+        training: samples of smoothed motion at several moments of each driver.
+        parts: (n,) the part of each sample; all must occur.
+        seed: of the randomness.
+        options: of the networks.
 
     Returns:
         The networks, and the range of the scenes.

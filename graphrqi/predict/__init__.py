@@ -38,30 +38,30 @@ PREDICTORS: Final[Registry[Predictor]] = Registry(
 """Every predictor by name."""
 
 NO_MAP_NEEDED: Final = ("constant-velocity", "constant-acceleration", "kalman", "graphrqi-predict")
-"""Predictors that work without a map; `graphrqi-predict` uses its network for recordings there."""
+"""Predictors that work without a map; `graphrqi-predict` then uses its network for recordings."""
 
 
 def get_predictor(name: str) -> Predictor:
     """The predictor of that name.
 
     Raises:
-        InputError: if there is none; the message suggests the nearest name.
+        InputError: if the name is unknown; the message suggests the nearest one.
     """
     return PREDICTORS[name]
 
 
 def chosen_predictor(name: str) -> Predictor:
-    """The predictor that a person asks for.
+    """The predictor that a user asks for.
 
     A name that was read from a file goes to `get_predictor`, which runs no other code than ours and
     that of installed packages.
 
     Args:
-        name: a key of ``PREDICTORS``, or "module:function" of one's own; the module may lie in the
-            working folder.
+        name: a key of ``PREDICTORS``, or "module:function" of the user's own; the module may lie in
+            the working folder.
 
     Raises:
-        InputError: if there is none; and when a function of one's own is called, if it returns no
+        InputError: if the name is unknown; in a call, if the user's function does not return a
             `Prediction`.
     """
     from graphrqi.predict.prediction import Prediction
@@ -86,10 +86,10 @@ def check_map(name: str, road: Road | None) -> None:
 
     Args:
         name: a key of ``PREDICTORS``, or "module:function".
-        road: where something is to be predicted; None if there is no map.
+        road: the map, if there is one.
 
     Raises:
-        InputError: if there is none and the predictor needs one.
+        InputError: if the predictor needs a map and ``road`` is None.
     """
     if road is None and name not in NO_MAP_NEEDED:
         raise InputError(
@@ -111,21 +111,19 @@ def predict(
 
     Args:
         history: tracks whose last column is the present.
-        posterior: beliefs about the drivers; agents it does not name count as unknown.
-        road: where it happens; None where there is no map: then neighbours are inferred from
-            the traffic, and only predictors of `NO_MAP_NEEDED` answer.
+        posterior: beliefs about the drivers; others count as unknown.
+        road: the map; without one, only predictors of `NO_MAP_NEEDED` answer.
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
-        weights: folder of ``graphrqi train-predictor`` whose network ``graphrqi-predict`` uses on
-            recordings; None for the one that ships.
-        window: which agents are predicted, and seen by each other; None for everybody.
+        weights: folder that ``graphrqi train-predictor`` wrote; None for the shipped network.
+        window: which agents are predicted; None for everybody.
 
     Returns:
         Futures of every agent present now, every 0.1 s up to the horizon.
 
     Raises:
-        InputError: if the predictor is unknown or has no map that it needs, the horizon is too
-            short, or the history empty or with numbers that are not finite where agents were seen.
+        InputError: if the predictor is unknown or lacks its map, the horizon is too short, or the
+            history is empty or not finite.
     """
     from graphrqi.predict.scene.scene import (
         LEARNED_S,

@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 
 def keep_velocity(history: Tracks, steps: int) -> Prediction:
-    """Everyone keeps speed and heading (the recorded ones, which beat differenced positions)."""
+    """Every agent keeps its recorded speed and heading."""
     return _straight_on(history, history.speed[:, -1][:, None] * _times(steps))
 
 
@@ -30,7 +30,7 @@ def keep_acceleration(history: Tracks, steps: int) -> Prediction:
 
 
 def keep_filtered_motion(history: Tracks, steps: int) -> Prediction:
-    """A Kalman filter of constant acceleration along each axis; nobody reverses."""
+    """A Kalman filter of constant acceleration along each axis; no agent reverses."""
     at, velocity, accel = tracked(history)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     facing = velocity / np.maximum(speed, 1e-6)[:, None]

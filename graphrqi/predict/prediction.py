@@ -28,11 +28,10 @@ class Prediction:
 
     Attributes:
         ids: (n,) agent ids, ascending.
-        time_s: (H,) seconds from the present, increasing, all > 0.
-        xy: (n, K, H, 2) positions of the agents' centres, m.
+        time_s: (H,) seconds from the present, increasing.
+        xy: (n, K, H, 2) centres, m.
         probability: (n, K) of each future; rows sum to 1.
-        spread: (n, K, H) standard deviation of each coordinate about each future, m, or None
-            where a predictor gives none.
+        spread: (n, K, H) standard deviation of each coordinate, m, or None.
 
     Examples:
         >>> one = Prediction([4], [1.0], np.zeros((1, 2, 1, 2)), [[0.3, 0.7]])

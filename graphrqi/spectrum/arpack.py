@@ -1,10 +1,10 @@
 """Implicitly restarted Lanczos (ARPACK through scipy's eigsh).
 
-At the largest end it needs products with L only; at the smallest it is run on the inverse of
-L + s I (one sparse LU factorisation), s small and positive because L is singular. Costs some tens
-of products or solves, O(m + fill) each, plus O(d k^2): the best general tool at thousands of
-vehicles. It cannot see a repeated eigenvalue but by rounding, and so drops pairs without notice
-where twins or equal components make them (15 to 20 % of a traffic graph's eigenvalues).
+At the largest end it needs products with L only. At the smallest it runs on the inverse of L + s I
+(one sparse LU factorisation), s > 0 because L is singular. Costs some tens of products or solves,
+O(m + fill) each, plus O(d k^2): the best general tool at thousands of vehicles. It cannot see a
+repeated eigenvalue but by rounding, and so drops pairs without notice where twins or equal
+components make them (15 to 20 % of a traffic graph's eigenvalues).
 
 References:
     Lehoucq, Sorensen, Yang (1998), ARPACK Users' Guide.

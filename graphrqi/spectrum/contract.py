@@ -1,4 +1,4 @@
-"""What every eigenvalue solver takes and returns.
+"""The arguments and results of every eigenvalue solver.
 
 A solver answers: of the Laplacian of this traffic graph, the ``num_pairs`` eigenpairs at the
 largest or the smallest end, perhaps starting from an earlier answer. `eigensolver` makes one of a
@@ -80,7 +80,7 @@ def check_arguments(num_pairs: int, end: str, tol: float, previous: object = Non
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """What an algorithm found.
+    """The result of an algorithm.
 
     Attributes:
         values: (k,) in the order of the end.
@@ -156,8 +156,8 @@ def eigensolver(
     """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`.
 
     Args:
-        dense_share: answer with a dense solution where no pair is left, or where this many times
-            the pairs wanted (and the null space left out) are d or more; None for never.
+        dense_share: a dense solution answers where this many times the pairs wanted reach d; None
+            for never.
     """
 
     def decorate(find: Callable[[Problem], Pairs]) -> Solver:

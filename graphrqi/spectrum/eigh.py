@@ -1,7 +1,7 @@
 """All eigenpairs by LAPACK's dense symmetric solver, through numpy.
 
-Assumes nothing and never fails; costs O(d^3) time and d^2 memory, so it is the yardstick below a
-few hundred vehicles and out of the question above a few thousand.
+Assumes nothing and never fails. It costs O(d^3) time and d^2 memory, too much above a few thousand
+vehicles.
 
 References:
     Anderson et al. (1999), LAPACK Users' Guide, xSYEVD.

@@ -32,7 +32,7 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
 
     Args:
         name: id of the environment, such as ``graphrqi/Roundabout-v0``.
-        egos: how many agents come in an episode.
+        egos: agents per episode.
         every_s: least time between two of them, s.
         config: the environment's configuration. ``duration_s`` holds for each agent from when it
             comes. With ``ego_route`` all take that route, else each takes one of the traffic's.
@@ -94,7 +94,7 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         """Begin an episode with the first agent.
 
         Args:
-            seed: seed of everything random from now on; the same seed gives the same episode.
+            seed: seed of all random numbers; it determines the episode.
             options: ``{"config": {...}}`` changes the configuration; other keys are left alone, as
                 PettingZoo asks for.
 

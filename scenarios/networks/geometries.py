@@ -83,7 +83,7 @@ class StraightGeometry:
 
     Attributes:
         lanes: lanes per direction, 1 to 5.
-        two_way: whether there is traffic in the other direction too.
+        two_way: whether there is oncoming traffic.
         crossing: whether pedestrians cross half-way, with priority.
         length_m: m.
         limit_mps: speed limit, m/s.

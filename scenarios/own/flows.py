@@ -251,7 +251,7 @@ def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) 
     Args:
         road: where.
         flow: a key of ``LEVELS``, or vehicles per hour over all routes.
-        demand: vehicles per hour that enter at each edge, which replace ``flow``; None for none.
+        demand: vehicles per hour that enter at each edge, instead of ``flow``.
 
     Returns:
         A flow for each route.

@@ -24,20 +24,24 @@ CONFLICT_M: Final = 2.2
 """Junction paths nearer than this conflict (a car's width and 0.4 m)."""
 
 HALF_CAR_M: Final = 2.3
-"""Half a car's length: in a bend its corners swing out by this squared over twice the radius, m."""
+"""Half a car's length: in a bend its corners swing out by this squared over the radius, m."""
 
 WIDEST_M: Final = 3.0
 """Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
 
 
 class Conflict(NamedTuple):
-    """Where a junction path runs too close to another one: from where to where on either, m."""
+    """Where a junction path runs too close to another one: from where to where on either, m.
+
+    ``yields`` is 1 if its traffic gives way to the other's, -1 if the other's does, else 0.
+    """
 
     other: LaneIndex
     begin_s: float
     end_s: float
     other_begin_s: float
     other_end_s: float
+    yields: int = 0
 
 
 def find_conflicts(
@@ -67,17 +71,15 @@ def find_conflicts(
     ends = np.full((len(pairs), 2), -1, np.int64)
     if len(pairs):
         swing = np.concatenate([_swing(line) for line in xy])
-        _first_and_last_close(np.concatenate(xy), 0.0 * swing, first, pairs, ends)
-        apart = ends[:, 0] < 0  # unless a car swings out
-        wider = np.full((int(apart.sum()), 2), -1, np.int64)
-        _first_and_last_close(np.concatenate(xy), swing, first, pairs[apart], wider)
-        ends[apart] = wider
+        _first_and_last_close(np.concatenate(xy), swing, first, pairs, ends)
     meet = ends[:, 0] >= 0
     spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
     found: dict[LaneIndex, list[Conflict]] = {}
     for (one, other), (begins_at, ends_at) in spans.items():
-        span = (*at[one][[begins_at, ends_at]], *at[other][spans[other, one]])
-        found.setdefault(keys[one], []).append(Conflict(keys[other], *map(float, span)))
+        begin_s, end_s = at[one][[begins_at, ends_at]].tolist()
+        other_begin_s, other_end_s = at[other][spans[other, one]].tolist()
+        conflict = Conflict(keys[other], begin_s, end_s, other_begin_s, other_end_s)
+        found.setdefault(keys[one], []).append(conflict)
     return found
 
 
@@ -86,7 +88,7 @@ def _swing(xy: FloatArray) -> FloatArray:
     step = np.diff(xy, axis=0)
     turn = np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))
     per_m = np.concatenate([[0.0], turn / np.maximum(np.hypot(*step[1:].T), 1e-9), [0.0]])
-    return HALF_CAR_M**2 * per_m / 2.0
+    return HALF_CAR_M**2 * per_m
 
 
 @in_place()

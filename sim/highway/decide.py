@@ -14,6 +14,7 @@ References:
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +23,7 @@ from sim.compiled import in_place
 from sim.highway import crossings, junctions
 from sim.highway.draws import CUTS_IN, DAWDLES, STOP_LASTS, STOPS, WRONG_WAY, chance, wait_s
 from sim.highway.driving import (
+    GUIDED,
     LEAST_CHANGE_GAP_M,
     RANGE_M,
     approach,
@@ -34,8 +36,9 @@ from sim.highway.driving import (
     may_cut_in,
     start_up,
     steering_angle,
+    turning_angle,
 )
-from sim.highway.scene import along_lane, beside, path_to
+from sim.highway.scene import along_lane, beside, onward, path_to
 from sim.highway.state import Scene
 from sim.highway.tables import curvature_at, heading_at, project
 
@@ -133,9 +136,29 @@ def decide(scene: Scene) -> None:
             me.steering, me.accel = 0.0, -me.comfort_decel_mps2
             continue
         _accelerate(i, scene)
-        s, lateral, _ = project(me.x, me.y, me.wanted, scene.net)
-        heading, bend = heading_at(s, me.wanted, scene.net), curvature_at(s, me.wanted, scene.net)
-        me.steering = steering_angle(me, lateral, heading, bend)
+        _steer(i, scene)
+
+
+@in_place(inner=True)
+def _steer(i: int, scene: Scene) -> None:
+    """Steer along the wanted lane; from the line of a junction until the rear has left it, turn."""
+    net, me = scene.net, scene.vehicles[i]
+    if me.wanted == me.lane and (me.last_path >= 0 or (me.path >= 0 and me.to_line < 0.0)):
+        tight = net.lanes[me.last_path if me.last_path >= 0 else me.path].tight
+        guided, k = 1.0 if tight else GUIDED, me.lane
+        ahead = guided * me.length / 2
+        x, y = me.x + ahead * math.cos(me.heading), me.y + ahead * math.sin(me.heading)
+        s, lateral, _ = project(x, y, k, net)
+        then = onward(i, k, scene)
+        while s > net.lanes[k].length and then >= 0:
+            k = then
+            s, lateral, _ = project(x, y, k, net)
+            then = onward(i, k, scene) if net.lanes[k].connector else -1
+        me.steering = turning_angle(me, guided, lateral, heading_at(s, k, net))
+        return
+    s, lateral, _ = project(me.x, me.y, me.wanted, net)
+    heading, bend = heading_at(s, me.wanted, net), curvature_at(s, me.wanted, net)
+    me.steering = steering_angle(me, lateral, heading, bend)
 
 
 # Choosing a lane -------------------------------------------------------------------------------

@@ -78,6 +78,10 @@ HEADING_GAIN_PER_S: Final = 5.0
 MAX_STEERING_RAD: Final = math.pi / 3
 """highway-env's MAX_STEERING_ANGLE."""
 
+GUIDED: Final = 0.5
+"""In a turn drivers keep the point this share of half the length ahead of the middle on their way.
+The front then swings out about as far as the rear cuts in."""
+
 CUT_IN_REAR_M: Final = (2.0, 15.0)
 """Least and largest bumper gap to the vehicle that a driver cuts in front of, m."""
 
@@ -308,6 +312,24 @@ def steering_angle(me: Any, lateral: float, lane_heading: float, curvature: floa
     off = (wanted - me.heading + math.pi) % (2.0 * math.pi) - math.pi
     bend = curvature + HEADING_GAIN_PER_S * off / nonzero
     angle = math.atan(2.0 * math.tan(math.asin(min(max(half * bend, -1.0), 1.0))))
+    return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
+
+
+@in_place(inner=True)
+def turning_angle(me: Any, guided: float, lateral: float, lane_heading: float) -> float:
+    """The steering angle that keeps a point ahead of a vehicle's middle on its way, rad.
+
+    Args:
+        me: the driver's row.
+        guided: how far ahead the point is, as a share of half the length.
+        lateral: how far to the right of its way the point is, m.
+        lane_heading: of the way there, rad.
+    """
+    aside = min(max(-LATERAL_GAIN_PER_S * lateral, -LATERAL_SPEED_MPS), LATERAL_SPEED_MPS)
+    turn = math.atan2(aside, max(me.speed, LATERAL_SPEED_MPS))
+    course = (lane_heading + turn - me.heading + math.pi) % (2.0 * math.pi) - math.pi
+    course = min(max(course, -MAX_STEERING_RAD), MAX_STEERING_RAD)
+    angle = math.atan(2.0 / (1.0 + guided) * math.tan(course))
     return min(max(angle, -MAX_STEERING_RAD), MAX_STEERING_RAD)
 
 

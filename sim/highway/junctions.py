@@ -166,8 +166,8 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
 @in_place(inner=True)
 def _stops_at_sign(i: int, scene: Scene) -> bool:
     me = scene.vehicles[i]
-    if me.to_line < STOPPED_M and me.speed < STANDING_MPS:
-        me.stood_at = me.path
+    if me.to_line < STOPPED_M and me.speed < STANDING_MPS and me.stood_at != me.path:
+        me.stood_at, me.stopped_s = me.path, scene.now[0].time_s
     rolls = chance(me.key, ROLLS, me.path) < me.stop_roll_probability
     return not rolls and me.stood_at != me.path
 
@@ -269,8 +269,11 @@ def _conflicts_gap(i: int, gap: float, scene: Scene) -> float:
             if j == i or not _must_wait(i, j, leaving, rank, conflict, enter_s, leave_s, scene):
                 continue
             at_line = to_line >= -ENTERED_M and (conflict.begin < AT_LINE_M or rank == 2)
-            stop = to_line if at_line else begin - CONFLICT_MARGIN_M
-            if can_stop(speed, stop, me.emergency_decel):
+            in_the_way = leaving or scene.vehicles[j].to_line + conflict.other_begin <= 0.0
+            stop = begin - CONFLICT_MARGIN_M
+            if at_line and can_stop(speed, to_line, me.emergency_decel):
+                gap = min(gap, to_line)
+            elif in_the_way or can_stop(speed, stop, me.emergency_decel):
                 gap = min(gap, stop)
     return gap
 
@@ -285,6 +288,33 @@ def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
     if distance <= gaining:
         return (-speed + math.sqrt(speed * speed + 2.0 * accel * distance)) / accel
     return (top - speed) / accel + (distance - gaining) / top
+
+
+@in_place(inner=True)
+def _is_open(conflict: Any, scene: Scene) -> bool:
+    """Whether neither of two paths gives way to the other, and they have no stop signs."""
+    return bool(conflict.yields == 0 and not scene.net.lanes[conflict.other].must_stop)
+
+
+@in_place(inner=True)
+def _goes_first(
+    i: int, j: int, rank: int, foe_rank: int, foe_line: float, conflict: Any, scene: Scene
+) -> bool:
+    """Whether a driver has the right of way: by rule, then by who is in, came first, is nearer."""
+    me, foe = scene.vehicles[i], scene.vehicles[j]
+    if conflict.yields != 0 and max(rank, foe_rank) < 2:
+        return bool(conflict.yields < 0)
+    if rank != foe_rank:
+        return rank < foe_rank
+    entered, foe_entered = me.to_line < -ENTERED_M, foe_line < -ENTERED_M
+    if entered != foe_entered:
+        return bool(entered)
+    both_stood = me.stood_at == me.path and foe.stood_at == conflict.other
+    if both_stood and me.stopped_s != foe.stopped_s:
+        return bool(me.stopped_s < foe.stopped_s)
+    if abs(me.to_line - foe_line) > 0.5:
+        return bool(me.to_line < foe_line)
+    return bool(me.agent < foe.agent)
 
 
 @in_place(inner=True)
@@ -315,18 +345,13 @@ def _must_wait(
     entered, foe_entered = me.to_line < -ENTERED_M, foe_line < -ENTERED_M
     foe_rank = _rank(j, conflict.other, foe_entered, scene)
     after_green = entered and me.lane == me.path and _shows(me.path, RED, scene)
-    if foe.stood_s > WAITING_S and (foe_entered or foe_rank >= rank or after_green):
-        return False  # it waits itself, for this vehicle or for another
+    goes_first = _goes_first(i, j, rank, foe_rank, foe_line, conflict, scene)
+    if foe.stood_s > WAITING_S:
+        lets_go = goes_first or me.stood_s > foe.stood_s or _is_open(conflict, scene)
+        if foe_entered or after_green or (foe_rank >= rank and lets_go):
+            return False  # it waits itself, for this vehicle or for another
     foe_enters_s = reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))
     foe_leaves_s = end / max(speed, 2.0)
-    if rank != foe_rank:  # right of way: by rank, place, then number
-        goes_first = rank < foe_rank
-    elif entered != foe_entered:
-        goes_first = entered
-    elif abs(me.to_line - foe_line) > 0.5:
-        goes_first = me.to_line < foe_line
-    else:
-        goes_first = me.agent < foe.agent
     if goes_first:
         if not foe_entered or speed < STANDING_MPS:
             return False

@@ -79,6 +79,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         inside = np.column_stack([corner - blend, corner + blend]).ravel()
         self.turn_at = np.concatenate([[0.0], inside, [self.length]])
         self.turn_heading = np.repeat(heading, 2)
+        self.turned = float(heading[-1] - heading[0])
 
     def local_coordinates(self, position: FloatArray) -> tuple[float, float]:
         """Distance along the lane and to the right of it, m."""

@@ -141,6 +141,13 @@ def _is_at_end(me: Any, scene: Scene) -> bool:
 
 
 @in_place(inner=True)
+def _arrives(i: int, scene: Scene) -> bool:
+    """Whether a vehicle has come to the end of its way, where it leaves the road."""
+    me = scene.vehicles[i]
+    return bool(me.at_end and next_stretch(i, me.lane, scene) < 0)
+
+
+@in_place(inner=True)
 def _has_arrived(w: int, scene: Scene) -> bool:
     person = scene.walkers[w]
     return bool(person.s >= scene.footways.ways[person.way].length - 1e-6)
@@ -163,7 +170,7 @@ def _leave(scene: Scene) -> bool:
             me.leaves = STUCK
         elif now_s - me.crashed_at > CLEAR_AFTER_S:
             me.leaves = CLEARED
-        elif me.at_end and next_stretch(i, me.lane, scene) < 0:
+        elif _arrives(i, scene):
             me.leaves = ARRIVED
         somebody = somebody or me.leaves != STAYS
     for w in range(scene.walkers.size):
@@ -202,7 +209,10 @@ def _cell(x: float, y: float, scene: Scene) -> tuple[int, int]:
 
 @in_place(inner=True)
 def _find_touching(scene: Scene) -> None:
-    """List every two vehicles, and every vehicle and pedestrian, whose outlines overlap."""
+    """List every two vehicles, and every vehicle and pedestrian, whose outlines overlap.
+
+    Those that arrive in this step are gone from the road's end before they reach anybody there.
+    """
     cells, n = scene.net.cells, scene.vehicles.size
     many = n + scene.walkers.size
     scene.now[0].pairs = 0
@@ -217,7 +227,12 @@ def _find_touching(scene: Scene) -> None:
             for c in range(max(column - 1, 0), min(column + 2, cells.columns)):
                 j = scene.cell_head[r * cells.columns + c]
                 while j >= 0:
-                    if j > i and _overlap(i, j, scene):
+                    if (
+                        j > i
+                        and _overlap(i, j, scene)
+                        and not _arrives(i, scene)
+                        and (j >= n or not _arrives(j, scene))
+                    ):
                         _add_pair(i, j, scene)
                     j = scene.cell_link[j]
     for i in range(many):

@@ -61,6 +61,7 @@ class LaneInfo(NamedTuple):
         must_stop: whether there is a stop sign before it.
         strips: where it runs over crossings, in order.
         conflicts: with other junction paths, in order of their beginning.
+        way: which of the road's connections it is, -1 if none.
     """
 
     connector: bool = False
@@ -69,6 +70,7 @@ class LaneInfo(NamedTuple):
     must_stop: bool = False
     strips: tuple[Strip, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
+    way: int = -1
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ def build_network(road: Road) -> HighwayNetwork:
         raise InputError(f"road {road.name!r}: found no drivable lane, expected at least one")
     for lanes in driving.values():
         lanes.sort(key=lambda lane: -lane.index)  # from the left
+    numbers = {id(way): i for i, way in enumerate(road.connections)}
     connections = sorted(  # from the left, as lanes are counted
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
@@ -187,7 +190,7 @@ def build_network(road: Road) -> HighwayNetwork:
     joins = [
         c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
     ]
-    paths, onward, exit_of = _add_junction_paths(net, joins, by_id, placed.lanes)
+    paths, onward, exit_of = _add_junction_paths(net, joins, numbers, by_id, placed.lanes)
     geometry: dict[LaneIndex, PolylineLane] = dict(net.lanes_dict())
     strips = _strips(road, placed.lanes)
     begins = {path: lane for (lane, _), path in onward.items()}
@@ -195,7 +198,10 @@ def build_network(road: Road) -> HighwayNetwork:
     info = {
         index: paths.get(index, LaneInfo())._replace(
             strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
-            conflicts=tuple(sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)),
+            conflicts=tuple(
+                conflict._replace(yields=_yields(paths[index].way, paths[conflict.other].way, road))
+                for conflict in sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)
+            ),
         )
         for index in geometry
     }
@@ -211,6 +217,12 @@ def build_network(road: Road) -> HighwayNetwork:
         wrong_side=wrong_side,
         edge_at=placed.edge_at,
     )
+
+
+def _yields(one: int, other: int, road: Road) -> int:
+    """1 if a connection gives way to another one, -1 if the other does, 0 if both or neither do."""
+    ways = road.connections
+    return int(other in ways[one].yields_to) - int(one in ways[other].yields_to)
 
 
 class _Placed(NamedTuple):
@@ -276,6 +288,7 @@ def _add_stretches(
 def _add_junction_paths(
     net: RoadNetwork,
     connections: list[Connection],
+    numbers: dict[int, int],
     by_id: dict[str, Lane],
     places: dict[str, list[tuple[LaneIndex, float]]],
 ) -> tuple[
@@ -316,6 +329,7 @@ def _add_junction_paths(
             signal=link.signal,
             must_yield=link.must_yield,
             must_stop=link.must_stop,
+            way=numbers[id(link)],
         )
     return info, onward, exit_of
 

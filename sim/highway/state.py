@@ -20,6 +20,9 @@ IntArray = NDArray[np.int64]
 EVENT_KINDS: Final = tuple(EventKind)
 """Events by their codes."""
 
+MOST_MET: Final = 4
+"""Crossings at which a driver can have met pedestrians that it has not passed yet."""
+
 VEHICLE: Final = record_type(
     agent="i8", kind="i8", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",
     # its driver: fields of the profile, and what follows from them
@@ -38,7 +41,8 @@ VEHICLE: Final = record_type(
     crashed="?", crashed_at="f8", wrong_way="?", ran_red="?",
     cut_in_at="f8", stop_at="f8", stop_until="f8", wrong_way_at="f8",
     cut_ins="i8", stops="i8", wrong_ways="i8", dawdled="i8",
-    last_path="i8", path_before="i8", line_before="f8", stood_at="i8",
+    met=f"{MOST_MET}i8", met_near=f"{MOST_MET}i1", yielded=f"{MOST_MET}i1",
+    last_path="i8", path_before="i8", line_before="f8", stood_at="i8", stopped_s="f8",
     # where it is on its way, in this step
     s="f8", then="i8", path="i8", to_line="f8", stood_s="f8",
     # what the rules demand in this step
@@ -52,12 +56,13 @@ route that it came to; ``krauss``: whether its driver follows by Krauss's law; `
 to ``top_speed``: see `sim.highway.driving`; ``target``: the lane that it changes to, or the present
 one; ``wanted``: the same from the next step on; ``go_at``: when it may start, after standing;
 ``standing_since``: infinite while it moves; ``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``:
-how many times each was drawn; ``last_path``: the junction path that it was on last, until it has
+how many times each was drawn; ``met``: crossings at which the driver met pedestrians closely
+(``met_near``) or ``yielded``; ``last_path``: the junction path that it was on last, until it has
 left it; ``path_before``, ``line_before``: the path ahead a step ago and how far away it was;
-``stood_at``: the path before whose stop sign it has stood; ``then``: the stretch after its lane's;
-``path``: the junction path that it is on or comes to next; ``to_line``: front bumper to the
-beginning of that path, or to the end of a lane without one, negative beyond it; ``stood_s``: for
-how long it has stood; ``stop_gap``: front bumper to the nearest line at which to stop;
+``stood_at``: the path before whose stop sign it has stood, since ``stopped_s``; ``then``: the
+stretch after its lane's; ``path``: the junction path that it is on or comes to next; ``to_line``:
+front bumper to the beginning of that path, or to the end of a lane without one, negative beyond it;
+``stood_s``: for how long it has stood; ``stop_gap``: front bumper to the line at which to stop;
 ``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it stop at the line,
 and ``was_held`` a step ago; ``changes``: whether lane changes are allowed; ``forced``: the lane
 that it has to head for; ``astray``: whether it needs another route; ``at_end``: whether it may have
@@ -186,5 +191,6 @@ def blank_vehicle() -> Any:
         "forced",
     ):
         row[name] = -1
+    row["met"] = -1
     row["stop_until"], row["changes"] = -np.inf, True
     return row

@@ -38,6 +38,9 @@ LONGEST_M: Final = 40.0
 """Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (twice a
 lorry's)."""
 
+TIGHT_M: Final = 5.0
+"""A junction path of a smaller mean radius is tight, m (a car's turning circle)."""
+
 ROUNDING_M: Final = 1e-3
 """Lanes are searched this much farther from vehicles than they can be, m."""
 
@@ -49,7 +52,7 @@ def record_type(**fields: str) -> np.dtype[Any]:
 
 LANE: Final = record_type(
     length="f8", limit="f8", width="f8", margin="f8", behind="f8",
-    connector="?", wrong="?", must_yield="?", must_stop="?",
+    connector="?", wrong="?", must_yield="?", must_stop="?", tight="?",
     signal="i8", entry="i8", exit="i8", left="i8", right="i8", stretch="i8",
     opposite="i8", own="i8",
     piece="i8", piece_end="i8", turn="i8", turn_end="i8", way="i8", way_end="i8",
@@ -59,7 +62,8 @@ LANE: Final = record_type(
 
 ``margin``: how far aside a vehicle is still on it, m; ``behind``: how far before it, m;
 ``connector``: whether it crosses a junction; ``wrong``: whether it runs over a lane of the opposite
-direction; ``signal``: the group that guards its entry; ``entry`` and ``exit``: the lanes on which
+direction; ``tight``: whether it turns too sharply for the middle of a car to keep to it;
+``signal``: the group that guards its entry; ``entry`` and ``exit``: the lanes on which
 a junction path begins and ends; ``left`` and ``right``: lanes that drivers may change to;
 ``opposite``: the lane over the one of the opposite direction beside it; ``own``: the lane beside
 such a lane.
@@ -77,7 +81,9 @@ TURN: Final = record_type(at="f8", heading="f8")
 WAY: Final = record_type(stretch="i8", path="i8")
 """A stretch to which a lane leads, and the junction path that leads there."""
 
-CONFLICT: Final = record_type(other="i8", begin="f8", end="f8", other_begin="f8", other_end="f8")
+CONFLICT: Final = record_type(
+    other="i8", begin="f8", end="f8", other_begin="f8", other_end="f8", yields="i8"
+)
 """Where a junction path runs too close to another one; see `sim.highway.conflicts.Conflict`."""
 
 STRIP: Final = record_type(crossing="i8", spot="i8", near="f8", far="f8", u="f8")
@@ -142,6 +148,7 @@ class LaneTables:
         lanes["width"] = [lane.width for lane in objects]
         for name in ("connector", "must_yield", "must_stop", "signal"):
             lanes[name] = [getattr(one, name) for one in info]
+        lanes["tight"] = [lane.length < TIGHT_M * abs(lane.turned) for lane in objects]
         lanes["wrong"] = [is_wrong_side(key) for key in self.keys]
         margin = np.where(lanes["connector"], PATH_MARGIN_M, STRETCH_MARGIN_M)
         lanes["margin"] = lanes["width"] / 2 + margin

@@ -81,7 +81,7 @@ class Shard(BaseModel):
     Attributes:
         configuration: what the dataset is made from.
         entries: its episodes, in order.
-        files: size and checksum of its tables but that of agents, and of its roads, by name.
+        files: size and checksum of its roads and other tables, by name.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)

@@ -144,6 +144,7 @@ def _start(
         "--lanechange.duration", f"{settings.lane_change_s:g}",
         "--log", str(log),
         *SUMO_OPTIONS,
+        *settings.options,
     ]  # fmt: skip
     return SIMULATION.start(arguments, log), log
 

@@ -94,6 +94,7 @@ class SumoSettings:
             SUMO's default.
         lane_change_s: how long a lane change takes, s; 0 is a jump.
         longest_step_s: SUMO's own step is at most this long, s.
+        options: further options of SUMO, such as those of its outputs, after the product's own.
     """
 
     law: str = "Krauss"
@@ -101,6 +102,7 @@ class SumoSettings:
     keep_right: float = 0.0
     lane_change_s: float = LANE_CHANGE_S
     longest_step_s: float = LONGEST_STEP_S
+    options: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what SUMO would silently take."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks import generate, loop, spectrum
+from experiments.benchmarks import generate, loop, spectrum, ssm
 from experiments.benchmarks.prediction import BELIEFS, compare
 from experiments.score.predictions import GROUPS, MEASURES, Errors
 from experiments.score.rows import Row
@@ -27,6 +27,17 @@ def test_every_stage_of_the_real_loop_is_timed() -> None:
     assert np.isclose(together, 1 / value["all", "real_time_factor"])
     own, stock, ratio = (row["value"] for row in engines)
     assert ratio == pytest.approx(own / stock)
+
+
+# --- conflicts ----------------------------------------------------------------------------------
+
+
+def test_following_conflicts_agree_with_those_of_sumo() -> None:
+    (rows,) = ssm.measure((0,), 60.0, ("straight_road",))
+    value = {(r["kind"], r["found_by"], r["metric"]): r["value"] for r in rows}
+    assert value["following", "both", "conflicts"] > 5
+    assert value["following", "both", "ttc_s_difference"] == pytest.approx(0.0, abs=0.05)
+    assert value["following", "both", "drac_mps2_difference"] == pytest.approx(0.0, abs=0.05)
 
 
 # --- generate -----------------------------------------------------------------------------------

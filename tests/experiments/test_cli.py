@@ -53,7 +53,7 @@ def test_help_imports_nothing_heavy() -> None:
         (["generate", "--out", "{tmp}/x"], "--scenario: found none, expected one"),
         (["generate", "--out", "{tmp}/x", "--config", "{tmp}/none.toml"], "No such file"),
         ([*ONE, "--out", "{tmp}/file"], "found a file, expected a folder"),
-        (["import", "{tmp}/file", "--out", "{tmp}/x"], "found no known format"),
+        (["import", "{tmp}/file", "--out", "{tmp}/x"], "found nothing in it"),
         (["import", "{tmp}/file", "--format", "ngsmi", "--out", "{tmp}/x"], "did you mean 'ngsim'"),
         (["export", "{tmp}", "--format", "ngsim", "--out", "{tmp}/x"], "found no writer"),
         (["run", "straight_road", "--net", "t.net.xml"], "beside the scenario straight_road"),

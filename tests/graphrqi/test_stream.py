@@ -81,7 +81,7 @@ def test_where_sizes_show_no_scene_everybody_is_unknown(tracks, model):
         believed, doubted = trusted.update(frame), doubting.update(frame)
     assert doubted.ids.tolist() == believed.ids.tolist() != []
     assert (doubted.unknown == 1.0).all()
-    assert not doubted.told.any()
+    assert not doubted.labelled.any()
     assert (believed.unknown < 1.0).any()
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import subprocess
 
 import numpy as np
 import pytest
 
 from behaviors import PROFILES, Behavior
 from scenarios import SCENARIOS
+from scenarios.networks.build import find_program
 from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.episode.rows import TrajectoryRows
@@ -18,7 +20,8 @@ from sim.highway.engine import network_of, run
 from sim.highway.motion import CLEAR_AFTER_S
 from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
-from sim.scenario import WALK_START_M, AgentSpec, sample_agents
+from sim.road.net import read_road
+from sim.scenario import WALK_START_M, AgentSpec, Scenario, sample_agents
 
 STRAIGHT = ("east_in", "east_out")
 OPPOSITE = (("east", "west"), ("west", "east"), ("north", "south"), ("south", "north"))
@@ -288,6 +291,50 @@ def test_an_all_way_stop_is_stopped_at_or_rolled():
         rolled = any(event.kind is EventKind.STOP_ROLLED for event in seen.events)
         assert rolled is rolls
         assert bool(np.nanmin(seen.speed[0]) < 0.3) is (not rolls)
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_at_right_before_left_the_driver_from_the_right_goes_first(number):
+    agents = [
+        driver(Behavior.CAREFUL, number, route=("east_in", "west_out")),
+        driver(Behavior.CAREFUL, 1 - number, route=("north_in", "south_out"), depart_s=1.0),
+    ]
+    seen = tracks("right_before_left", agents, 40.0)
+    assert not [e for e in seen.events if e.kind is EventKind.COLLISION]
+    from_east = seen.time_s[np.flatnonzero(seen.xy[number, :, 0] < 0.0)[0]]
+    from_north = seen.time_s[np.flatnonzero(seen.xy[1 - number, :, 1] < 0.0)[0]]
+    assert from_north < from_east
+
+
+@pytest.mark.parametrize("later", [0, 1])
+def test_at_an_all_way_stop_who_stops_first_goes_first(later):
+    routes = (("east_in", "west_out"), ("north_in", "south_out"))
+    agents = [
+        driver(Behavior.CAREFUL, i, route=route, depart_s=1.5 * (i == later))
+        for i, route in enumerate(routes)
+    ]
+    seen = tracks("all_way_stop", agents, 45.0)
+    assert not [e for e in seen.events if e.kind is EventKind.COLLISION]
+    crossed = [
+        seen.time_s[np.flatnonzero(seen.xy[i, :, axis] < 0.0)[0]] for i, axis in ((0, 0), (1, 1))
+    ]
+    assert crossed[later] > crossed[1 - later]
+
+
+def test_careful_drivers_keep_their_whole_car_on_its_side_in_tight_corners(tmp_path):
+    pytest.importorskip("sumo", reason="netgenerate is not installed")
+    net = tmp_path / "grid.net.xml"
+    options = "--grid --grid.number 2 --grid.length 60 --no-turnarounds"
+    command = [find_program("netgenerate"), *options.split(), "-o", str(net)]
+    subprocess.run(command, check=True, capture_output=True)
+    round_both_ways = (("A0A1", "A1B1", "B1B0"), ("B0B1", "B1A1", "A1A0"))
+    agents = [
+        driver(Behavior.CAREFUL, i, route=round_both_ways[i % 2], depart_s=3.0 * (i // 2))
+        for i in range(8)
+    ]
+    scenario = Scenario("corner", read_road(net), (), duration_s=40.0)
+    events = [event for frame in run(scenario, agents, 0) for event in frame.events]
+    assert not [event for event in events if event.kind is EventKind.COLLISION]
 
 
 def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():

@@ -9,7 +9,7 @@ import pytest
 
 from behaviors import InputError
 from scenarios import SCENARIOS
-from sim.highway.conflicts import CONFLICT_M, SAMPLE_M
+from sim.highway.conflicts import CONFLICT_M, SAMPLE_M, WIDEST_M
 from sim.highway.engine import network_of
 from sim.highway.traffic import TrafficRoad
 from sim.road import Road as SumoRoad
@@ -68,21 +68,21 @@ def test_conflicts_are_those_that_a_comparison_of_all_paths_finds(name):
         if (count := max(int(lane.length / SAMPLE_M), 1) + 1)
     }
     for one in list(begins)[:40]:
-        expected = {}
-        for other in begins:
-            distance = np.linalg.norm(points[one][:, None] - points[other], axis=2)
-            mine = np.flatnonzero(distance.min(axis=1) < CONFLICT_M)
-            theirs = np.flatnonzero(distance.min(axis=0) < CONFLICT_M)
-            if mine.size and begins[other] != begins[one]:
-                s = [
-                    np.linspace(0.0, made.lanes[path].length, len(points[path]))[near[[0, -1]]]
-                    for path, near in ((one, mine), (other, theirs))
-                ]
-                expected[other] = (*s[0], *s[1])
-        assert expected == {
-            c.other: (c.begin_s, c.end_s, c.other_begin_s, c.other_end_s)
+        spans = {
+            c.other: ((c.begin_s, c.end_s), (c.other_begin_s, c.other_end_s))
             for c in made.info[one].conflicts
         }
+        for other in begins:
+            distance = np.linalg.norm(points[one][:, None] - points[other], axis=2)
+            if begins[other] == begins[one] or distance.min() >= WIDEST_M:
+                assert other not in spans
+            elif distance.min() < CONFLICT_M:
+                for k, path in enumerate((one, other)):
+                    near = np.flatnonzero(distance.min(axis=1 - k) < CONFLICT_M)
+                    s = np.linspace(0.0, made.lanes[path].length, len(points[path]))
+                    begin, end = spans[other][k]
+                    assert begin <= s[near[0]]
+                    assert end >= s[near[-1]]
 
 
 @pytest.mark.parametrize("step_s", [0.02, 0.1, 7.0])

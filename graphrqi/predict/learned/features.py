@@ -1,9 +1,8 @@
-"""What the learned predictors are given about each driver, as numbers.
+"""The input numbers of the learned predictors for each driver.
 
-The sources are those of the rollouts: the driver's own past, its lane and limit, leaders and
-followers on its lane and beside it, signals, crossings and yielding places ahead. Whatever depends
-on behaviours (beliefs, rollouts with their parameters) is kept apart, so that a predictor can do
-without it.
+They describe the driver's past, its lane and limit, and leaders and followers on its lane and
+beside it. They also describe signals, crossings and yielding points ahead. Inputs that depend on
+behaviours are kept apart, so that a predictor can omit them.
 """
 
 from __future__ import annotations
@@ -54,12 +53,12 @@ FEATURES: Final = AROUND.stop + STOPS * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTI
 
 
 def features(scene: Scene) -> FloatArray:
-    """(n, FEATURES) everything that is known of each driver but its behaviour.
+    """(n, FEATURES) all known numbers of each driver but its behaviour.
 
-    In this order: speed, acceleration, limit, place on the lane, lanes beside, wished speeds seen
-    so far; at each time of `PAST_S` whether it was seen, speed then less now, turned since; the
-    neighbours; nearness and coming states of the next stop constraints on the path; nearness and
-    size of the next lower limit, and which way the path turns.
+    The own state comes first: speed, acceleration, limit, position on the lane, lanes beside,
+    desired speeds. The own past follows at each time of `PAST_S`: observed or not, speed
+    difference, turn since. The neighbours and the next stop constraints come next. The next lower
+    limit and the turn of the path are last.
     """
     parts = [_own_states(scene), _past(scene), _neighbors(scene), _stops(scene), _way(scene)]
     return np.concatenate(parts, axis=1)
@@ -95,7 +94,7 @@ def _past(scene: Scene) -> FloatArray:
 
 
 def _neighbors(scene: Scene) -> FloatArray:
-    """(n, NEIGHBORS PER_NEIGHBOR) who drives around."""
+    """(n, NEIGHBORS PER_NEIGHBOR) the neighbours."""
     states, speed, length = scene.states, scene.history.speed[:, -1], scene.history.length
     leader, follower = states.leader, states.follower
     second = np.where(leader >= 0, leader[leader], -1)

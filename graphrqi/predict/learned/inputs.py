@@ -1,7 +1,6 @@
 """The inputs of the learned predictors: features and anchor trajectories, in each driver's frame.
 
-The anchor trajectories are rollouts with one step from knot to knot: on simulated episodes they
-come as near to what happens as rollouts with finer steps.
+The anchor trajectories are rollouts with one step from knot to knot.
 """
 
 from __future__ import annotations
@@ -52,11 +51,11 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
 
     Args:
         scene: the present.
-        probability: (n, 6) beliefs; uniform rows for drivers of whom nothing is known.
+        probability: (n, 6) beliefs; uniform rows for unknown drivers.
         table: calibrated driver parameters.
 
     Returns:
-        The inputs of every agent of the scene; those of pedestrians mean nothing.
+        The inputs of every agent of the scene; rows of pedestrians are not valid.
     """
     drivers = expected_parameters(scene, probability, table)
     choice, likely = path_probability(scene, drivers)
@@ -143,7 +142,7 @@ def _at_knots(scene: Scene, rollout: Rollout) -> FloatArray:
 
 
 def _inertia(scene: Scene, out: FloatArray) -> None:
-    """Write (n, KNOTS, 2) everyone straight on at constant acceleration, m."""
+    """Write (n, KNOTS, 2) positions straight on at constant acceleration, m."""
     out[..., 0] = inertial_distance(scene.speed[:, None], scene.accel[:, None], TIME_S)
     out[..., 1] = 0.0
 

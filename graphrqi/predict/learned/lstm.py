@@ -1,9 +1,8 @@
 """The learned rival without labels: recurrent encoder and decoder with neighbour pooling.
 
-It is given the same road, past, neighbours, signals, crossings and pedestrians as the default
-predictor, but neither beliefs about the drivers nor rollouts of a driver model: its anchor
-trajectories are the lanes themselves, driven at constant speed. Data, loss, number of futures and
-epochs are the same.
+Its inputs are those of the default predictor without beliefs about the drivers and without rollouts
+of a driver model. Its anchor trajectories follow the lanes at constant speed. Data, loss, number of
+futures and epochs are the same.
 
 References:
     Alahi et al. (2016), "Social LSTM", CVPR; Deo, Trivedi (2018), CVPR Workshops.

@@ -2,8 +2,8 @@
 
 `graphrqi_predict` is the default: a perceptron corrects rollouts with the parameters of the
 behaviours that drivers are believed to have. It was trained on the classifier's own posteriors,
-wrong ones included, with a share of uniform and of shuffled ones: trained on true labels it would
-trust labels that are often wrong.
+including wrong ones, with a share of uniform and of shuffled ones. A network trained on true labels
+would rely too much on the classifier.
 """
 
 from __future__ import annotations
@@ -33,23 +33,21 @@ BoolArray = NDArray[np.bool_]
 Predictor = Callable[[Scene, Posterior], Prediction]
 
 
-HOME_LIMITS_MPS: Final = (11.0, 17.0)
-"""Speed limits at which the networks predict drivers who come to no light, crossing or junction,
-m/s. They were trained at 50 km/h. On simulated straight roads and motorways at 30, 70, 80, 90 and
-130 km/h they have 1.31, .84, 1.34, .75 and 1.16 of constant velocity, the predictor for recordings
-.85, .64, .78, .63 and .78; at junctions they are better at any limit."""
+TRAINED_LIMITS_MPS: Final = (11.0, 17.0)
+"""Speed limits at which the networks predict drivers without a light, crossing or junction ahead,
+m/s. They were trained at 50 km/h. Beyond this range the predictor for recordings has smaller
+errors."""
 
 STOP_S, STOP_M = 5.0, 20.0
 """A stop constraint counts if it is nearer than the driver comes within this time at its present
 speed, plus this distance."""
 
 
-def at_home(predictor: Predictor) -> Predictor:
-    """A learned predictor that leaves recordings, and fast roads, to the predictor for these.
+def on_trained_roads(predictor: Predictor) -> Predictor:
+    """A learned predictor that leaves recordings and unusual limits to the predictor for these.
 
-    The networks were trained where limits, lights and priority are known and traffic drives as
-    the limits say. A recording's map rarely knows all of these; there they would predict that a
-    vehicle waiting at a light, or parked, is about to drive off.
+    The networks were trained where limits, lights and priority are known. Without these they would
+    predict that a vehicle waiting at a light, or parked, drives off.
     """
 
     @functools.wraps(predictor)
@@ -62,7 +60,7 @@ def at_home(predictor: Predictor) -> Predictor:
 def _where_trained(
     predictor: Predictor, scene: Scene, posterior: Posterior, network: RecordedNetwork | None
 ) -> Prediction:
-    """A network's answers for the agents it was trained for, the other predictor's for the rest."""
+    """A network's futures of the agents it was trained for, the other predictor's for the rest."""
     away = ~trained_for(scene)
     if not away.any():
         return predictor(scene, posterior)
@@ -84,12 +82,12 @@ def _where_trained(
 def trained_for(scene: Scene) -> BoolArray:
     """(n,) agents that the networks were trained for.
 
-    These are on roads with known limits, lights and priority; the limit is a usual one, or
-    something is ahead for which the driver may have to stop.
+    These are on roads with known limits, lights and priority. The limit is in the trained range, or
+    a stop constraint is near.
     """
     if not knows_everything(scene):
         return np.zeros(scene.ids.size, bool)
-    low, high = HOME_LIMITS_MPS
+    low, high = TRAINED_LIMITS_MPS
     lane = np.maximum(scene.lane, 0)
     limit = scene.graph.limit[lane]
     stops = scene.paths.stop_x[scene.path] - scene.s[:, None]
@@ -100,19 +98,19 @@ def trained_for(scene: Scene) -> BoolArray:
 
 
 def knows_everything(scene: Scene) -> bool:
-    """Whether the road tells limits that rule, lights and priority."""
+    """Whether the map gives limits, lights and priority."""
     knows = scene.road.knows
     return not knows.unknown and knows.limits_rule and limits_known(scene.graph)
 
 
 def corrected_rollouts(scene: Scene, posterior: Posterior) -> Prediction:
-    """Rollouts of the believed behaviours, corrected by a network, wherever they are."""
+    """Rollouts of the believed behaviours, corrected by a network on every road."""
     inputs = predictor_inputs(scene, posterior.of(scene.ids), default_table())
     network = shipped_perceptron("graphrqi-predict.safetensors")
     return spread_out(scene.history, network(inputs), scene.steps)
 
 
-@at_home
+@on_trained_roads
 def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
     """Rollouts of the believed behaviours, corrected by a network: the best predictor here."""
     return corrected_rollouts(scene, posterior)
@@ -135,7 +133,7 @@ def with_weights(folder: Path) -> Predictor:
     return predict
 
 
-@at_home
+@on_trained_roads
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """A recurrent network that is given neither beliefs nor a driver model."""
     return spread_out(scene.history, shipped_lstm()(unlabelled_inputs(scene)), scene.steps)

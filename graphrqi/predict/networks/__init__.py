@@ -1,1 +1,1 @@
-"""What all networks share: their inputs, the futures that they decode to, and the perceptron."""
+"""Shared by all networks: their inputs, the futures that they decode to, and the perceptron."""

@@ -1,9 +1,9 @@
 """From a network's numbers to trajectories.
 
 A network gives `MODES` futures per driver, each at `KNOTS` knots in the driver's own frame: origin
-at its position, x along its heading, in metres. A future is a blend of the driver's anchor
-trajectories plus a residual, so that a network only has to learn what the anchors miss. Each future
-also has a probability and a spread, from which sets of a given coverage follow.
+at its position, x along its heading, in metres. A future is a weighted mean of the driver's anchor
+trajectories plus a residual. Each future also has a probability and a spread, from which sets of a
+given coverage follow.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class PredictorInputs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Futures:
-    """What a network predicts of each driver, in the driver's frame.
+    """A network's predicted futures of each driver, in the driver's frame.
 
     Attributes:
         own: (n, K, KNOTS, 2) positions at the knots, m.
@@ -106,7 +106,7 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
     knot they go straight on. Pedestrians walk on at their present velocity.
 
     Args:
-        history: tracks whose last column is the present, everyone seen there.
+        history: tracks whose last column is the present.
         futures: theirs.
         steps: how many, `STEP_S` apart.
     """

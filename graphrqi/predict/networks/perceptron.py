@@ -1,8 +1,7 @@
 """A perceptron that gives futures, and the files of trained networks.
 
 The first future is the single best guess, trained on its mean distance; the others are trained
-winner-takes-all to cover what else may happen. The network runs in numpy; torch is needed for
-training only.
+winner-takes-all. The network runs in numpy; torch is needed for training only.
 
 References:
     Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
@@ -39,10 +38,10 @@ class Perceptron:
     """A trained network.
 
     Attributes:
-        mean: (F,) of the training features.
+        mean: (F,) of the features.
         scale: (F,) their standard deviations.
-        weights: one (in, out) float32 matrix per layer.
-        biases: one (out,) float32 vector per layer.
+        weights: an (in, out) matrix per layer.
+        biases: an (out,) vector per layer.
         spread_scale: see `graphrqi.predict.networks.futures.decode`.
     """
 
@@ -104,11 +103,11 @@ def save_layers(
         for i, (weight, bias) in enumerate(zip(one.weights, one.biases, strict=True)):
             arrays |= {f"{prefix}weight_{i}": weight, f"{prefix}bias_{i}": bias}
     single = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
-    path.write_bytes(save(single, metadata))  # their save_file writes what nobody else may read
+    path.write_bytes(save(single, metadata))  # their save_file writes owner-only files
 
 
 def read_layers(path: Path) -> tuple[LayerArrays, dict[str, Any]]:
-    """What `save_layers` wrote: the network's arrays, and the metadata.
+    """The network's arrays and the metadata from a file of `save_layers`.
 
     Raises:
         InputError: if the file is missing, broken, of another network or newer than this version

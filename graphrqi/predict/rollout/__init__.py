@@ -1,1 +1,1 @@
-"""Driving a scene on by a car-following law."""
+"""Simulating a scene ahead by a car-following law."""

@@ -1,9 +1,9 @@
-"""How well the beliefs about drivers agree with what those drivers are seen doing.
+"""Agreement of the beliefs about drivers with the drivers' observed motion.
 
 A classifier may be wrong about one driver or, far from its training data, about all. Each behaviour
-predicts a wished speed and, by the car-following law, a present acceleration. The likelihood ratio
-of the observations under the beliefs against no beliefs tells how far the beliefs about one driver
-can be trusted; the ratios of all other drivers tell how far the classifier can be.
+predicts a desired speed and, by the car-following law, a present acceleration. The likelihood ratio
+of beliefs against no beliefs shows how reliable the beliefs about one driver are. The ratios of all
+other drivers show how reliable the classifier is.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from graphrqi.predict.scene.scene import Scene
 FloatArray = NDArray[np.float64]
 
 WISH_SD = 0.18
-"""Standard deviation of the logarithm of wished speeds within a behaviour (the scenarios' spread of
-15 %, and the error of the estimate)."""
+"""Standard deviation of the logarithm of desired speeds within a behaviour, including the
+estimate's error."""
 
 OVER = 0.03
-"""Excess over the wished speed, as its logarithm, that counts as none."""
+"""Logarithm of the excess over the desired speed that is tolerated."""
 
 MOST_ACCELERATION, MOST_WISH = 4.0, 8.0
-"""Largest log-likelihoods that one acceleration and a wished speed can cost."""
+"""Largest log-likelihoods that one acceleration and a desired speed can cost."""
 
 LEAST_BELIEF = 1e-4
 """Least probability given to a behaviour, so that one error does not exclude it."""
@@ -37,17 +37,17 @@ SUM_SCALE = 5.0
 def agreement(
     scene: Scene, probability: FloatArray, asked: FloatArray, table: DriverTable
 ) -> FloatArray:
-    """How much more likely the beliefs make the observations than no beliefs would.
+    """Log-likelihood ratio of the observations under the beliefs and under no beliefs.
 
     Args:
         scene: the present.
-        probability: (n, 6) beliefs; uniform rows for drivers of whom nothing is known.
-        asked: (6, n) acceleration that each behaviour would have now, m/s2.
+        probability: (n, 6) beliefs; uniform for unknown drivers.
+        asked: (6, n) acceleration of each behaviour now, m/s2.
         table: calibrated driver parameters.
 
     Returns:
-        (n, 3) logarithm of the ratio for the driver itself, its mean over all other drivers about
-        whom there are beliefs, and its scaled sum over them.
+        (n, 3) log-ratio of the driver, its mean over all other drivers with beliefs, and its scaled
+        sum over them.
     """
     states, count = scene.states, probability.shape[1]
     known = (probability > 1.0 / count + 1e-6).any(axis=1)

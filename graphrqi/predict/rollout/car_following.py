@@ -1,17 +1,17 @@
-"""The rollout itself, compiled: every driver of a scene is driven on for some seconds.
+"""The compiled rollout: every driver of a scene is simulated for some seconds.
 
-All drivers of one rollout move together, step by step. A driver's next speed is the least of: the
-speed that its acceleration allows, its wished speed under the limits here and ahead, and the speed
-from which it could still stop behind its leader or before a stop constraint (a red light, an
-occupied crossing). The safe speed is Krauss's, derived from Gipps: with reaction time T,
-deceleration b, gap g and leader speed u, ``-b T + sqrt((b T)^2 + u^2 + 2 b g)``.
+All drivers of one rollout move together, step by step. A driver's next speed is the least of three.
+The first is the speed that its acceleration allows. The second is its desired speed under the
+limits here and ahead. From the third it could still stop behind its leader or before a stop
+constraint. The safe speed is Krauss's, derived from Gipps: with reaction time T, deceleration b,
+gap g and leader speed u, ``-b T + sqrt((b T)^2 + u^2 + 2 b g)``.
 
 The residual acceleration, which is the present acceleration minus the model's, is added and decays.
-Nobody changes lanes.
+No driver changes lanes.
 
 References:
     Gipps (1981), "A behavioural car-following model for computer simulation", Transp. Res. B 15.
-    Krauss (1998), "Microscopic modeling of traffic flow", DLR-FB 98-08, eq. 4.13.
+    Krauss (1998), "Microscopic modeling of traffic flow", DLR-FB 98-08.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ HARD_DECEL = 8.0
 """Largest deceleration, m/s2 (dry asphalt)."""
 
 SIGHT_M = 4.5
-"""Distance to a junction from which drivers see the traffic on the crossing road, m (SUMO's default
-visibility distance at minor links)."""
+"""Distance to a junction from which drivers see the crossing road, m (SUMO's default at minor
+links)."""
 
 UNKNOWN_ACCELERATION = -2e3
 """A present acceleration that is not known: the driver has no residual."""
@@ -90,30 +90,26 @@ def roll(
     others: tuple[IntArray, FloatArray, FloatArray], order: IntArray,
     steps: tuple[int, float, float, float],
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
-    """Drive n drivers on in M ways.
+    """Simulate n drivers in M variants.
 
     Args:
         present: (n, 5) the drivers now; see `columns.PRESENT`.
-        path: (M, n) path of each driver, row of ``paths``; -1 minus the path for a driver that the
-            others find there at present but that is not driven on itself. The next three may be the
-            same in all ways; their first axis is 1 then.
-        lateral: (M, n, 2) distance to the left of the lane's centre, m, and lateral speed at which
-            each returns to it, m/s.
-        following: (M, n, 5) speed factor, time headway s, standstill gap m, acceleration and
-            deceleration m/s2.
+        path: (M, n) row of ``paths`` of each driver; -1 minus it for a driver that is present but
+            not simulated. The next three may have a first axis of 1.
+        lateral: (M, n, 2) distance left of the lane's centre, m, and speed of return, m/s.
+        following: (M, n, 5) numbers in the order of `DRIVER_FIELDS`.
         ignores: (M, n, 2) whether each ignores red lights, and pedestrians at crossings.
         stop_state: (R, columns) states of the stop constraints.
         paths: the paths of the road.
-        others: (n, steps) lanes, distances along them, m, and speeds, m/s, where the other drivers
-            are assumed to be; (0, 0) each: all move together.
-        order: those on paths; the nearer they are to being sorted by lane and place, the faster.
-        steps: how many, the time between them, s, how many columns of ``stop_state`` each takes,
-            and the time in which the residual acceleration falls to 1/e, s (0: at once).
+        others: (n, steps) assumed lanes, distances, m, and speeds, m/s, of the others; (0, 0) each
+            if all move together.
+        order: the drivers on paths, best sorted by lane and position.
+        steps: number, duration, s, columns of ``stop_state`` per step, and decay time of the
+            residual acceleration, s.
 
     Returns:
-        (M, n, steps) lanes; (4, M, n, steps) distances along them and to the left of their centres,
-        m, speeds, m/s, and distances travelled since the present, m; and (M, n) accelerations that
-        the law asks for at present, m/s2.
+        (M, n, steps) lanes. (4, M, n, steps) distances along them and to their left, m, speeds,
+        m/s, and distances travelled, m. (M, n) accelerations of the law at present, m/s2.
     """
     (m, n), drivers = path.shape, order.size
     place, ranking = np.empty((n, 2)), np.full((n, 3), -1)
@@ -249,7 +245,7 @@ def _look_ahead(
     who: Any, motion: Any, route: Any, following: Any, place: Any, ranking: Any, ends: Any,
     path_lane: Any, path_start: Any, path_limit: Any,
 ) -> None:  # fmt: skip
-    """Write each driver's wished speed under the limits here and ahead, and its leader."""
+    """Write each driver's desired speed under the limits here and ahead, and its leader."""
     _, most = path_lane.shape
     for j in range(who.size):
         i = who[j]
@@ -271,7 +267,7 @@ def _look_ahead(
             if leader >= 0:
                 continue
             g = ends[FIRST, lane]
-            if lane == ranking[i, LANE]:  # nobody far behind oneself is ahead
+            if lane == ranking[i, LANE]:  # vehicles far behind do not count
                 g = ranking[i, RANK]
                 while g > ends[FIRST, lane] and (begin + place[ranking[g - 1, ORDER], S] >= here):
                     g -= 1

@@ -18,12 +18,10 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 FREE_WEIGHT: Final = 0.1
-"""Weight of the behaviour's wished speed against the speed at which the driver was seen driving
-freely (within a behaviour wishes differ by 15 %, a driver's own by little)."""
+"""Weight of the behaviour's desired speed against the driver's observed free speed."""
 
 LEAST_FACTOR: Final = 0.05
-"""Least wished speed over limit where limits are unknown, also of vehicles that stand (0.7 m/s; the
-laws of motion divide by it)."""
+"""Least desired speed over limit where limits are unknown (the driver models divide by it)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,10 +48,10 @@ def expected_parameters(
 
 
 def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
-    """Everyone's parameters if it were of each behaviour.
+    """The parameters of each driver under each behaviour.
 
     Returns:
-        (6, n, 5) car-following parameters and (6, n, 2) kinds of stop constraints ignored.
+        (6, n, 5) car-following parameters. (6, n, 2) kinds of stop constraints ignored.
     """
     each = (len(BEHAVIORS), scene.ids.size)
     runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
@@ -61,7 +59,7 @@ def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, Bo
 
 
 def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
-    """Everyone drives as the average driver does, and ignores nothing."""
+    """The average driver's parameters for all drivers, who ignore nothing."""
     return DriverParameters(
         following=_personal(scene, table.average[None, None])[0],
         ignores=np.zeros((scene.ids.size, 2), dtype=np.bool_),
@@ -74,7 +72,7 @@ def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
 
 
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:
-    """(M, n, 5) parameters, each driver's wished speed corrected by what it was seen driving."""
+    """(M, n, 5) parameters, each driver's desired speed corrected by its observed speeds."""
     states = scene.states
     found = np.empty((len(following), states.free_factor.size, following.shape[2]))
     _correct(following, states.free_factor, states.least_factor, found)
@@ -86,7 +84,7 @@ def _personal(scene: Scene, following: FloatArray) -> FloatArray:
 
 @in_place()
 def _correct(following: Any, free_factor: Any, least_factor: Any, out: Any) -> None:
-    """Correct the wished speeds among parameters."""
+    """Correct the desired speeds among parameters."""
     ways, given, fields = following.shape
     n = free_factor.size
     for m in range(ways):

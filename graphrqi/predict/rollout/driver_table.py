@@ -1,7 +1,6 @@
 """How drivers of each behaviour drive, as numbers of the rollout's car-following law.
 
-The numbers are calibrated on training episodes (`graphrqi.predict.training.calibrate`), because a
-simulator's own parameters put straight into another law predict badly.
+The numbers are calibrated on training episodes (`graphrqi.predict.training.calibrate`).
 """
 
 from __future__ import annotations
@@ -41,10 +40,10 @@ class DriverTable:
     """Calibrated numbers.
 
     Attributes:
-        behavior: (6, 5) numbers of each behaviour, columns as `DRIVER_FIELDS`.
+        behavior: (6, 5) numbers of each behaviour.
         average: (5,) numbers of the one average driver.
-        decay_s: time in which a driver's residual acceleration falls to 1/e, s.
-        average_decay_s: the same with the average driver, s.
+        decay_s: decay time of the residual acceleration, s.
+        average_decay_s: the average driver's, s.
     """
 
     behavior: FloatArray

@@ -1,4 +1,4 @@
-"""Predictors that drive everyone on by a car-following law, with and without beliefs."""
+"""Predictors that simulate all drivers by a car-following law, with and without beliefs."""
 
 from __future__ import annotations
 
@@ -24,19 +24,17 @@ IntArray = NDArray[np.int64]
 
 
 def blind(scene: Scene, posterior: Posterior) -> Prediction:
-    """Everyone drives as the average driver does."""
+    """Every driver has the average driver's parameters."""
     return blind_with(scene, default_table())
 
 
 def aware(scene: Scene, posterior: Posterior) -> Prediction:
-    """Everyone drives by the numbers expected of its behaviour.
+    """Every driver has the parameters expected under the beliefs about its behaviour.
 
-    The numbers are the posterior's expectation over the behaviours' calibrated ones, not those of
-    the most likely behaviour alone: with a classifier that is often wrong, the latter loses what
-    knowing the behaviour gains. Drivers about whom there are no beliefs drive as the mean of all
-    behaviours.
+    The parameters are the posterior's expectation over the behaviours' calibrated ones. Drivers
+    without beliefs get the mean of all behaviours.
     """
-    return aware_with(scene, posterior.worth(scene.ids), default_table())
+    return aware_with(scene, posterior.discounted(scene.ids), default_table())
 
 
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:
@@ -50,7 +48,7 @@ def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Pre
 
 
 def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Prediction:
-    """Everyone driven on along its most likely way."""
+    """All drivers simulated along their most likely paths."""
     routed = on_likely_paths(scene, drivers)
     return scene.predicted(positions(routed, roll(routed, drivers, decay_s)))
 
@@ -63,12 +61,12 @@ def certain(code: IntArray) -> FloatArray:
 
 
 def shuffled_posterior(history: Tracks, posterior: Posterior) -> Posterior:
-    """The beliefs about the drivers of a history, each given to another one.
+    """The beliefs about the drivers of a history, exchanged between drivers.
 
     The exchange is the same whenever the same agents are present.
     """
     drives = np.flatnonzero(history.kind != PEDESTRIAN)
-    probability = posterior.worth(history.ids)
+    probability = posterior.discounted(history.ids)
     rng = np.random.default_rng([int(i) & 0xFFFFFFFF for i in history.ids[drives]])
     probability[drives] = probability[drives][rng.permutation(drives.size)]
     return Posterior(history.ids, probability)

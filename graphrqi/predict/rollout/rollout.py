@@ -1,4 +1,4 @@
-"""Drives a whole scene on: a scene and driver parameters in, positions out."""
+"""Simulates a whole scene: a scene and driver parameters in, positions out."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _MOVE_TOGETHER = (np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rollout:
-    """One future of every driver on a path, or M; rows of others stand still and mean nothing.
+    """One future of every driver on a path, or M; rows of other agents are not valid.
 
     Attributes:
-        lane: (..., n, H) lane of each at each step.
+        lane: (..., n, H) lane at each step.
         s: (..., n, H) distance along it, m.
         offset: (..., n, H) distance to the left of its centre line, m.
         speed: (..., n, H) m/s.
         travelled: (..., n, H) distance since the present, m.
-        asked: (..., n) acceleration that the law asks for at present, m/s2.
+        asked: (..., n) the law's acceleration at present, m/s2.
         step_s: time between steps, s.
     """
 
@@ -56,15 +56,15 @@ def roll(
     step_s: float = STEP_S,
     planned: int | None = None,
 ) -> Rollout:
-    """Drive the scene's drivers on along their paths, all together.
+    """Simulate the scene's drivers along their paths, all together.
 
     Args:
         scene: the present.
         drivers: how each drives.
-        decay_s: time in which the residual acceleration falls to 1/e, s; 0: at once.
-        steps: how many; by default up to the scene's horizon.
+        decay_s: decay time of the residual acceleration, s.
+        steps: number of steps; up to the horizon if not given.
         step_s: time between them, s.
-        planned: row of a vehicle whose present acceleration is left out of account.
+        planned: row of a vehicle without residual acceleration.
 
     Returns:
         The drivers' future.
@@ -91,15 +91,15 @@ def roll_each(
     decay_s: float,
     others: Rollout,
 ) -> Rollout:
-    """Drive everyone on in M ways, each driver alone among the others.
+    """Simulate each driver alone among the others, in M variants.
 
     Args:
         scene: the present.
-        ways: M scenes that differ from it in paths, offsets and lateral speeds only.
-        following: (M, n, 5) how each drives, as in `DriverParameters`.
+        ways: M scenes with other paths, offsets and lateral speeds.
+        following: (M, n, 5) as in `DriverParameters`.
         ignores: (M, n, 2) likewise.
         decay_s: as to `roll`.
-        others: where everyone else is assumed to be; the steps are its.
+        others: the assumed future of the others.
 
     Returns:
         The drivers' futures, (M, n, H).
@@ -120,11 +120,11 @@ def roll_each(
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
-    """(C, n) acceleration that the car-following law asks for at present on each of C paths, m/s2.
+    """(C, n) the car-following law's acceleration at present on each of C paths, m/s2.
 
     Args:
         scene: the present.
-        path: (C, n) paths; -1 minus a path where nobody needs to know, then it is 0.
+        path: (C, n) paths; -1 minus a path where the result is to be 0.
         drivers: how each drives.
     """
     *_, asked = car_following.roll(
@@ -144,7 +144,7 @@ def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
 
 
 def positions(scene: Scene, rollout: Rollout) -> FloatArray:
-    """(n, H, 2) positions of a rollout, m; agents on no path go straight on."""
+    """(n, H, 2) positions of a rollout, m; agents without a path go straight on."""
     on = scene.on_path
     out = on_lanes(scene, rollout.lane, rollout.s, rollout.offset)
     if not on.all():
@@ -166,9 +166,9 @@ def in_own_frame(
     Args:
         scene: the present.
         lane: (n, H) lanes.
-        s: (n, H) distances along them, m.
-        offset: (n, H) distances to the left of their centres, m.
-        every: steps from one position returned to the next.
+        s: (n, H) distances along, m.
+        offset: (n, H) distances to the left, m.
+        every: steps between positions.
         step_s: time between steps, s.
     """
     xy = on_lanes(scene, lane, s, offset)[:, every - 1 :: every]
@@ -183,7 +183,7 @@ def in_own_frame(
 
 
 def steady(scene: Scene) -> Rollout:
-    """Everyone along its path at its present speed, returning to its lane's centre."""
+    """Every driver along its path at its present speed, returning to its lane's centre."""
     travelled = scene.speed[:, None] * scene.time_s[None]
     lane, s = lane_positions.along_path(
         scene.path, scene.s[:, None] + travelled, scene.paths.lane, scene.paths.start
@@ -193,15 +193,15 @@ def steady(scene: Scene) -> Rollout:
 
 
 def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
-    """Everyone on its way to the lane beside, where there is one.
+    """Every driver on its way to the lane beside, where there is one.
 
     Args:
         scene: the present.
         side: 1: to the left, -1: to the right.
-        other_ways: whether a lane counts that leads elsewhere than the path does.
+        other_ways: whether a lane with another destination than the path counts.
 
     Returns:
-        The scene, and (n,) who has such a lane; the others are left where they are.
+        The scene, and (n,) whether a driver has such a lane; the others stay.
     """
     paths = scene.paths
     number, sign = (0, 1.0) if side > 0 else (1, -1.0)
@@ -222,7 +222,7 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
 
 
 def centre_ahead(scene: Scene, row: int) -> FloatArray:
-    """(H, 2) the centre line of one driver's path from here on, every metre for 60 m."""
+    """(H, 2) the centre line of one driver's path ahead, every metre for 60 m."""
     paths = scene.paths
     x = scene.s[row] + np.arange(60.0)[None]
     lane, s = lane_positions.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)

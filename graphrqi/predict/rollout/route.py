@@ -1,8 +1,7 @@
-"""Where a driver turns: paths weighed by the acceleration that each asks for at present.
+"""Route choice: paths weighed by the car-following law's acceleration on each at present.
 
-A driver that is going to turn brakes for the turn, and one that is too fast will not take it. So
-the probability of a path is how common it is, times how well the acceleration that the
-car-following law asks for on it agrees with the one seen.
+A driver brakes for a turn, and a driver that is too fast will not take it. The probability of a
+path is its prior times the likelihood of the observed acceleration under the car-following law.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 ACCELERATION_SD: Final = 0.8
-"""Standard deviation of drivers' accelerations around the law's, m/s2 (chosen by training episodes:
-the median absolute residual is 0.5)."""
+"""Standard deviation of drivers' accelerations around the law's, m/s2 (chosen on training
+episodes)."""
 
 LARGEST_EVIDENCE: Final = 6.0
 """Largest log-likelihood ratio, so that one odd moment does not decide alone."""
@@ -41,7 +40,7 @@ def candidates(scene: Scene) -> tuple[IntArray, BoolArray]:
 
 
 def path_probability(scene: Scene, drivers: DriverParameters) -> tuple[IntArray, FloatArray]:
-    """How likely each driver takes each way on.
+    """Probability of each path of each driver.
 
     Args:
         scene: the present.
@@ -63,6 +62,6 @@ def path_probability(scene: Scene, drivers: DriverParameters) -> tuple[IntArray,
 
 
 def on_likely_paths(scene: Scene, drivers: DriverParameters) -> Scene:
-    """The scene with everyone on the way that it most likely takes."""
+    """The scene with every driver on its most likely path."""
     choice, probability = path_probability(scene, drivers)
     return scene.with_path(choice[np.arange(len(choice)), probability.argmax(axis=1)])

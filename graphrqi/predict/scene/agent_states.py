@@ -1,8 +1,7 @@
-"""What a history says about each agent at present: its place, its motion, its neighbours.
+"""The state of each agent at the end of a history: its position, its motion, its neighbours.
 
-Lanes, leaders and stop lines are found by the search that `sim.episode.observables` uses
-(`sim.road.lane_search.perceive`), at the present and at a few moments of the past, from which the
-speed that each driver wishes to drive is estimated.
+Lanes, leaders and stop lines are found by `sim.road.lane_search.perceive`, at the present and at
+several moments of the past. The past ones give an estimate of each driver's desired speed.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ BEYOND_M = 2.0
 """A vehicle this far beyond a lane's end still drives along it."""
 
 CHANGING_MPS = 0.25
-"""A vehicle with a higher lateral speed is changing lanes (a change of 3.2 m takes 3 to 6 s, and
-drivers who keep their lane drift at less than 0.2 m/s)."""
+"""A vehicle with a higher lateral speed is changing lanes."""
 
 CHANGING_FROM_M = 0.3
 """A vehicle this far on the other side of its lane's centre is returning to the centre instead."""

@@ -1,4 +1,4 @@
-"""Who yields to whom at junctions, and where their movements cross.
+"""Priority at junctions, and the points where movements cross.
 
 Movements are compared only where their lanes come near each other, so the cost grows with the
 number of lanes and not with its square.
@@ -58,8 +58,9 @@ class _Movements:
 def priority_of(road: Road, graph: LaneGraph) -> Priority:
     """Find the yielding places of a road.
 
-    At signals turning vehicles yield; elsewhere the road says who does. A movement has priority
-    over a yielding one if it does not yield itself, or turns right where the other turns left.
+    At signals turning vehicles yield; at other junctions the road defines priority. A movement has
+    priority over a yielding one if it does not yield itself, or turns right where the other turns
+    left.
 
     Args:
         road: the road.

@@ -27,15 +27,15 @@ IntArray = NDArray[np.int64]
 StateArray = NDArray[np.int8]
 
 PROCEED, STOP_IF_COMFORTABLE, STOP, PREPARE_TO_STOP = 0, 1, 2, 3
-"""States of a stop constraint. `PREPARE_TO_STOP`: approach at a speed from which one can stop,
-until one is near enough to see that nobody comes."""
+"""States of a stop constraint. `PREPARE_TO_STOP`: approach at a speed from which the driver can
+stop, until it sees that no vehicle comes."""
 
 YIELD_WITHIN_M = 80.0
 """Vehicles farther away are not yielded to (6 s at 14 m/s)."""
 
 YIELD_BEFORE_S = 2.5
-"""A driver that must yield waits for vehicles that arrive within this time (critical gaps at
-junctions are 4 to 6 s for the average driver (HCM), and these drivers' are 0.1 to 2.5 s)."""
+"""A driver that must yield waits for vehicles that arrive within this time, s (the simulated
+drivers' largest critical gap)."""
 
 YIELD_TO_MPS = 0.5
 """Slower vehicles are not yielded to (they stand)."""
@@ -152,7 +152,7 @@ def stop_states(
 ) -> StateArray:  # fmt: skip
     """The state of every stop constraint now and at each coming step.
 
-    Signals that nobody can come to stay as they are now.
+    Signals that no driver can reach stay as they are now.
 
     Args:
         history: tracks whose last column is the present.

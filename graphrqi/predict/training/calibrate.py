@@ -1,7 +1,7 @@
 """Finds the driver parameters with which the car-following law predicts best on training episodes.
 
-A (1+1) evolution strategy with the one-fifth rule runs for all behaviours at once: the parameters
-of all behaviours are perturbed together, all drivers are driven on jointly, and each behaviour
+A (1+1) evolution strategy with the one-fifth rule runs for all behaviours at once. The parameters
+of all behaviours are perturbed together, and all drivers are simulated jointly. Each behaviour
 keeps its new parameters if its own drivers' error fell. Behaviours act on each other only through
 leaders, so that this is nearly one search per behaviour for the price of one.
 
@@ -34,11 +34,10 @@ FIRST_WIDTH: Final = 0.15
 """Standard deviation of the first perturbations' logarithm: the drivers' own spread."""
 
 FARTHEST: Final = 2.0
-"""Numbers stay within this factor of the profiles' own, so that they keep their meaning where the
-data cannot tell two of them apart."""
+"""Numbers stay within this factor of the profiles' own."""
 
 RECHECK: Final = 15
-"""Perturbations after which the error to beat is measured anew."""
+"""Perturbations after which the best error is measured again."""
 
 DECAYS_S: Final = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """Decay times tried, s."""

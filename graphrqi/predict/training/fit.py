@@ -1,9 +1,10 @@
 """Trains the learned predictors with torch.
 
-The single best guess is trained on its mean distance (so that it is a median, not a mean, of the
-possible trajectories), the other futures winner-takes-all, the scores to name the nearest future,
-and the spreads on the likelihood of the true trajectory under the nearest one. The epoch that does
-best on validation episodes is kept; there the spreads are also scaled to their nominal coverage.
+The single best guess is trained on its mean distance, which makes it a median of the possible
+trajectories. The other futures are trained winner-takes-all, and the scores name the nearest
+future. The spreads maximise the likelihood of the true trajectory under the nearest one. The epoch
+that does best on validation episodes is kept; there the spreads are also scaled to their nominal
+coverage.
 """
 
 from __future__ import annotations

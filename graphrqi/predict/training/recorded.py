@@ -1,11 +1,10 @@
 """Trains the networks for recordings, with torch.
 
-The first future is trained on its mean distance, the others winner-takes-all, the scores to name
-the nearest of these, and the spreads on the likelihood of what happened under the nearest future.
-Futures along lanes are trained at the same time (`graphrqi.predict.training.recorded_lanes`).
-Each example counts by what constant velocity errs in its dataset, and small datasets are drawn more
-often, so that fast traffic and long recordings do not decide everything. Spreads are scaled on
-recordings apart to their nominal coverage.
+The first future is trained on its mean distance, the others winner-takes-all. The scores name the
+nearest of these. The spreads maximise the likelihood of the truth under the nearest future. Futures
+along lanes are trained at the same time (`graphrqi.predict.training.recorded_lanes`). Each example
+is weighed by the error of constant velocity in its dataset. Small datasets are drawn more often.
+Spreads are scaled on recordings apart to their nominal coverage.
 """
 
 from __future__ import annotations
@@ -54,20 +53,17 @@ WEIGHT_DECAY: Final = 1e-2
 """AdamW's settings (chosen on datasets left out)."""
 
 EPOCHS: Final = 4
-"""Draws of `PER_EPOCH` examples (chosen on datasets left out: after 4, 6 and 10 epochs AV2 has
-.697, .699 and .723 of constant velocity, Peachtree Street .89, .91 and .95)."""
+"""Draws of `PER_EPOCH` examples (chosen on datasets left out)."""
 
 PER_EPOCH: Final = 60_000
 """Examples drawn in an epoch at most."""
 
 EVENNESS: Final = 0.8
-"""Datasets are drawn from by their size to this power (chosen on datasets left out: at .15,
-where small recordings weigh most, AV2 left out has .79 of constant velocity, at .5 .76, at .8
-.75)."""
+"""Datasets are drawn from by their size to this power (chosen on datasets left out)."""
 
 MOST_EXAMPLES: Final = 12_000
-"""Datasets with more examples than this are drawn from as if they had this many (chosen on
-datasets left out: else long simulations and drives in pairs decide most of it)."""
+"""Datasets with more examples than this are drawn from as if they had this many (chosen on datasets
+left out)."""
 
 DROPOUT: Final = 0.1
 """Share of each hidden layer's answers left out in training (chosen on datasets left out; what
@@ -199,7 +195,7 @@ def errors_by_share(network: RecordedNetwork, examples: RecordedExamples) -> Flo
 
 
 def earned_shares(errors: Sequence[FloatArray]) -> FloatArray:
-    """`EARNED` shares that are best on datasets left out, and hardly cost anything on any of them.
+    """`EARNED` shares that are best on datasets left out, and cost little on any of them.
 
     Args:
         errors: of each dataset, from `errors_by_share`.
@@ -212,7 +208,7 @@ def earned_shares(errors: Sequence[FloatArray]) -> FloatArray:
 
 
 def _moments(values: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation of each column; 1 for those that hardly vary."""
+    """Mean and standard deviation of each column; 1 for nearly constant ones."""
     scale = values.std(axis=0, dtype=np.float64)
     return values.mean(axis=0, dtype=np.float64), np.where(scale > 1e-3, scale, 1.0)
 

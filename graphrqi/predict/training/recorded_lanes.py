@@ -1,9 +1,8 @@
 """Trains the network that looks at paths along lanes, with torch.
 
 The path that a vehicle stayed nearest to is the true one, unless it was farther than `OFF_PATH_M`
-from all of them: then it left them. The scores are to name the true one, its futures are trained
-as those without a map are, and the mean of all best guesses, weighed by the probabilities, is to be
-near to what happened.
+from all of them: then it left them. The scores name the true path, and its futures are trained as
+those without a map. The weighted mean of all best guesses is trained on its distance to the truth.
 """
 
 from __future__ import annotations
@@ -88,7 +87,7 @@ class LaneTraining:
         self.module = silu_module((mean.size, *hidden, PATH_OUTPUTS), dropout)
 
     def network(self) -> LaneNetwork:
-        """What has been learned."""
+        """The trained network."""
         return LaneNetwork(self.mean, self.scale, *layers_of(self.module))
 
     def examples(

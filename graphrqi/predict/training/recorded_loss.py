@@ -1,7 +1,7 @@
-"""What the networks for recordings are trained on, in torch.
+"""The training loss of the networks for recordings, in torch.
 
-Of several futures, the winner takes all: the nearest to what happened is drawn to it, the scores
-are to name it, and its spread is to make what happened likely.
+The winner takes all: only the future nearest to the truth is trained. The scores name it, and its
+spread maximises the likelihood of the truth.
 """
 
 from __future__ import annotations

@@ -18,9 +18,8 @@ from graphrqi.spectrum.subspaces import components, laplacian_scale
 MAX_WORK = 1e9
 """Multiplications of a factorisation above which none is tried (a few seconds)."""
 WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
-"""An answer at the smallest end leaves the null space out, or holds a vector of it, if the cosine
-between the two is below or above these (rounding and residuals move it by 1e-4 where eigenvalues
-are not themselves of the order of the tolerance)."""
+"""Cosines with the null space: below the first an answer leaves it out, above the second it holds a
+vector of it."""
 
 
 def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
@@ -31,11 +30,10 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
         tol: residual up to which pairs count as converged, relative to max(1, lambda_max).
 
     Returns:
-        The same pairs, certified if they are converged, orthonormal, and a count of the
-        eigenvalues just beyond the last one finds no more than they are. Where more eigenvalues
-        equal the last one, a count just before it will do. A rounding error in the count that
-        could matter leaves the answer uncertified, and so do vectors of which it cannot be told
-        whether they are to hold the null space.
+        The same pairs, certified if they are converged, orthonormal, and a count of the eigenvalues
+        just beyond the last one finds no more than they are. Where more eigenvalues equal the last
+        one, a count just before it will do. The answer stays uncertified if a rounding error in the
+        count could matter, or if its relation to the null space is unclear.
     """
     from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
     from graphrqi.spectrum.certified.prepared import prepare

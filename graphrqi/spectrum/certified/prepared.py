@@ -1,9 +1,8 @@
 """A Laplacian prepared for factorisations: elimination order, and the pattern of its factor.
 
 References:
-    Liu (1990), The role of elimination trees in sparse factorization, SIMAX 11, 134-172.
-    Cuthill, McKee (1969), Reducing the bandwidth of sparse symmetric matrices, Proc. 24th ACM
-    Conf., 157-172.
+    Liu (1990), The role of elimination trees in sparse factorization, SIMAX 11, 134. Cuthill, McKee
+    (1969), Reducing the bandwidth of sparse symmetric matrices, Proc. 24th ACM Conf., 157-172.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ Ritz: TypeAlias = tuple[Floats, Floats, Floats]
 """(r,) Ritz values, (r,) residuals, and (r, d) unit vectors."""
 
 INDEPENDENT = 1e-3
-"""A column is kept if this part of it is outside the span of the others: orthogonality is then lost
-by a factor 1000 at most, and won back at the end."""
+"""A column is kept if this part of it is outside the span of the others; orthogonality is restored
+at the end."""
 SPARE = 24
 """Vectors kept beyond the wanted number: those of three factorisations."""
 

@@ -12,23 +12,23 @@ Rayleigh-quotient iterations for the k wanted pairs that share their factorisati
 4. The number of negative pivots of each factorisation is the number of eigenvalues below its
    shift (Sylvester's law of inertia). These counts say in which interval an eigenvalue is
    missing; there a new vector is started from noise.
-5. It ends when a count just below the k-th value equals the number of pairs found above it,
-   allowing for the rounding error of the factorisation (largest pivot times unit roundoff).
-   Where eigenvalues equal to the k-th follow, those are found too.
+5. It ends when a count just below the k-th value equals the number of pairs found above it. The
+   rounding error of the factorisation is allowed for. Where eigenvalues equal to the k-th follow,
+   those are found too.
 
 At the smallest end it runs on -L outside the null space, which is known exactly (the component
-indicators). Where the certificate is not reached it starts again without the earlier vectors,
-then falls back on dense solutions by component (d up to 3000), then on ARPACK with a count;
-``note`` says so, and ``certified`` is False if even that could not be shown.
+indicators). Without a certificate it starts again without the earlier vectors. It then falls back
+on dense solutions by component, then on ARPACK with a count. ``note`` names the fallback, and
+``certified`` is False if nothing was shown.
 
-Assumes little fill: costs O(d) per step where the factor has O(d) entries, as for vehicles on roads
-seen at one time; an accumulated graph of a crowded crossing fills in, and each factorisation then
-costs the sum of the squared column counts. Small graphs, and requests for a third of all pairs or
-more, are answered densely by component, which is faster there.
+Assumes little fill: costs O(d) per step where the factor has O(d) entries, as for vehicles seen at
+one time. The accumulated graph of a crowded crossing fills in. Each factorisation then costs the
+sum of the squared column counts. Small graphs, and requests for a third of all pairs or more, are
+answered densely by component, which is faster there.
 
 References:
-    Parlett (1998), The Symmetric Eigenvalue Problem, sections 3.3, 4.6-4.9, 11.
-    Grimes, Lewis, Simon (1994), A shifted block Lanczos algorithm, SIMAX 15, 228-272.
+    Parlett (1998), The Symmetric Eigenvalue Problem, chapters 3, 4 and 11. Grimes, Lewis, Simon
+    (1994), A shifted block Lanczos algorithm, SIMAX 15.
 
 Examples:
     >>> road = [(i, i + 1) for i in range(99)]
@@ -70,11 +70,11 @@ MAX_SWEEPS_COLD = 150
 DENSE_UP_TO = 3000
 """Vehicles up to which the fallback is dense: 9e6 doubles."""
 STALE = 1.15
-"""Growth of the fill after which vertices are ordered anew: ordering costs as much (measured)."""
+"""Growth of the fill after which vertices are ordered again (measured)."""
 
 
 class Carried(NamedTuple):
-    """What the next step starts from.
+    """The start of the next step.
 
     Attributes:
         vectors: (d, m) all eigenvectors found, m >= k, without the null space.
@@ -155,7 +155,7 @@ def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
 
 
 def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
-    """What is known of this graph from the earlier answer; vectors by row of this graph."""
+    """The start from the earlier answer; vectors by row of this graph."""
     if previous is None:
         return Carried(np.empty((graph.ids.size, 0)))
     found = previous.carried
@@ -163,7 +163,7 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
         found = Carried(previous.eigenvectors)
     if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
         found = Carried(carry_rows(previous, graph, found.vectors))
-    if not found.vectors.flags.writeable:  # for another type the kernel would be compiled anew
+    if not found.vectors.flags.writeable:  # another type would compile the kernel again
         found = found._replace(vectors=found.vectors.copy())
     return found
 

@@ -1,8 +1,7 @@
 """Kernel of the certified tracker: Rayleigh-quotient iterations that share their factorisations.
 
-All vectors are in elimination order, and M is L at the largest end and -L at the smallest, so that
-the wanted eigenvalues are always the largest of M. The steps are those of
-`graphrqi.spectrum.certified.solver`.
+All vectors are in elimination order. M is L at the largest end and -L at the smallest: the wanted
+eigenvalues are always M's largest. The steps are those of `graphrqi.spectrum.certified.solver`.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ MAX_START = 32
 
 
 class Goal(NamedTuple):
-    """What is searched for: the k largest eigenpairs of M.
+    """The search for the k largest eigenpairs of M.
 
     Attributes:
         k: wanted pairs, at least 1.

@@ -13,7 +13,7 @@ from graphrqi.spectrum.spectrum import Floats, Spectrum
 
 @dataclass(frozen=True, eq=False)
 class GraphChange:
-    """What distinguishes a graph from an earlier one.
+    """The edges in which a graph differs from an earlier one.
 
     Attributes:
         edges: (m, 2) ids of the edges that only one of them has.
@@ -60,7 +60,7 @@ class AllPairs:
 
 
 def all_pairs_before(previous: Spectrum | None, graph: TrafficGraph) -> AllPairs | None:
-    """What an earlier answer carried, if all its vehicles are the first rows of a graph."""
+    """All pairs of an earlier answer, if its vehicles are the first rows of a graph."""
     if previous is None or not isinstance(previous.carried, AllPairs):
         return None
     before = previous.graph.ids

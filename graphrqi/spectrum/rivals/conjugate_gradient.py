@@ -1,11 +1,10 @@
 """Inverse iteration whose linear systems are solved by conjugate gradients.
 
-A block of k vectors is multiplied by the inverse of L (smallest end, outside the null space) or
-of s I - L (largest end, s above the spectrum, where it is positive definite too), followed by a
-Rayleigh-Ritz step. Needs only products with L, O((m + d) k) each, and no factorisation; but inverse
-iteration converges like the ratio of neighbouring eigenvalues of the shifted matrix, which at the
-largest end is close to 1, and conjugate gradients need the square root of the condition number of
-products for each system: it is slow everywhere and often stops at its limit unconverged.
+A block of k vectors is multiplied by the inverse of L (smallest end) or of s I - L (largest end, s
+above the spectrum). A Rayleigh-Ritz step follows. It needs only products with L, O((m + d) k) each,
+and no factorisation. Inverse iteration converges like the ratio of neighbouring eigenvalues, which
+is close to 1 at the largest end. Each system needs about the root of its condition number of
+products. It is slow and often stops unconverged.
 
 References:
     Hestenes, Stiefel (1952), J. Res. NBS 49, 409-436.

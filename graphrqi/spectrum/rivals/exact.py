@@ -4,16 +4,16 @@ With w_e = e_i - e_j for every edge that came (s_e = 1) or went (-1),
 
     L_t = blk(L_{t-1}, 0) + W S W^T,
 
-so in the old eigenbasis (padded with e_new at eigenvalue 0) the inverse of
-Lambda - mu I + W^ S W^^T is Woodbury's formula with one (p, p) system per pair.
+so Woodbury's formula gives the inverse of Lambda - mu I + W^ S W^^T in the old eigenbasis, with one
+(p, p) system per pair.
 
-Differs from the paper: the update is a Laplacian, p edges at once; pairs that converge to one and
-the same vector are found by orthogonalisation and made up for by a Rayleigh-Ritz step in the
-complement (deflation); the iteration stops on its residual.
+Differs from the paper: the update is a Laplacian, p edges at once. Pairs that converge to the same
+vector are replaced by a Rayleigh-Ritz step in the complement (deflation). The iteration stops on
+its residual.
 
 Assumes that the vehicles of the earlier graph are all still there (else it starts from a dense
 solution) and that few edges changed. Costs O(d p^2) for each of d pairs and O(d^3) for the
-back-transformation with d^2 memory: asymptotically no better than solving anew.
+back-transformation with d^2 memory: asymptotically no better than a new solution.
 
 """
 
@@ -32,7 +32,7 @@ MAX_ITERATIONS = 8
 DEPENDENT = 0.1
 """A converged vector with less of it than this outside the span of the others is a duplicate."""
 RESTART_EDGES = 2.0
-"""Changed edges, in units of the square root of d, above which it solves anew."""
+"""Changed edges, in units of the square root of d, above which it starts from a dense solution."""
 
 
 @eigensolver()
@@ -70,8 +70,8 @@ def update(
 ) -> tuple[Floats, Floats]:
     """All eigenpairs of d vehicles, ascending, after the change of p edges.
 
-    The first of the vehicles are those of ``old``; ``ends`` (p, 2) are the rows of the edges, whose
-    ``signs`` (p,) are 1 or -1; ``goal`` is the residual at which a pair has converged.
+    The first vehicles are those of ``old``. ``ends`` (p, 2) are rows of the edges, and ``signs``
+    (p,) are 1 or -1. ``goal`` is the residual of convergence.
     """
     c = old.values.size
     spread = np.concatenate([old.values, np.zeros(d - c)])

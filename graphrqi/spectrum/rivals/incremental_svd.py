@@ -1,13 +1,12 @@
 """Brand's incremental SVD: fold each change of the matrix into a rank-k approximation.
 
-Assumes that the matrix is of low rank, or nearly: what lies outside the k columns is thrown away
-at every step. A Laplacian has full rank (d less the number of components), so the error left
-after some steps is of the order of its (k+1)-th eigenvalue: residuals of order 1. Costs O(d (k +
-p)^2) for p changed edges.
+Assumes that the matrix is of low rank, or nearly: what lies outside the k columns is thrown away at
+every step. A Laplacian has full rank outside its null space. The error after several steps is of
+the order of its (k+1)-th eigenvalue. Costs O(d (k + p)^2) for p changed edges.
 
 References:
-    Brand (2006), Fast low-rank modifications of the thin singular value decomposition,
-    Linear Algebra and its Applications 415, 20-30.
+    Brand (2006), Fast low-rank modifications of the thin singular value decomposition, Linear
+    Algebra and its Applications 415.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """Locally optimal block preconditioned conjugate gradients, warm-started (scipy's lobpcg).
 
 Needs products with L only, and improves the earlier vectors: O((m + d k) k) per iteration. Without
-a preconditioner its convergence depends on the gap after the k-th pair relative to the whole
-spectrum; at the smallest end of a long road that takes hundreds of iterations, cut off here.
-Started from vectors of the last graph it holds on to them, and does not see an eigenvalue that
-arrived outside their span.
+a preconditioner its convergence depends on the gap after the k-th pair relative to the spectrum.
+The smallest end of a long road would take hundreds of iterations. Started from vectors of the last
+graph it holds on to them, and does not see an eigenvalue that arrived outside their span.
 
 References:
     Knyazev (2001), SIAM J. Sci. Comput. 23, 517-541.

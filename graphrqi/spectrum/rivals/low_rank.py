@@ -1,9 +1,9 @@
-"""What the two low-rank tracking methods share: the matrix they track and its changes.
+"""Shared by the two low-rank tracking methods: the matrix they track and its changes.
 
-Both keep the k largest pairs of a matrix M: the Laplacian itself at the largest end, s I - L at
-the smallest, where s bounds the spectrum (and the null space, if it is to be left out, is taken
-away from the k kept, so one more column per component is tracked). Where vehicles departed, or the
-spectrum outgrew the old bound, they start from a dense solution.
+Both keep the k largest pairs of a matrix M. It is the Laplacian at the largest end, and s I - L at
+the smallest, where s bounds the spectrum. One more column per component is tracked where the null
+space is left out. Where vehicles departed, or the spectrum outgrew the old bound, they start from a
+dense solution.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from graphrqi.spectrum.subspaces import carry_rows, dense_pairs, pick, rayleigh_
 class Tracked:
     """The rank-r approximation M ~ U diag(values) U^T that is carried from step to step.
 
-    ``bound`` is the s of s I - L, 0 at the largest end; ``base`` the graph of the last restart, and
-    ``base_loss`` the squared Frobenius norm of M's rest then.
+    ``bound`` is the s of s I - L, or 0. ``base`` is the graph of the last restart, ``base_loss``
+    its loss (squared Frobenius norm).
     """
 
     values: Floats

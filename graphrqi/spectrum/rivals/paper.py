@@ -4,13 +4,13 @@ Chandra et al. (2020), eq. 2 and algorithm 1: every arrival of edges at a vehicl
 
     L_t = [L_{t-1} 0; 0 1] + delta delta^T
 
-(without the border where the vehicle was there already), delta being 1 at its new neighbours,
-and each eigenpair follows by Rayleigh-quotient iterations x <- (L_t - mu I)^-1 x, the inverse by
-Sherman-Morrison in the old eigenbasis. For no binary delta is this matrix a Laplacian, so the
-pairs drift away from the graph's by order 1 at the first step; edges that vanish have no update
-at all; several pairs converge to the same vector, so the columns are not orthonormal. Nothing here
-mends that: the answer's ``residuals`` say what it costs. docs/spectrum.md shows each error in two
-lines; `graphrqi.spectrum.rivals.exact` is the same algorithm made right.
+(without the border where the vehicle was there already). delta is 1 at its new neighbours. Each
+eigenpair follows by Rayleigh-quotient iterations x <- (L_t - mu I)^-1 x, the inverse by
+Sherman-Morrison in the old eigenbasis. This matrix is not a Laplacian for any binary delta, so the
+pairs drift from the graph's at the first step. Edges that vanish have no update. Several pairs
+converge to the same vector, so the columns are not orthonormal. The answer's ``residuals`` show the
+resulting error. docs/spectrum.md shows each error in two lines; `graphrqi.spectrum.rivals.exact` is
+the same algorithm made right.
 
 The printed loop, "while ||x_new - x_old|| <= eps", is reversed (it would stop at once); it is run
 the way it must have been meant. Costs O(d^2) per iteration and O(d^3) per arrival.

@@ -1,9 +1,9 @@
 """TIMERS: first-order perturbation of k pairs, and a restart when a bound says it drifted.
 
-Each step moves the k pairs by first-order perturbation theory inside their own span. The loss
-||M - U diag(s) U^T||_F^2 of that is compared with a lower bound on what the best rank-k
-approximation could have: the loss at the last restart, plus the change of trace of M M^T, less the
-k largest eigenvalues of that change. Beyond a margin the pairs are computed anew.
+Each step moves the k pairs by first-order perturbation theory inside their own span. The loss ||M -
+U diag(s) U^T||_F^2 is compared with a lower bound on that of the best rank-k approximation. The
+bound is the loss at the last restart plus the change of trace of M M^T, less that change's k
+largest eigenvalues. Beyond a margin the method restarts.
 
 Assumes changes that are small against the gaps between eigenvalues; a traffic graph's are not,
 so it restarts at most steps, and costs what its dense restart costs. Between restarts its vectors

@@ -1,12 +1,11 @@
 """scikit-learn's TruncatedSVD: a randomised range finder with power iterations.
 
-Built for matrices whose singular values fall off quickly. A traffic graph's do not (the largest
-lie .02 to .5 apart in 8 to 27), so five power iterations leave residuals of order .1: fast, and
-wrong by any tolerance worth naming. At the smallest end it works on s I - L, where s bounds the
+Built for matrices whose singular values fall off quickly. A traffic graph's do not, so that five
+power iterations leave large residuals. At the smallest end it works on s I - L, where s bounds the
 spectrum, whose largest eigenvalues lie closer still. Costs O((m + d k) k) per power iteration.
 
 References:
-    Halko, Martinsson, Tropp (2011), Finding structure with randomness, SIAM Review 53, 217-288.
+    Halko, Martinsson, Tropp (2011), Finding structure with randomness, SIAM Review 53, 217.
 """
 
 from __future__ import annotations

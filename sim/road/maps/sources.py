@@ -108,7 +108,7 @@ class Source:
     Attributes:
         content: the file.
         left_hand: whether traffic drives on the left.
-        warnings: what was assumed, a sentence each.
+        warnings: assumptions, a sentence each.
         unlimited: roads whose limit is not in the map.
         roads: roads for cars.
     """
