@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
+from sim.formats.common.recording import Recording, Rows, recorded
 from sim.formats.common.tables import read_text
 from sim.frames import AgentKind
 from sim.input_files import opened, plain_name, stem
@@ -49,7 +49,8 @@ _COLUMNS: Final = (
     "height", "width", "length", "x", "y", "z", "angle",
 )  # fmt: skip
 _PLACE: Final = ("x", "y", "z")
-_NUMBERS: Final = ("frame", "width", "length", *_PLACE, "angle")
+_SIDES: Final = ("length", "width")
+_NUMBERS: Final = ("frame", *_PLACE, "angle")
 _POSE: Final = ("latitude", "longitude", "altitude", "roll", "pitch", "yaw")
 """Columns of labels and of poses, in order."""
 
@@ -77,7 +78,7 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is missing or broken; the message names file and line.
     """
-    table = read_text(path, _COLUMNS, _NUMBERS, ("agent", "type"))
+    table = read_text(path, _COLUMNS, _NUMBERS, ("agent", "type", *_SIDES))
     road_agents, others = table.among("type", TYPES)
     unknown = next((word for word in others if word not in LEFT_OUT), None)
     if unknown is not None:
@@ -102,7 +103,12 @@ def read(path: Path) -> Iterator[Recording]:
     ego = poses[:, :2, 3] + poses[:, :2, :2] @ np.array(EGO_CENTRE_M)
     ego_heading = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     frames = np.arange(len(poses))
-    sizes = first_sizes(agent, boxes.stacked("length", "width"))
+    _, first = np.unique(agent, return_index=True)
+    sides = [np.array(boxes.words(side))[first] for side in _SIDES]  # later ones are not read
+    try:
+        sizes = np.stack(sides, axis=1).astype(np.float64)
+    except ValueError:
+        raise InputError(f"{path}: found a size that is no number, expected metres") from None
     heading = np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), ego_heading)
     rows = Rows(
         np.append(agent, np.full(frames.size, len(names))),
