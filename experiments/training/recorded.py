@@ -1,4 +1,4 @@
-"""Trains the predictor for recordings: ``graphrqi train-predictor DATA... --out FOLDER``.
+"""Trains the predictor for recordings: ``graphrqi train --predictor DATA... --out FOLDER``.
 
 Every instant of a recording is used several times: as recorded, and in altered versions with
 noise, fewer frames, shorter pasts or speeds constant between key frames. Half of these are

@@ -115,7 +115,7 @@ def predict(
         road: the map; without one, only predictors of `NO_MAP_NEEDED` answer.
         horizon_s: how far ahead, s.
         predictor: a key of ``PREDICTORS``.
-        weights: folder that ``graphrqi train-predictor`` wrote; None for the shipped network.
+        weights: folder that ``graphrqi train --predictor`` wrote; None for the shipped network.
         window: which agents are predicted; None for everybody.
 
     Returns:

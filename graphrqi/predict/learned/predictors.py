@@ -117,7 +117,7 @@ def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
 
 
 def with_weights(folder: Path) -> Predictor:
-    """`graphrqi_predict` with weights for recordings that ``graphrqi train-predictor`` wrote.
+    """`graphrqi_predict` with weights for recordings that ``graphrqi train --predictor`` wrote.
 
     Args:
         folder: as given to the command as ``--out``.

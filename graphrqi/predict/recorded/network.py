@@ -311,7 +311,7 @@ def shipped_network() -> RecordedNetwork:
 
 @functools.lru_cache(maxsize=4)
 def trained_network(folder: Path) -> RecordedNetwork:
-    """The network that ``graphrqi train-predictor`` wrote into a folder.
+    """The network that ``graphrqi train --predictor`` wrote into a folder.
 
     Raises:
         InputError: if there is none.
