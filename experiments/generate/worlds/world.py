@@ -82,6 +82,7 @@ class World:
     def options(self) -> dict[str, Any]:
         """All numbers, flat, as they are kept with the episode."""
         settings, road = dataclasses.asdict(self.settings), dataclasses.asdict(self.road)
+        del settings["options"]  # worlds have none
         return {
             **{name: settings[name] for name in settings if name != "longest_step_s"},
             "law": self.law,
