@@ -18,7 +18,7 @@ from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from experiments.score.metrics import bootstrap, ratio
 from experiments.score.rows import Cell, Row, tidy_row
-from sim.episode.annotate import MAX_STEP_S, MIN_FRAMES, annotate
+from sim.episode.annotate import annotated_parts
 from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import KINDS, PEDESTRIAN, Event, EventKind, FloatArray, IntArray
@@ -149,8 +149,7 @@ def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArr
         events, shown, gaps = _annotated(TrajectoryRows.of(tracks), road)
     else:
         events, shown = tracks.events, episode.shown_traits
-        steps = dataset.scan("steps", scenario=entry.scenario, split=entry.split)
-        own = steps.to_table(["agent", "speed_mps", "gap_m"], pc.field("episode") == entry.id)
+        own = dataset.rows(entry, "steps", ["agent", "speed_mps", "gap_m"])
         known = own.filter(pc.is_valid(own["gap_m"]))
         speed, gap = known["speed_mps"].to_numpy(), known["gap_m"].to_numpy()
         gaps = [(known["agent"].to_numpy(), speed, gap)]
@@ -166,10 +165,7 @@ def _annotated(
 ) -> tuple[list[Event], list[ShownTrait], list[Gaps]]:
     """Events, shown traits, and (ids, speeds, gaps) of the parts of a recording."""
     events, shown, gaps = list[Event](), list[ShownTrait](), list[Gaps]()
-    for part in steps.between_breaks():
-        if part.time_s.size < MIN_FRAMES or part.step_s > MAX_STEP_S:
-            continue
-        found = annotate(part, road, recorded=True)
+    for part, found in annotated_parts(steps, road):
         events += found.events
         shown += found.shown_traits
         near = np.isfinite(found.gap)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -66,13 +67,30 @@ def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> An
     return Annotations(inputs, events, shown_traits(steps.ids, inputs), *seen, met)
 
 
-def annotate_recording(
+def annotated_parts(
     steps: TrajectoryRows, road: Road
-) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
-    """Find the events and shown traits of a recording, whose frames may have breaks between them.
+) -> Iterator[tuple[TrajectoryRows, Annotations]]:
+    """Annotate a recording, whose frames may have breaks between them.
 
     Parts between breaks are annotated separately, because the motion in a break is unknown.
     Parts whose frames are more than `MAX_STEP_S` apart are not annotated.
+
+    Args:
+        steps: a recording.
+        road: where it happened.
+
+    Yields:
+        Each part with what was found in it, in order of time.
+    """
+    for part in steps.between_breaks():
+        if part.time_s.size >= MIN_FRAMES and part.step_s <= MAX_STEP_S:
+            yield part, annotate(part, road, recorded=True)
+
+
+def annotate_recording(
+    steps: TrajectoryRows, road: Road
+) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
+    """Find the events and shown traits of the `annotated_parts` of a recording.
 
     Args:
         steps: a recording.
@@ -83,10 +101,7 @@ def annotate_recording(
     """
     events: list[Event] = []
     shown: list[ShownTrait] = []
-    for part in steps.between_breaks():
-        if part.time_s.size < MIN_FRAMES or part.step_s > MAX_STEP_S:
-            continue
-        found = annotate(part, road, recorded=True)
+    for _, found in annotated_parts(steps, road):
         events += found.events
         shown += found.shown_traits
     return tuple(events), tuple(shown)

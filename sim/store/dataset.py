@@ -42,9 +42,10 @@ from sim.store.schema import (
     EpisodeEntry,
     Manifest,
     Split,
+    TableName,
     table_schema,
 )
-from sim.store.shards import ShardName
+from sim.store.shards import ShardName, read_rows
 
 SHOWN_EPISODES: Final = 10
 """Most episodes that a notebook shows of a dataset."""
@@ -246,6 +247,21 @@ class Dataset:
             InputError: if a file is missing, altered, or does not fit the schema; names the file.
         """
         return Episode(entry, *read_tables(self._place, entry))
+
+    def rows(
+        self, entry: EpisodeEntry, table: TableName, columns: list[str] | None = None
+    ) -> pa.Table:
+        """An episode's rows of one table, read from its own part of the file.
+
+        Args:
+            entry: one of `episodes`.
+            table: its name.
+            columns: those to read; None for all.
+
+        Raises:
+            InputError: if the file is missing, altered, or does not fit the schema; names the file.
+        """
+        return read_rows(self._place, table, entry, columns)
 
     def conflicts(self, entry: EpisodeEntry) -> Conflicts:
         """The conflicts of an episode, as `sim.safety.conflicts` finds them in its tracks.
