@@ -228,7 +228,7 @@ def opened(place: Place, file: str) -> Iterator[pq.ParquetFile]:
         known = _footer(place.url, file, place.stamp(file))
         with place.for_arrow(file) as source:
             yield pq.ParquetFile(source, metadata=known, page_checksum_verification=True)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
         reason = " ".join(str(error).split())
