@@ -1,8 +1,8 @@
 """Driver behaviours: labels, traits, profiles, and the driver models they parameterise."""
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, TRAITS, Behavior, Style, Trait
-from behaviors.profiles import PROFILES, Profile, sample_profile
+from behaviors.labels import BEHAVIORS, PROFILES, TRAITS, Behavior, Style, Trait, read_behaviors
+from behaviors.profiles import Profile, sample_profile
 
 __all__ = [
     "BEHAVIORS",
@@ -13,5 +13,6 @@ __all__ = [
     "Profile",
     "Style",
     "Trait",
+    "read_behaviors",
     "sample_profile",
 ]

@@ -7,17 +7,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from behaviors.labels import Behavior
+from behaviors.labels import BEHAVIORS
 
-COLORS: Final[dict[Behavior, str]] = {
-    Behavior.IMPATIENT: "#E69F00",
-    Behavior.RECKLESS: "#D55E00",
-    Behavior.THREATENING: "#CC79A7",
-    Behavior.CAREFUL: "#0072B2",
-    Behavior.CAUTIOUS: "#56B4E9",
-    Behavior.TIMID: "#009E73",
-}
-"""sRGB, as in HTML."""
+COLORS: Final[dict[str, str]] = {str(one): one.color for one in BEHAVIORS}
+"""Those of the six by name; sRGB, as in HTML."""
 
 UNKNOWN_COLOR: Final = "#8C8C8C"
 """The colour of agents without a behaviour: pedestrians, and drivers not yet classified."""

@@ -1,14 +1,22 @@
-"""The six driver behaviours, their two styles, and the traits that show them.
+"""Driver behaviours as data: the six of the paper and those of one's own, with their traits.
 
 Table I of the paper "GraphRQI: Classifying Driver Behaviors Using Graph Spectrums" (ICRA 2020)
-assigns observable traits to behaviours; here it is data. Class codes are defined here and nowhere
-else: the position of a behaviour in ``BEHAVIORS``.
+assigns observable traits to behaviours; ``shipped/six.toml`` holds it, with the numbers of each
+behaviour's median driver. Class codes are defined here and nowhere else: the position of a
+behaviour in ``BEHAVIORS``. A file of one's own has a table for each behaviour.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from enum import StrEnum
-from typing import Final
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from behaviors.errors import InputError, lookup
+from behaviors.profiles import PROFILE_FIELDS, Profile
+from behaviors.toml_files import read_toml
 
 
 class Style(StrEnum):
@@ -16,40 +24,6 @@ class Style(StrEnum):
 
     AGGRESSIVE = "aggressive"
     CONSERVATIVE = "conservative"
-
-
-class Behavior(StrEnum):
-    """How a driver drives; the members' order is the class order everywhere.
-
-    Examples:
-        >>> Behavior("timid").style
-        <Style.CONSERVATIVE: 'conservative'>
-        >>> Behavior.RECKLESS.code
-        1
-    """
-
-    IMPATIENT = "impatient"
-    RECKLESS = "reckless"
-    THREATENING = "threatening"
-    CAREFUL = "careful"
-    CAUTIOUS = "cautious"
-    TIMID = "timid"
-
-    @property
-    def style(self) -> Style:
-        """The parent class."""
-        return Style.AGGRESSIVE if self in _AGGRESSIVE else Style.CONSERVATIVE
-
-    @property
-    def code(self) -> int:
-        """The class code: position in ``BEHAVIORS``."""
-        return BEHAVIORS.index(self)
-
-
-_AGGRESSIVE: Final = frozenset({Behavior.IMPATIENT, Behavior.RECKLESS, Behavior.THREATENING})
-
-BEHAVIORS: Final[tuple[Behavior, ...]] = tuple(Behavior)
-"""The class order: code c means ``BEHAVIORS[c]``. Unknown is -1."""
 
 
 class Trait(StrEnum):
@@ -72,21 +46,194 @@ class Trait(StrEnum):
     WAITING = "waiting for vehicles or pedestrians"
 
 
+class Behavior(str):
+    """How a driver drives: a name that carries what belongs to it.
+
+    Attributes:
+        style: the parent class.
+        color: wherever it is drawn; sRGB, as in HTML.
+        profile: its median driver.
+        like: the behaviour whose numbers fill those left out; itself for the six.
+        traits: that show it.
+        source: where its numbers come from.
+
+    Examples:
+        >>> Behavior.TIMID.style, Behavior.RECKLESS.code
+        (<Style.CONSERVATIVE: 'conservative'>, 1)
+    """
+
+    IMPATIENT: ClassVar[Behavior]
+    RECKLESS: ClassVar[Behavior]
+    THREATENING: ClassVar[Behavior]
+    CAREFUL: ClassVar[Behavior]
+    CAUTIOUS: ClassVar[Behavior]
+    TIMID: ClassVar[Behavior]
+
+    style: Style
+    color: str
+    profile: Profile
+    like: str
+    traits: tuple[Trait, ...]
+    source: str
+
+    def __new__(
+        cls,
+        name: str,
+        style: Style,
+        color: str,
+        profile: Profile,
+        like: str,
+        traits: tuple[Trait, ...] = (),
+        source: str = "",
+    ) -> Behavior:
+        """A behaviour of that name."""
+        self = super().__new__(cls, name)
+        vars(self).update(
+            style=style, color=color, profile=profile, like=like, traits=traits, source=source
+        )
+        return self
+
+    def __reduce__(self) -> tuple[type[Behavior], tuple[Any, ...]]:
+        """How it is pickled: by everything that belongs to it."""
+        return Behavior, (str(self), *(vars(self)[name] for name in _PARTS))
+
+    def __repr__(self) -> str:
+        """Its name, as that of a class attribute."""
+        return f"<Behavior.{self.upper()}: {str(self)!r}>"
+
+    @property
+    def base(self) -> Behavior:
+        """The one of the six that it is like."""
+        return next(one for one in BEHAVIORS if one == self.like)
+
+    @property
+    def code(self) -> int:
+        """The class code among the six: position in ``BEHAVIORS``."""
+        return BEHAVIORS.index(self)
+
+    def table(self) -> dict[str, Any]:
+        """What a file says of it, with every number; equal for equal behaviours."""
+        return {
+            "style": str(self.style),
+            "color": self.color,
+            "like": self.like,
+            "traits": [str(trait) for trait in self.traits],
+            "source": self.source,
+            **{name: getattr(self.profile, name) for name in PROFILE_FIELDS},
+        }
+
+
+_PARTS: Final = ("style", "color", "profile", "like", "traits", "source")
+
+SHIPPED: Final = {
+    path.stem: path for path in sorted(Path(__file__).with_name("shipped").glob("*.toml"))
+}
+"""The files of behaviours that ship, by name."""
+
+OWN_COLOR: Final = "#000000"
+"""The colour of a behaviour of one's own whose file names none."""
+
+
+def _behavior(name: str, said: Mapping[str, Any], known: Mapping[str, Behavior]) -> Behavior:
+    """A behaviour from its table; numbers left out are those of a known one."""
+    if not isinstance(said, Mapping):
+        raise InputError(f"{name:.60}: found {said!r:.60}, expected a table of a behaviour")
+    if not re.fullmatch("[a-z][a-z0-9_-]{0,39}", name) or name in tuple(Style):
+        raise InputError(f"{name!r:.60}: expected a name of small letters that is no style's")
+    for key in said:
+        lookup(dict.fromkeys((*_PARTS[:2], *_PARTS[3:], *PROFILE_FIELDS)), key, f"key of {name}")
+    like = said.get("like")
+    if known and like is None:
+        raise InputError(f"{name}.like: found none, expected one of {', '.join(known)}")
+    base = lookup(known, str(like), f"{name}.like") if known else None
+    style = said.get("style", "" if base is None else str(base.style))
+    color = said.get("color", OWN_COLOR)
+    if not re.fullmatch("#[0-9A-Fa-f]{6}", str(color)):
+        raise InputError(f"{name}.color: found {color!r:.60}, expected one such as '#009E73'")
+    numbers = {key: said[key] for key in PROFILE_FIELDS if key in said}
+    for key, value in numbers.items():
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise InputError(f"{name}.{key}: found {value!r:.60}, expected a number")
+    filled = {} if base is None else {key: getattr(base.profile, key) for key in PROFILE_FIELDS}
+    try:
+        profile = Profile(**{**filled, **{key: float(value) for key, value in numbers.items()}})
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    traits = said.get("traits", [])
+    if not isinstance(traits, list | tuple):
+        raise InputError(f"{name}.traits: found {traits!r:.60}, expected a list")
+    return Behavior(
+        name,
+        lookup({str(style): style for style in Style}, str(style), f"{name}.style"),
+        str(color),
+        profile,
+        name if base is None else base.like,
+        tuple(lookup({str(t): t for t in Trait}, str(one), f"trait of {name}") for one in traits),
+        str(said.get("source", ""))[:500],
+    )
+
+
+def _all_of(tables: Mapping[str, Any], known: Mapping[str, Behavior]) -> tuple[Behavior, ...]:
+    """The behaviours of a file; each may be like one that stands before it."""
+    found: dict[str, Behavior] = {}
+    for name, said in tables.items():
+        if name in known:
+            raise InputError(f"{name}: found a behaviour of that name already, expected another")
+        found[name] = _behavior(name, said, {**known, **found} if known else {})
+    return tuple(found.values())
+
+
+BEHAVIORS: Final[tuple[Behavior, ...]] = _all_of(read_toml(SHIPPED.pop("six")), {})
+"""The class order of the six: code c means ``BEHAVIORS[c]``. Unknown is -1."""
+
+for _one in BEHAVIORS:
+    setattr(Behavior, _one.upper(), _one)
+
+PROFILES: Final[dict[Behavior, Profile]] = {one: one.profile for one in BEHAVIORS}
+"""The median driver of each behaviour."""
+
 TRAITS: Final[dict[Trait, Behavior]] = {
-    Trait.OVERTAKING: Behavior.IMPATIENT,
-    Trait.OVER_SPEEDING: Behavior.IMPATIENT,
-    Trait.TAILGATING: Behavior.IMPATIENT,
-    Trait.WEAVING: Behavior.IMPATIENT,
-    Trait.CUTTING_IN: Behavior.THREATENING,
-    Trait.DRIVING_CLOSE: Behavior.THREATENING,
-    Trait.WRONG_DIRECTION: Behavior.RECKLESS,
-    Trait.JAYWALKING: Behavior.RECKLESS,
-    Trait.BREAKING_RULES: Behavior.RECKLESS,
-    Trait.KEEPING_NEIGHBORS: Behavior.CAREFUL,
-    Trait.UNIFORM_SPEED: Behavior.CAREFUL,
-    Trait.FOLLOWING_RULES: Behavior.CAREFUL,
-    Trait.NOT_MOVING: Behavior.TIMID,
-    Trait.SLOWING: Behavior.TIMID,
-    Trait.WAITING: Behavior.CAUTIOUS,
+    trait: next(one for one in BEHAVIORS if trait in one.traits) for trait in Trait
 }
 """The paper's trait table: which behaviour each trait belongs to."""
+
+
+def read_behaviors(source: str | Path | Mapping[str, Any] | None) -> tuple[Behavior, ...]:
+    """Behaviours of one's own, beside the six.
+
+    Args:
+        source: names of files that ship, separated by commas; the path of a TOML file, which has a
+            dot or a slash in it; what such a file says; or None for none.
+
+    Raises:
+        InputError: if a file is missing or broken, or a value out of range; the message names it.
+
+    Examples:
+        >>> distracted, = read_behaviors("distracted")
+        >>> distracted.style, distracted.like, distracted.profile.reaction_time_s
+        (<Style.CONSERVATIVE: 'conservative'>, 'careful', 1.5)
+    """
+    known = {str(one): one for one in BEHAVIORS}
+    if source is None or isinstance(source, Mapping):
+        return _all_of(source or {}, known)
+    text = str(source)
+    named = isinstance(source, str) and not any(mark in text for mark in "./\\")
+    found: dict[str, Behavior] = {}
+    for one in text.split(",") if named else [text]:
+        path = lookup(SHIPPED, one.strip(), "behaviour") if named else Path(one)
+        try:
+            found |= {str(b): b for b in _all_of(read_toml(path), {**known, **found})}
+        except InputError as error:
+            said = str(error)
+            raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
+    return tuple(found.values())
+
+
+def tables_of(behaviors: tuple[Behavior, ...]) -> dict[str, Any]:
+    """Behaviours as one table that `read_behaviors` reads back, equal.
+
+    Examples:
+        >>> read_behaviors(tables_of(read_behaviors("novice"))) == read_behaviors("novice")
+        True
+    """
+    return {str(one): one.table() for one in behaviors}

@@ -1,8 +1,12 @@
-"""Physical numbers for each behaviour, and drivers drawn around them.
+"""A driver's numbers, and drivers drawn around those of a behaviour.
 
-A `Profile` gives what a driver wants, dares and obeys. Every driver of every behaviour follows the
-same car-following and lane-change law with the same noise. Only these numbers differ between
-behaviours.
+A `Profile` gives what a driver wants, dares, obeys and perceives. Every driver of every behaviour
+follows the same car-following and lane-change law with the same noise. Only these numbers differ
+between behaviours.
+
+References:
+    Treiber, Kesting, Helbing (2006), Delays, inaccuracies and anticipation in microscopic traffic
+        models, Physica A 360, 71: the human driver model.
 """
 
 from __future__ import annotations
@@ -15,7 +19,6 @@ import numpy as np
 
 from behaviors.elementwise import exponential
 from behaviors.errors import InputError
-from behaviors.labels import Behavior
 
 DEFAULT_SPREAD: Final = 0.15
 """Log-normal spread of every positive number between drivers of one behaviour (our choice)."""
@@ -54,6 +57,14 @@ class Profile:
         cut_in_rate_per_min: wish to cut in front of a chosen neighbour, per minute.
         stop_rate_per_min: unprovoked slowing or stopping, per minute.
         wrong_way_rate_per_min: wish to drive on the opposite side to get past, per minute.
+        reaction_time_s: age of what the driver perceives of its leader, s.
+        perception_noise: standard deviation of the relative error of the perceived gap, which
+            drifts within `ERROR_TIME_S`; the error of the closing speed is `CLOSING_ERROR_PER_S`
+            times as large per metre of gap.
+        lapse_rate_per_min: lapses of attention, per minute.
+        lapse_s: mean duration of a lapse, in which the driver goes on as it was, s.
+        overlook_probability: chance not to see a vehicle with priority, a pedestrian or a light,
+            drawn once per encounter.
     """
 
     speed_factor: float
@@ -76,6 +87,11 @@ class Profile:
     cut_in_rate_per_min: float
     stop_rate_per_min: float
     wrong_way_rate_per_min: float
+    reaction_time_s: float = 0.0
+    perception_noise: float = 0.0
+    lapse_rate_per_min: float = 0.0
+    lapse_s: float = 0.0
+    overlook_probability: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what no driver can be."""
@@ -89,6 +105,11 @@ class Profile:
         for name in ("speed_factor", "time_headway_s", "max_accel_mps2", "comfort_decel_mps2"):
             if getattr(self, name) == 0:
                 raise InputError(f"Profile.{name}: found 0, expected a number > 0")
+        for name, most in _MOST.items():
+            if getattr(self, name) > most:
+                raise InputError(
+                    f"Profile.{name}: found {getattr(self, name)}, expected 0 to {most:g}"
+                )
 
 
 PROFILE_FIELDS: Final[tuple[str, ...]] = tuple(f.name for f in dataclasses.fields(Profile))
@@ -100,64 +121,27 @@ _PROBABILITIES: Final = (
     "red_run_probability",
     "stop_roll_probability",
     "insistence",
+    "overlook_probability",
 )
 
-SPREAD_FIELDS: Final = tuple(name for name in PROFILE_FIELDS if name not in _PROBABILITIES)
+PERCEPTION_FIELDS: Final = PROFILE_FIELDS[-5:]
+"""The numbers of perception and attention: all 0 for the six behaviours."""
+
+_MOST: Final = {"reaction_time_s": 5.0, "perception_noise": 1.0, "lapse_s": 60.0}
+"""Largest values that are accepted (our choice: a vehicle beyond them is not driven)."""
+
+SPREAD_FIELDS: Final = tuple(
+    name for name in PROFILE_FIELDS if name not in (*_PROBABILITIES, *PERCEPTION_FIELDS)
+)
 """The numbers in which drivers of one behaviour differ; chance enters the others at each
-encounter."""
+encounter, and those of perception are the same for all drivers of a behaviour."""
 
-PROFILES: Final[dict[Behavior, Profile]] = {
-    Behavior.IMPATIENT: Profile(
-        speed_factor=1.35, time_headway_s=0.7, min_gap_m=1.2, max_accel_mps2=3.5,
-        comfort_decel_mps2=4.5, politeness=0.0, lane_change_gain=20.0,
-        lane_change_patience_s=3.0, lane_change_assertiveness=2.0, gap_acceptance_s=0.5,
-        crossing_gap_s=3.0, yield_probability=0.95, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=3.0, insistence=1.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
-    ),
-    Behavior.RECKLESS: Profile(
-        speed_factor=1.18, time_headway_s=1.05, min_gap_m=1.6, max_accel_mps2=2.8,
-        comfort_decel_mps2=5.2, politeness=0.0, lane_change_gain=5.0,
-        lane_change_patience_s=5.0, lane_change_assertiveness=1.5, gap_acceptance_s=0.1,
-        crossing_gap_s=0.5, yield_probability=0.0, red_run_probability=1.0,
-        stop_roll_probability=1.0, yellow_run_s=3.0, insistence=1.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=1.0,
-    ),
-    Behavior.THREATENING: Profile(
-        speed_factor=1.1, time_headway_s=0.48, min_gap_m=0.7, max_accel_mps2=4.2,
-        comfort_decel_mps2=6.0, politeness=0.0, lane_change_gain=20.0,
-        lane_change_patience_s=3.0, lane_change_assertiveness=5.0, gap_acceptance_s=0.3,
-        crossing_gap_s=2.0, yield_probability=0.4, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=1.0, insistence=1.0, startup_delay_s=0.2,
-        cut_in_rate_per_min=20.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
-    ),
-    Behavior.CAREFUL: Profile(
-        speed_factor=0.97, time_headway_s=1.45, min_gap_m=2.5, max_accel_mps2=1.9,
-        comfort_decel_mps2=2.6, politeness=0.8, lane_change_gain=0.05,
-        lane_change_patience_s=20.0, lane_change_assertiveness=0.8, gap_acceptance_s=1.5,
-        crossing_gap_s=10.0, yield_probability=1.0, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=0.7,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
-    ),
-    Behavior.CAUTIOUS: Profile(
-        speed_factor=0.87, time_headway_s=2.1, min_gap_m=3.1, max_accel_mps2=1.5,
-        comfort_decel_mps2=2.2, politeness=1.0, lane_change_gain=0.2,
-        lane_change_patience_s=20.0, lane_change_assertiveness=0.6, gap_acceptance_s=2.0,
-        crossing_gap_s=25.0, yield_probability=1.0, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=2.5,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=0.0, wrong_way_rate_per_min=0.0,
-    ),
-    Behavior.TIMID: Profile(
-        speed_factor=0.67, time_headway_s=2.9, min_gap_m=4.2, max_accel_mps2=1.15,
-        comfort_decel_mps2=3.0, politeness=1.0, lane_change_gain=0.0,
-        lane_change_patience_s=20.0, lane_change_assertiveness=0.6, gap_acceptance_s=2.5,
-        crossing_gap_s=20.0, yield_probability=1.0, red_run_probability=0.0,
-        stop_roll_probability=0.0, yellow_run_s=0.0, insistence=0.0, startup_delay_s=1.0,
-        cut_in_rate_per_min=0.0, stop_rate_per_min=1.0, wrong_way_rate_per_min=0.0,
-    ),
-}  # fmt: skip
-"""The median driver of each behaviour."""
+ERROR_TIME_S: Final = 20.0
+"""Correlation time of the error of perception, s (Treiber et al. 2006, section 2.2)."""
 
+CLOSING_ERROR_PER_S: Final = 0.2
+"""Error of the closing speed per metre of gap, relative to that of the gap, 1/s (Treiber et al.
+2006: 0.01/s beside 5 %)."""
 
 SOURCES: Final[dict[str, str]] = {
     "speed_factor": "SUMO's drivers have mean 1 and standard deviation 0.1; 35 to 75 % of drivers "
@@ -192,21 +176,28 @@ SOURCES: Final[dict[str, str]] = {
     "cut_in_rate_per_min": "our choice, after the paper's trait table",
     "stop_rate_per_min": "our choice, after the paper's trait table; more often stops everyone",
     "wrong_way_rate_per_min": "our choice, after the paper's trait table",
+    "reaction_time_s": "0 for the six, whose laws react at once; 0.9 s is the median of surprised "
+    "drivers (Johansson and Rumar 1971, Human Factors 13)",
+    "perception_noise": "0 for the six; 0.05 typical (Treiber, Kesting and Helbing 2006)",
+    "lapse_rate_per_min": "0 for the six; glances off the road are measured in naturalistic "
+    "driving (Klauer et al. 2006, DOT HS 810 594)",
+    "lapse_s": "0 for the six; glances of 2 s double the risk of a crash (Klauer et al. 2006)",
+    "overlook_probability": "0 for the six, who see everything in the models' sight",
 }
-"""Where each number of ``PROFILES`` comes from."""
+"""Where each number of ``behaviors.PROFILES`` comes from."""
 
 
 def sample_profile(
-    behavior: Behavior, rng: np.random.Generator, spread: float = DEFAULT_SPREAD
+    median: Profile, rng: np.random.Generator, spread: float = DEFAULT_SPREAD
 ) -> Profile:
     """Draw one driver of a behaviour.
 
-    Every positive number is multiplied by exp(spread * z). z is standard normal, independent and
-    cut off at ``FARTHEST_SPREADS``. The profile of the behaviour is the median driver.
-    Probabilities are not drawn: chance enters at each encounter.
+    Every number of `SPREAD_FIELDS` is multiplied by exp(spread * z). z is standard normal,
+    independent and cut off at ``FARTHEST_SPREADS``. Probabilities are not drawn: chance enters at
+    each encounter.
 
     Args:
-        behavior: the class to draw from.
+        median: the behaviour's profile.
         rng: source of randomness; the number of draws is fixed.
         spread: standard deviation of each logarithm; 0 gives clones.
 
@@ -217,13 +208,14 @@ def sample_profile(
         InputError: if ``spread`` is negative or not finite.
 
     Examples:
+        >>> from behaviors import PROFILES, Behavior
         >>> rng = np.random.default_rng(0)
-        >>> sample_profile(Behavior.TIMID, rng, spread=0.0) == PROFILES[Behavior.TIMID]
+        >>> timid = PROFILES[Behavior.TIMID]
+        >>> sample_profile(timid, rng, spread=0.0) == timid
         True
     """
     if not np.isfinite(spread) or spread < 0:
         raise InputError(f"spread: found {spread}, expected a number >= 0")
-    median = PROFILES[behavior]
     drawn_z = rng.standard_normal(len(SPREAD_FIELDS)).clip(-FARTHEST_SPREADS, FARTHEST_SPREADS)
     factors = exponential(spread * drawn_z)
     drawn = {n: float(getattr(median, n) * f) for n, f in zip(SPREAD_FIELDS, factors, strict=True)}

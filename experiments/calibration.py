@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
+from behaviors.labels import PROFILES
 from behaviors.populations import NUMBERS, Population
-from behaviors.profiles import PROFILES
 from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
 from experiments.score.rows import Row

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
@@ -78,12 +79,14 @@ class _Beliefs:
 
     def answers(self, agents: tuple[AgentSpec, ...]) -> Answers:
         """The last answer about every driver that got one."""
-        code = {a.id: -1 if a.behavior is None else a.behavior.code for a in agents}
+        classes = next((p.classes for p, _ in self.latest.values()), BEHAVIORS)
+        code = {a.id: classes.index(a.behavior) if a.behavior in classes else -1 for a in agents}
         found = [(code[agent], *one) for agent, one in self.latest.items()]
         known = Answers.known(
-            np.array([p.probability[row] for _, p, row in found]).reshape(-1, 6),
+            np.array([p.probability[row] for _, p, row in found]).reshape(-1, len(classes)),
             np.array([code for code, _, _ in found], dtype=np.int64),
             np.zeros(len(found), dtype=np.int64),
+            classes,
         )
         return dataclasses.replace(
             known,

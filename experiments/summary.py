@@ -42,10 +42,10 @@ Groups = Callable[[Dataset, Episode], Sequence[str]]
 
 
 def _behaviors(dataset: Dataset, episode: Episode) -> Sequence[str]:
-    codes = episode.tracks.behavior
+    codes, classes = episode.tracks.behavior, episode.tracks.classes
     if codes is None:
         return ["unknown"] * episode.tracks.ids.size
-    return [BEHAVIORS[code] if code >= 0 else "unknown" for code in codes.tolist()]
+    return [str(classes[code]) if code >= 0 else "unknown" for code in codes.tolist()]
 
 
 BY: Final[dict[str, Groups]] = {

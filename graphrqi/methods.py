@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.registry import Registry
 from graphrqi.classify import Classifier, make_classifier
 from graphrqi.features.drivers import DriverObserver
@@ -144,10 +144,11 @@ class Model:
         method: the method that was trained.
         solver: its observer's eigenvalue solver.
         classifier: the trained classifier.
-        shares: share of each behaviour in training; they sum to 1.
+        shares: share of each class in training; they sum to 1.
         card: training data and scores, as JSON values.
         other: networks for other traffic; None if the classifier answers everywhere.
         adaptation: correction of the answers for a recording site, if any.
+        classes: the behaviours that it knows: the six, then those of one's own.
     """
 
     method: Method
@@ -157,6 +158,7 @@ class Model:
     card: Mapping[str, Any]
     other: OtherTraffic | None = None
     adaptation: Adaptation | None = None
+    classes: tuple[Behavior, ...] = BEHAVIORS
 
 
 def make_observer(method: str, solver: str = "graphrqi") -> Observer:
@@ -176,6 +178,7 @@ def train(
     solver: str = "graphrqi",
     seed: int = 0,
     card: Mapping[str, Any] | None = None,
+    classes: tuple[Behavior, ...] = BEHAVIORS,
 ) -> Model:
     """Train a method.
 
@@ -186,6 +189,7 @@ def train(
         solver: a key of ``graphrqi.spectrum.SOLVERS``.
         seed: of the randomness.
         card: the model's card.
+        classes: what the samples' codes stand for.
 
     Returns:
         The trained model.
@@ -199,11 +203,11 @@ def train(
         raise InputError(f"seed: found {seed}, expected 0 to {MOST_SEED}")
     if not len(training):
         raise InputError("training: found no sample, expected at least one")
-    classifier = make_classifier(chosen.classifier, len(BEHAVIORS), **chosen.options)
+    classifier = make_classifier(chosen.classifier, len(classes), **chosen.options)
     held = None
     if validation is not None and len(validation):
         held = (validation.features.astype(np.float64), validation.codes)
     classifier.fit(training.features.astype(np.float64), training.codes, held, seed)
-    count = np.bincount(training.codes, minlength=len(BEHAVIORS))
+    count = np.bincount(training.codes, minlength=len(classes))
     shares = tuple((count / count.sum()).tolist())
-    return Model(chosen, solver, classifier, shares, dict(card or {}))
+    return Model(chosen, solver, classifier, shares, dict(card or {}), classes=classes)

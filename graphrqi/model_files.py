@@ -9,11 +9,11 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, read_behaviors, tables_of
 from graphrqi.classify import Classifier, restore_classifier
 from graphrqi.classify.checks import part_of
 from graphrqi.methods import METHODS, Method, Model
@@ -65,19 +65,21 @@ class _About(BaseModel):
     card: dict[str, Any]
     network_features: tuple[str, ...] | None
     adaptation: _Adapted | None
+    behaviors: dict[str, Any] = {}
 
     @field_validator("classes")
     @classmethod
-    def _all_behaviors(cls, found: tuple[str, ...]) -> tuple[str, ...]:
-        if found != tuple(BEHAVIORS):
-            raise _wrong(f"found {found}, expected {tuple(map(str, BEHAVIORS))}")
+    def _the_six_first(cls, found: tuple[str, ...]) -> tuple[str, ...]:
+        if found[: len(BEHAVIORS)] != tuple(BEHAVIORS):
+            raise _wrong(f"found {found}, expected {tuple(map(str, BEHAVIORS))} first")
         return found
 
     @field_validator("shares")
     @classmethod
-    def _a_distribution(cls, found: tuple[float, ...]) -> tuple[float, ...]:
-        if len(found) != len(BEHAVIORS):
-            raise _wrong(f"found {len(found)}, expected {len(BEHAVIORS)}")
+    def _a_distribution(cls, found: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        classes = info.data.get("classes", BEHAVIORS)
+        if len(found) != len(classes):
+            raise _wrong(f"found {len(found)}, expected {len(classes)}")
         if min(found) < 0.0 or not math.isclose(sum(found), 1.0, abs_tol=1e-6):
             raise _wrong(f"found a sum of {sum(found):g} or less than 0, expected 1")
         return found
@@ -123,12 +125,13 @@ def save_model(model: Model, folder: Path) -> None:
         kind=KIND,
         method=model.method.name,
         solver=model.solver,
-        classes=tuple(b.value for b in BEHAVIORS),
+        classes=tuple(map(str, model.classes)),
         features=model.method.observer(model.solver).feature_names,
         shares=model.shares,
         card=dict(model.card),
         network_features=None if model.other is None else FEATURES,
         adaptation=adapted,
+        behaviors=tables_of(model.classes[len(BEHAVIORS) :]),
     )
     parts = {_CLASSIFIER: model.classifier.arrays()}
     if model.other is not None:
@@ -162,7 +165,10 @@ def load_model(name_or_folder: str | Path) -> Model:
         _ = SOLVERS[about.solver]  # refuses an unknown name
         if about.features != method.observer(about.solver).feature_names:
             raise InputError(f"features: {_OTHER_VERSION}")
-        learned = _restored(method, part_of(arrays, _CLASSIFIER), len(about.features))
+        classes = (*BEHAVIORS, *read_behaviors(about.behaviors))
+        if about.classes != classes:
+            raise InputError(f"classes: found {about.classes}, expected those of its behaviors")
+        learned = _restored(method, part_of(arrays, _CLASSIFIER), len(about.features), len(classes))
         other = None
         if about.network_features is not None:
             other = OtherTraffic.restored(part_of(arrays, _OTHER))
@@ -173,14 +179,18 @@ def load_model(name_or_folder: str | Path) -> Model:
         raise InputError(f"{path}: {first_wrong_field(error, _About.model_fields)}") from None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return Model(method, about.solver, learned, about.shares, about.card, other, adaptation)
+    return Model(
+        method, about.solver, learned, about.shares, about.card, other, adaptation, classes
+    )
 
 
-def _restored(method: Method, arrays: dict[str, NDArray[Any]], features: int) -> Classifier:
+def _restored(
+    method: Method, arrays: dict[str, NDArray[Any]], features: int, classes: int
+) -> Classifier:
     """A method's classifier."""
     try:
         return restore_classifier(
-            method.classifier, len(BEHAVIORS), features, dict(method.options), arrays
+            method.classifier, classes, features, dict(method.options), arrays
         )
     except InputError:
         raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -28,14 +29,31 @@ _COMPUTED: Final = np.empty(0)
 """Stands for values that follow from the probabilities."""
 
 
-def aggressive_share(probability: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...) probability of the aggressive style, from those of the behaviours (..., 6).
+def aggressive_share(
+    probability: NDArray[np.float64], classes: Sequence[Behavior] = BEHAVIORS
+) -> NDArray[np.float64]:
+    """(...) probability of the aggressive style, from those of the behaviours (..., k).
 
     Examples:
         >>> aggressive_share(np.array([[0.25, 0.25, 0.0, 0.5, 0.0, 0.0]])).tolist()
         [0.5]
     """
-    return np.asarray(probability[..., AGGRESSIVE].sum(axis=-1))
+    aggressive = [behavior.style is Style.AGGRESSIVE for behavior in classes]
+    return np.asarray(probability[..., aggressive].sum(axis=-1))
+
+
+def of_the_six(
+    probability: NDArray[np.float64], classes: Sequence[Behavior]
+) -> NDArray[np.float64]:
+    """(n, 6) probabilities of the six; one of one's own counts for that which it is like.
+
+    Args:
+        probability: (n, k) of the classes.
+        classes: the six, then those of one's own.
+    """
+    if len(classes) == len(BEHAVIORS):
+        return probability
+    return np.asarray(probability @ np.eye(len(BEHAVIORS))[[one.base.code for one in classes]])
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -44,11 +62,12 @@ class Posterior:
 
     Attributes:
         ids: (n,) agent ids, ascending.
-        probability: (n, 6) in the order of ``behaviors.BEHAVIORS``; rows sum to 1.
+        probability: (n, k) in the order of ``classes``; rows sum to 1.
         domain: distance of the traffic from the training, 0 to 1.
         unknown: (n,) probability that the style is only guessed: twice that of the less likely
             style. It is 1 where the frames are not plausible as a scene. It follows from
             ``probability`` where it is not given.
+        classes: the k behaviours that the model knows: the six, then those of one's own.
 
     Examples:
         >>> p = Posterior(ids=[7], probability=[[0.1, 0.7, 0.1, 0.1, 0.0, 0.0]])
@@ -64,6 +83,7 @@ class Posterior:
     probability: NDArray[np.float64]
     domain: float = 0.0
     unknown: NDArray[np.float64] = field(default_factory=lambda: _COMPUTED)
+    classes: tuple[Behavior, ...] = BEHAVIORS
 
     def __post_init__(self) -> None:
         """Check ids and probabilities, and make the arrays read-only.
@@ -79,7 +99,7 @@ class Posterior:
         if ids.ndim != 1 or not (ids[1:] > ids[:-1]).all():
             raise InputError("Posterior.ids: found ids that do not ascend, expected each once")
         probability = np.asarray(self.probability, dtype=np.float64)
-        expected = (ids.size, len(BEHAVIORS))
+        expected = (ids.size, len(self.classes))
         if probability.shape != expected:
             raise InputError(
                 f"Posterior.probability: found shape {probability.shape}, expected {expected}"
@@ -93,7 +113,7 @@ class Posterior:
             )
         unknown = np.asarray(self.unknown, dtype=np.float64)
         if self.unknown is _COMPUTED:
-            unknown = 1.0 - np.abs(2.0 * aggressive_share(probability) - 1.0)
+            unknown = 1.0 - np.abs(2.0 * aggressive_share(probability, self.classes) - 1.0)
             unknown = np.clip(unknown, 0.0, 1.0)
         if unknown.shape != ids.shape or not ((unknown >= 0.0) & (unknown <= 1.0)).all():
             raise InputError(
@@ -121,7 +141,7 @@ class Posterior:
     def behaviors(self) -> tuple[Behavior | None, ...]:
         """Each agent's most likely behaviour; None where it gets no label."""
         return tuple(
-            BEHAVIORS[code] if labelled else None
+            self.classes[code] if labelled else None
             for code, labelled in zip(
                 self.most_likely.tolist(), self.labelled.tolist(), strict=True
             )
@@ -141,19 +161,19 @@ class Posterior:
         return out
 
     def of(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
-        """(m, 6) probabilities of the given agents; uniform for those without an answer."""
+        """(m, 6) probabilities of the six for the given agents; uniform without an answer."""
         out = np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
         if self.ids.size:
             at = np.clip(np.searchsorted(self.ids, ids), 0, self.ids.size - 1)
             known = self.ids[at] == ids
-            out[known] = self.probability[at[known]]
+            out[known] = of_the_six(self.probability[at[known]], self.classes)
         return out
 
     def __repr__(self) -> str:
         """The number of drivers, of each most likely behaviour, and of drivers without a label."""
         n = self.ids.size
-        counts = np.bincount(self.most_likely, minlength=len(BEHAVIORS)).tolist()
-        found = [f"{k} {name}" for k, name in zip(counts, BEHAVIORS, strict=True) if k]
+        counts = np.bincount(self.most_likely, minlength=len(self.classes)).tolist()
+        found = [f"{k} {name}" for k, name in zip(counts, self.classes, strict=True) if k]
         said = f", most likely: {', '.join(found)}" if n else ""
         if n and self.domain > 0.0:
             said += f", {self.domain:.0%} foreign"
@@ -175,7 +195,7 @@ class Posterior:
         """
         import pandas as pd
 
-        names = [behavior.value for behavior in BEHAVIORS]
+        names = [str(behavior) for behavior in self.classes]
         index = pd.Index(np.array(self.ids), name="agent")
         table = pd.DataFrame(np.array(self.probability), index=index, columns=names)
         return table.assign(

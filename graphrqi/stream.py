@@ -136,7 +136,7 @@ class BehaviorStream:
         seen = self._classifier.observation()
         ready = seen.seconds >= self.min_seconds - 1e-6
         if not ready.any():
-            return seen.ids[:0], np.zeros((0, len(BEHAVIORS)))
+            return seen.ids[:0], np.zeros((0, len(self.model.classes)))
         features = self._classifier.features(seen.seconds, seen.sums, seen.instant)
         return seen.ids[ready], self.model.classifier.posterior(features)[ready]
 
@@ -146,9 +146,10 @@ class BehaviorStream:
         # Other traffic is offset as a whole, which would be taken for another mix of drivers.
         shifted = self._prior_shift.corrected(probability)
         answer = (1.0 - domain) * shifted + domain * probability
+        classes = self.model.classes
         if self._is_scene:
-            return Posterior(ids, answer, domain)
-        return Posterior(ids, answer, domain, np.ones(ids.size))
+            return Posterior(ids, answer, domain, classes=classes)
+        return Posterior(ids, answer, domain, np.ones(ids.size), classes)
 
     @property
     def is_noisy(self) -> bool:

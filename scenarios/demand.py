@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar
 
 from behaviors.errors import InputError
-from behaviors.labels import Behavior, Style
+from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.populations import Population, read_population
 from scenarios.networks.build import net_of
 from scenarios.networks.geometries import Geometry
 from sim.frames import AgentKind
 from sim.road.net import read_road
-from sim.scenario import EQUAL_MIX, RouteFlow, Scenario
+from sim.scenario import RouteFlow, Scenario
 
 
 class PopulationOptions(TypedDict, total=False):
@@ -30,6 +29,7 @@ class PopulationOptions(TypedDict, total=False):
         jaywalk_share: share of pedestrians who cross on red and anywhere.
         population: a shipped population's name, a TOML file, or its parsed content; None for
             drivers around the profiles.
+        behaviors: behaviours of one's own, as `behaviors.read_behaviors` takes them; None for none.
     """
 
     mix: str | Mapping[Behavior, float] | Mapping[str, float] | None
@@ -39,6 +39,7 @@ class PopulationOptions(TypedDict, total=False):
     step_s: float
     jaywalk_share: float
     population: str | Path | Mapping[str, Any] | Population | None
+    behaviors: str | Path | Mapping[str, Any] | None
 
 
 def make_scenario(
@@ -66,10 +67,11 @@ def parse_population(options: PopulationOptions) -> dict[str, Any]:
         InputError: if a share is unknown or out of range, or the population's file is broken; the
             message names it.
     """
-    population = options.get("population")
+    population, own = options.get("population"), read_behaviors(options.get("behaviors"))
     return {
         **options,
-        "mix": parse_mix(options.get("mix")),
+        "behaviors": own,
+        "mix": parse_mix(options.get("mix"), own),
         "kinds": parse_kinds(options.get("kinds")),
         "population": None if population is None else read_population(population),
     }
@@ -107,13 +109,15 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
 
 def parse_mix(
     mix: str | Mapping[Behavior, float] | Mapping[str, float] | None,
+    own: Sequence[Behavior] = (),
 ) -> dict[Behavior, float]:
     """The share of each behaviour among drivers.
 
     Args:
         mix: None for equal shares, a mapping, or text like ``"impatient=.2,timid=.8"``. A style,
-            as in ``"aggressive=.2,conservative=.8"``, stands for its three behaviours in equal
-            shares. Behaviours that are not named have no share.
+            as in ``"aggressive=.2,conservative=.8"``, stands for its three of the six behaviours in
+            equal shares. Behaviours that are not named have no share.
+        own: behaviours beside the six.
 
     Returns:
         Shares by behaviour.
@@ -129,9 +133,10 @@ def parse_mix(
         [0.1, 0.1, 0.1, 0.7]
     """
     if mix is None:
-        return dict(EQUAL_MIX)
-    styles = {str(s): [b for b in Behavior if b.style is s] for s in Style}
-    return _shares("mix", mix, list(Behavior), styles)
+        known = (*BEHAVIORS, *own)
+        return dict.fromkeys(known, 1.0 / len(known))
+    styles = {str(s): [b for b in BEHAVIORS if b.style is s] for s in Style}
+    return _shares("mix", mix, [*BEHAVIORS, *own], styles)
 
 
 def parse_kinds(
@@ -156,7 +161,7 @@ def parse_kinds(
     return {AgentKind.CAR: 1.0} if kinds is None else _shares("kinds", kinds, vehicles)
 
 
-K = TypeVar("K", bound=StrEnum)
+K = TypeVar("K", bound=str)
 
 
 def _shares(

@@ -189,8 +189,9 @@ class Tracks:
         speed: (N, T) m/s; NaN where not valid.
         valid: (N, T) whether the agent is present at that time.
         signals: (S, T) codes into ``SIGNALS``.
-        behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None without labels.
+        behavior: (N,) codes into ``classes`` (-1: no label), or None without labels.
         events: every event, in time order.
+        classes: the behaviours that codes stand for: the six, then those of one's own.
     """
 
     ids: IntArray
@@ -206,6 +207,7 @@ class Tracks:
     signals: CodeArray
     behavior: CodeArray | None = None
     events: tuple[Event, ...] = ()
+    classes: tuple[Behavior, ...] = BEHAVIORS
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
@@ -250,7 +252,7 @@ class Tracks:
             InputError: if the shapes do not fit.
         """
         tracks = cls.__new__(cls)
-        defaults = {"behavior": None, "events": ()}
+        defaults = {"behavior": None, "events": (), "classes": BEHAVIORS}
         tracks.__dict__.update(defaults | facts | {"_rows": rows})
         tracks.__post_init__()
         return tracks
@@ -302,10 +304,11 @@ class Tracks:
         index = RowIndex.of_rows(agent[order], step[order], ids.size, len(seq))
         last = np.zeros(ids.size, dtype=np.int64)
         last[agent] = np.arange(agent.size)  # kind and size are those of the last frame
-        codes = None
+        codes, classes = None, BEHAVIORS
         if behaviors is not None:
             labels = [behaviors.get(int(i)) for i in ids]
-            codes = np.array([-1 if b is None else b.code for b in labels], dtype=np.int8)
+            classes = tuple(dict.fromkeys((*BEHAVIORS, *(b for b in labels if b is not None))))
+            codes = np.array([-1 if b is None else classes.index(b) for b in labels], dtype=np.int8)
         return cls.of_rows(
             TrackRows(
                 index,
@@ -324,6 +327,7 @@ class Tracks:
             else np.zeros((0, 0), dtype=np.int8),
             behavior=codes,
             events=tuple(e for f in seq for e in f.events),
+            classes=classes,
         )
 
     def frame(self, step: int) -> Frame:
@@ -387,6 +391,7 @@ class Tracks:
             signals=self.signals[:, columns],
             behavior=None if self.behavior is None else self.behavior[rows],
             events=tuple(e for e in self.events if begin <= e.time_s <= end),
+            classes=self.classes,
         )
 
     @property
@@ -463,7 +468,7 @@ class Tracks:
         rows, columns = seen.index.agent, seen.index.step
         codes = np.full(len(self.ids), -1) if self.behavior is None else self.behavior
         kinds = np.array([str(kind) for kind in KINDS], dtype=object)
-        behaviors = np.array([*map(str, BEHAVIORS), None], dtype=object)  # code -1 is the last
+        behaviors = np.array([*map(str, self.classes), None], dtype=object)  # code -1 is the last
         return pandas.DataFrame(
             {
                 "id": self.ids[rows],

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeVar
@@ -15,7 +16,7 @@ import numpy as np
 
 from behaviors.display import counted
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior, Style
+from behaviors.labels import BEHAVIORS, Behavior, Style, tables_of
 from behaviors.populations import Population, drivers_of
 from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
 from sim.frames import KINDS, AgentKind
@@ -121,6 +122,7 @@ class Scenario:
         jaywalk_share: share of pedestrians who cross where and when they should not.
         population: of which drivers are drawn; None for drivers around the profiles, with numbers
             independent of each other.
+        behaviors: those of one's own that its drivers may have, beside the six.
     """
 
     name: str
@@ -133,6 +135,7 @@ class Scenario:
     kinds: Mapping[AgentKind, float] = field(default_factory=lambda: {AgentKind.CAR: 1.0})
     jaywalk_share: float = DEFAULT_JAYWALK_SHARE
     population: Population | None = None
+    behaviors: tuple[Behavior, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated, by name."""
@@ -175,8 +178,13 @@ class Scenario:
 
     @property
     def population_option(self) -> dict[str, Any]:
-        """Options of an episode that state the population; empty without one."""
-        return {} if self.population is None else {"population": self.population.option}
+        """Options of an episode that state the population and behaviours of one's own, if any."""
+        found: dict[str, Any] = {}
+        if self.population is not None:
+            found["population"] = self.population.option
+        if self.behaviors:
+            found["behaviors"] = tables_of(self.behaviors)
+        return found
 
     @property
     def steps(self) -> int:
@@ -327,10 +335,10 @@ def _draw_driver(
     scenario: Scenario, route: tuple[str, ...], depart_s: float, rng: np.random.Generator
 ) -> AgentSpec:
     seed = int(rng.integers(2**31))
-    behavior = _choose(BEHAVIORS, scenario.mix, rng)
+    behavior = _choose((*BEHAVIORS, *scenario.behaviors), scenario.mix, rng)
     kind = _choose(KINDS, scenario.kinds, rng)
     limits = KIND_LIMITS[kind]
-    profile = sample_profile(behavior, rng, scenario.spread)
+    profile = sample_profile(behavior.profile, rng, scenario.spread)
     if scenario.population is not None:
         own = np.random.default_rng((seed, _POPULATION_STREAM))
         profile = drivers_of(scenario.population).draw(behavior, own, scenario.spread)
@@ -382,9 +390,11 @@ def with_behavior(
     """
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found a pedestrian, expected a driver")
-    rng = np.random.default_rng((agent.seed, _REDRAWN_STREAM, BEHAVIORS.index(behavior)))
+    six = behavior in BEHAVIORS
+    number = behavior.code if six else zlib.crc32(behavior.encode())  # the same in every file
+    rng = np.random.default_rng((agent.seed, _REDRAWN_STREAM, number))
     profile = (
-        sample_profile(behavior, rng, spread)
+        sample_profile(behavior.profile, rng, spread)
         if population is None
         else drivers_of(population).draw(behavior, rng, spread)
     )

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from behaviors.elementwise import exponential, logarithm
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS, PROFILES, Behavior
 from behaviors.populations.population import Around, Population
-from behaviors.profiles import FARTHEST_SPREADS, PROFILES, SPREAD_FIELDS, Profile
+from behaviors.profiles import FARTHEST_SPREADS, SPREAD_FIELDS, Profile
 
 FloatArray = NDArray[np.float64]
 
@@ -72,9 +72,21 @@ class DriverSource:
     spread: FloatArray
     root: FloatArray
 
+    def _centre_of(self, behavior: Behavior) -> FloatArray:
+        """(5,) logarithms of its median driver.
+
+        A behaviour of one's own keeps its distance from that of the six which it is like.
+        """
+        numbers = [
+            logarithm([getattr(profile, name) for name in POPULATION_FIELDS])
+            for profile in (behavior.profile, PROFILES[behavior.base])
+        ]
+        centre: FloatArray = self.centre[behavior.base.code] + (numbers[0] - numbers[1])
+        return centre
+
     def median(self, behavior: Behavior) -> Profile:
         """The median driver of a behaviour; the profile fills what the population does not give."""
-        return _replaced(PROFILES[behavior], exponential(self.centre[BEHAVIORS.index(behavior)]))
+        return _replaced(behavior.profile, exponential(self._centre_of(behavior)))
 
     def draw(self, behavior: Behavior, rng: np.random.Generator, spread: float) -> Profile:
         """One driver of a behaviour.
@@ -91,14 +103,14 @@ class DriverSource:
         Raises:
             InputError: if no draw reaches `LOWEST_HEADWAY_S`.
         """
-        centre = self.centre[BEHAVIORS.index(behavior)]
+        centre = self._centre_of(behavior)
         for _ in range(0, MOST_DRAWS, _AT_ONCE):
             z = rng.standard_normal((_AT_ONCE, centre.size)) @ self.root.T
             numbers = exponential(centre + self.spread * z)
             good = (np.abs(z) <= FARTHEST).all(axis=1)
             good &= numbers[:, POPULATION_FIELDS.index("time_headway_s")] >= LOWEST_HEADWAY_S
             if good.any():
-                found = _replaced(PROFILES[behavior], numbers[int(good.argmax())])
+                found = _replaced(behavior.profile, numbers[int(good.argmax())])
                 return _varied(found, rng, spread)
         raise InputError(
             f"population {self.population.name}: time_headway_s: found no {behavior} driver with "

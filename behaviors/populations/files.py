@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from behaviors.errors import InputError, lookup
 from behaviors.populations.population import Population, population_of
+from behaviors.toml_files import read_toml
 
 SHIPPED_FOLDER: Final = Path(__file__).with_name("shipped")
-
-MOST_BYTES: Final = 1_000_000
-"""Larger files are refused (our choice: a population is some thousand bytes)."""
 
 POPULATIONS: Final = {path.stem: path for path in sorted(SHIPPED_FOLDER.glob("*.toml"))}
 """The files that ship, by name."""
@@ -47,15 +44,8 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
     path = Path(source)
     if isinstance(source, str) and not any(mark in text for mark in "./\\"):
         path = lookup(POPULATIONS, text, "population")
+    said = read_toml(path)
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise InputError(f"found more than {MOST_BYTES} bytes, expected a population")
-        return population_of(tomllib.loads(data.decode("utf-8")))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}, expected a population's file") from None
+        return population_of(said)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
-        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None

@@ -225,7 +225,7 @@ def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> 
                     value = float(top.sum() / bottom.sum())
                     drawn = (weights @ top) / (weights @ bottom) if n else None
             low, high = (None, None) if drawn is None else np.nanpercentile(drawn, [2.5, 97.5])
-            keys = {**place, "behavior": behavior.value}
+            keys = {**place, "behavior": str(behavior)}
             found.append(tidy_row(keys, metric, value, low, high, n))
     walkers = {**place, "behavior": "pedestrian"}
     found.append(tidy_row(walkers, "jaywalks", counts.jaywalks, n=counts.walkers))

@@ -19,8 +19,13 @@ def drive(
     ] = None,
     crowd: Annotated[
         list[str] | None,
-        option("Among whom: a behaviour, mixed, recorded or homogeneous; repeat for several "
-               "(default: all).", metavar="NAME"),
+        option("Among whom: a behaviour, mixed, recorded, homogeneous, or a mix such as "
+               "timid=.9,novice=.1; repeat for several (default: all).", metavar="NAME or MIX"),
+    ] = None,
+    behaviors: Annotated[
+        str | None,
+        option("Behaviours of your own: a TOML file, or distracted, novice.",
+               metavar="FILE or NAMES"),
     ] = None,
     episodes: Annotated[
         int | None, option("Of each policy in each scenario and crowd (default: 20).")
@@ -47,7 +52,7 @@ def drive(
     given: dict[str, Any] = {
         "policies": tuple(policy or ()), "scenarios": tuple(scenario or ()),
         "crowds": tuple(crowd or ()), "episodes": episodes, "seed": seed, "flow": flow,
-        "duration_s": duration_s, "warmup_s": warmup_s,
+        "duration_s": duration_s, "warmup_s": warmup_s, "behaviors": behaviors,
     }  # fmt: skip
     chosen = {name: value for name, value in given.items() if value not in (None, ())}
     test = dataclasses.replace(QUICK if quick else LicenceTest(), **chosen)

@@ -154,6 +154,11 @@ class Traffic:
         _traffic("Population that drivers are drawn from: a name (see graphrqi list), or a TOML "
                  "file as calibrate writes it.", metavar="NAME or FILE", names="population"),
     ] = None  # fmt: skip
+    behaviors: Annotated[
+        str | None,
+        _traffic("Behaviours of your own, beside the six: a TOML file, or distracted, novice.",
+                 metavar="FILE or NAMES"),
+    ] = None  # fmt: skip
     duration_s: Annotated[float | None, _traffic("Length, s; at most 86400.", "--duration-s")] = (
         None
     )
@@ -196,7 +201,7 @@ class Traffic:
         return read_config(
             file, scenarios=list(scenarios) if scenarios else None, engine=self.engine,
             flow=self.flow, mix=self.mix, spread=self.spread, population=self.population,
-            duration_s=self.duration_s, net=self.net, routes=self.routes,
+            behaviors=self.behaviors, duration_s=self.duration_s, net=self.net, routes=self.routes,
             scenario_options=others or None, **more,
         )  # fmt: skip
 

@@ -59,7 +59,7 @@ def what_if(
 ) -> None:  # fmt: skip
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import InputError, lookup
-    from behaviors.labels import Behavior
+    from behaviors.labels import BEHAVIORS, read_behaviors
     from experiments.console.tables import show_table
     from experiments.figure_files import check_figure_file
     from experiments.replay.paths import write_paths
@@ -76,7 +76,8 @@ def what_if(
     if at_s is None or agent is None or out is None:
         missing = "--at-s" if at_s is None else "--agent" if agent is None else "--out"
         raise InputError(f"{missing}: found none, expected it, or --blame")
-    behaviors, actions = {b.value: b for b in Behavior}, {a.value: a for a in Action}
+    known = (*BEHAVIORS, *read_behaviors(drawn.behaviors))
+    behaviors, actions = {str(b): b for b in known}, {a.value: a for a in Action}
     config = WhatIf(
         episode=drawn,
         index=episode,

@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior
 from experiments.console.notices import LOGGER
 from experiments.data.parallel import in_parallel
 from experiments.data.units import image_scale, in_metres
@@ -59,9 +62,13 @@ def _episode_samples(
     every_s: float,
     per_moment: int | None,
     seed: int,
+    classes: tuple[Behavior, ...],
 ) -> Samples | str:
     """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
     tracks = measured(open_dataset(folder).read(entry))
+    if tracks.behavior is not None and tracks.classes != classes:
+        code = [classes.index(b) if b in classes else -1 for b in tracks.classes]
+        tracks = tracks.changed(behavior=np.array([*code, -1], dtype=np.int8)[tracks.behavior])
     observer = make_observer(method, solver)
     try:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
@@ -90,6 +97,7 @@ def gather(
     seed: int = 0,
     jobs: int | None = None,
     quiet: bool = True,
+    classes: tuple[Behavior, ...] = BEHAVIORS,
 ) -> Samples:
     """Samples of every episode of a split, made in parallel.
 
@@ -107,6 +115,7 @@ def gather(
         seed: of that draw.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
+        classes: what codes stand for; drivers of other behaviours give no sample.
 
     Returns:
         The samples; episodes are numbered as in the manifests, one after another.
@@ -122,7 +131,7 @@ def gather(
         first += len(numbered)
         arguments += [
             (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
-             per_moment, seed)
+             per_moment, seed, classes)
             for e in dataset.episodes(split, scenario)
         ]  # fmt: skip
     if not arguments:

@@ -7,10 +7,11 @@ how differs.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import Profile
 from sim.scenario import AgentSpec
@@ -40,7 +41,7 @@ class Crowd:
         population: of which drivers are drawn, as the environments take it.
     """
 
-    mix: dict[str, float] | None = None
+    mix: str | dict[str, float] | None = None
     changed: Callable[[AgentSpec], AgentSpec] = lambda agent: agent
     population: str | None = None
 
@@ -55,10 +56,26 @@ def standard(agent: AgentSpec) -> AgentSpec:
 HOMOGENEOUS, MIXED = "homogeneous", "mixed"
 
 CROWDS: Final[dict[str, Crowd]] = {
-    **{b.value: Crowd({b.value: 1.0}) for b in BEHAVIORS},
+    **{str(b): Crowd({str(b): 1.0}) for b in BEHAVIORS},
     MIXED: Crowd(),
     "recorded": Crowd(population=RECORDED),
     HOMOGENEOUS: Crowd(None, standard),
 }
 """By name: the behaviours alone, all of them in equal shares, the same with
 numbers drawn from a recorded population, and clones."""
+
+
+def crowd_of(name: str, own: Sequence[str] = ()) -> Crowd:
+    """The crowd of a name.
+
+    Args:
+        name: a key of `CROWDS`, a behaviour of one's own, or a mix such as
+            ``"aggressive=.4,conservative=.5,distracted=.1"``.
+        own: names of behaviours of one's own.
+
+    Raises:
+        InputError: if there is none; the message suggests the nearest name.
+    """
+    if "=" in name:
+        return Crowd(name)
+    return lookup({**CROWDS, **{one: Crowd({one: 1.0}) for one in own}}, name, "crowd")

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from experiments.drive.crowds import CROWDS, Crowd
+from experiments.drive.crowds import Crowd, crowd_of
 from experiments.drive.policies import PLANNER, POLICIES, get_policy
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
@@ -79,7 +79,7 @@ class _Among(TrafficEnv):
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
         """Everybody but the ego vehicle: the crowd."""
         agents = tuple(self._crowd.changed(agent) for agent in super().draw_agents(seed))
-        self.truth = {a.id: a.behavior.code for a in agents if a.behavior is not None}
+        self.truth = {a.id: a.behavior.base.code for a in agents if a.behavior is not None}
         self.frames = []
         return agents
 
@@ -106,7 +106,7 @@ def drive(
 
     Args:
         scenario: a key of `ROADS`.
-        crowd: a key of `CROWDS`.
+        crowd: as `crowd_of` takes it.
         policy: as in `get_policy`.
         seed: of the traffic.
         config: of the environment.
@@ -118,7 +118,7 @@ def drive(
         InputError: if the policy or a part of the configuration is not usable.
     """
     make, changes = get_policy(policy)
-    others = CROWDS[crowd]
+    others = crowd_of(crowd, [*(config.get("behaviors") or ())])
     drawn = {"seed": seed, "mix": others.mix, "population": others.population}
     env = _Among(scenario, others, {**drawn, **config, **changes})
     env.looks = policy not in {*POLICIES, PLANNER}  # ours see frames

@@ -22,8 +22,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS
-from behaviors.profiles import PROFILES
+from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout.driver_parameters import DriverParameters, expected_parameters
 from graphrqi.predict.rollout.driver_table import DriverTable

@@ -9,12 +9,14 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError, lookup
+from behaviors.labels import read_behaviors, tables_of
 from experiments.data.parallel import in_parallel
-from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED
+from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED, crowd_of
 from experiments.drive.episode import METRICS, ROADS, drive
 from experiments.drive.figures import figure_rows
 from experiments.drive.policies import PLANNERS, POLICIES, get_policy
 from experiments.score.rows import Cell, Row
+from scenarios.demand import parse_mix
 
 STRAYS: Final = ("roundabout", "city")
 """Scenarios in which our planners leave their route: they do not know which exit is theirs."""
@@ -27,12 +29,13 @@ class LicenceTest:
     Attributes:
         policies: names, "planner", or "module:function" of one's own.
         scenarios: keys of `ROADS`; those of `STRAYS` are not for our planners.
-        crowds: keys of `CROWDS`.
+        crowds: as `crowd_of` takes them.
         episodes: of each policy in each scenario and crowd.
         seed: of the first episode; the planner was tuned on other ones.
         flow: of the traffic.
         duration_s: longest time that an episode takes, s.
         warmup_s: how long the traffic drives before, s.
+        behaviors: behaviours of one's own that crowds name, as `read_behaviors` takes them.
     """
 
     policies: tuple[str, ...] = tuple(POLICIES)
@@ -43,6 +46,7 @@ class LicenceTest:
     flow: str = "medium"
     duration_s: float = 60.0
     warmup_s: float = 20.0
+    behaviors: str | None = None
 
 
 QUICK = LicenceTest(
@@ -68,8 +72,9 @@ def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[
     """
     for name in test.scenarios:
         lookup(ROADS, name, "scenario")
+    own = read_behaviors(test.behaviors)
     for name in test.crowds:
-        lookup(CROWDS, name, "crowd")
+        parse_mix(crowd_of(name, own).mix, own)
     for name in test.policies:
         get_policy(name)
         strayed = sorted({*test.scenarios} & {*STRAYS})
@@ -79,6 +84,7 @@ def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[
     if test.episodes < 1:
         raise InputError(f"episodes: found {test.episodes}, expected at least 1")
     config = {"flow": test.flow, "duration_s": test.duration_s, "warmup_s": test.warmup_s}
+    config |= {"behaviors": tables_of(own)} if own else {}
     shape = (1, test.episodes, len(test.crowds), len(test.policies), len(METRICS))
     tables = []
     for scenario in test.scenarios:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
+from behaviors.labels import read_behaviors, tables_of
 from behaviors.populations import read_population
+from behaviors.toml_files import read_toml
 from experiments.generate import RANDOM_WORLD
 from experiments.guard import guarded_call, is_guarding
 from scenarios import get_scenario
@@ -20,6 +21,10 @@ from sim.scenario import Scenario
 
 NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "duration_s"})
 """Fields that may be chosen for random worlds, too."""
+
+
+def _behavior_tables(given: Any) -> dict[str, Any]:
+    return tables_of(read_behaviors(given))
 
 
 def _population_table(given: Any) -> dict[str, Any]:
@@ -40,6 +45,8 @@ class GenerateConfig(BaseModel):
         spread: how much drivers of one behaviour differ; None for the scenario's own.
         population: what a population's file says, of which drivers are drawn; a name or a file
             stands for its content. None for the scenario's own.
+        behaviors: behaviours of one's own, beside the six, as a file says them; names that ship
+            or a file stand for their content.
         duration_s: length of an episode, s; None for the scenario's own.
         step_s: time between frames, s; None for the scenario's own.
         limits_mps: speed limits that a scenario's episodes take in turn, m/s; None for its own.
@@ -58,6 +65,7 @@ class GenerateConfig(BaseModel):
     mix: str | dict[str, float] | None = None
     spread: float | None = None
     population: Annotated[dict[str, Any], BeforeValidator(_population_table)] | None = None
+    behaviors: Annotated[dict[str, Any], BeforeValidator(_behavior_tables)] | None = None
     duration_s: float | None = None
     step_s: float | None = None
     limits_mps: Annotated[tuple[float, ...], Field(min_length=1, strict=False)] | None = None
@@ -68,9 +76,11 @@ class GenerateConfig(BaseModel):
         """Options of a scenario in the episode with this index."""
         given: dict[str, Any] = dict(self.scenario_options or {})
         given |= self.model_dump(
-            include={"flow", "mix", "spread", "population", "duration_s", "step_s", "routes"},
+            include={
+                "flow", "mix", "spread", "population", "behaviors", "duration_s", "step_s", "routes"
+            },
             exclude_none=True,
-        )
+        )  # fmt: skip
         limits = self.limits_mps or get_scenario(name).limits_mps
         if limits:
             given["limit_mps"] = limits[index % len(limits)]
@@ -130,22 +140,13 @@ def scenario_name(given: str) -> str:
     return given if given == RANDOM_WORLD else get_scenario(given).name
 
 
-def _read_toml(path: Path | None) -> dict[str, object]:
-    if path is None:
-        return {}
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
-        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
-
-
 def _from_folder(name: str, value: object, folder: Path) -> object:
     """A field of a file, whose paths begin in the file's folder, as in a scenario's file."""
     if name == "scenarios" and isinstance(value, list):
         return [_from_folder("scenario", one, folder) for one in value]
     if not isinstance(value, str):
         return value
-    named = name in ("scenario", "population") and is_path(value)
+    named = name in ("scenario", "population", "behaviors") and is_path(value)
     return str(folder / value) if named or name in ("net", "routes") else value
 
 
@@ -164,7 +165,7 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
     Raises:
         InputError: if the file is broken, a field unknown or a value wrong.
     """
-    fields = _read_toml(path)
+    fields: dict[str, object] = {} if path is None else read_toml(path)
     if path is not None:
         fields = {name: _from_folder(name, value, path.parent) for name, value in fields.items()}
     fields.update({name: value for name, value in given.items() if value is not None})

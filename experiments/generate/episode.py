@@ -57,7 +57,7 @@ class Task:
             options={
                 **(self.config.scenario_options or {}),
                 **{name: given[name] for name in ("flow", "limit_mps") if name in given},
-                "mix": {behavior.value: share for behavior, share in scenario.mix.items()},
+                "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
                 "spread": scenario.spread,
                 **scenario.population_option,
                 "duration_s": scenario.duration_s,

@@ -129,7 +129,7 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     Raises:
         InputError: if the file is not a labels file or does not speak of this episode.
     """
-    chances = [f"p_{b.value}" for b in BEHAVIORS]
+    chances = [f"p_{b!s}" for b in BEHAVIORS]
     table = episode_table(path, ["agent", "time_s", *chances], episode, "labels")
     agent = agent_rows(path, table["agent"].to_numpy(), episode, tracks)
     steps = kept_steps(tracks)

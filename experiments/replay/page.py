@@ -140,7 +140,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "begin": begin_s,
         "open": {"mode": mode, "at": _opening_s(scene) if begin_at_s is None else begin_at_s},
         "behaviors": [
-            {"name": b.value, "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
+            {"name": str(b), "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
         ],
         "told": {"style": LABEL_PROBABILITY},
         "unknown": UNKNOWN_COLOR,

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from behaviors.colors import COLORS
-from behaviors.labels import Behavior
+from behaviors.labels import OWN_COLOR
 from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.pictures import ASPHALT, INK, MUTED, PAINT, PAVING
 from experiments.what_if.branches import branch_of, change_of
@@ -86,7 +86,7 @@ def _draw(
     """Draw one change: on the left the paths on the road, on the right distances over time."""
     branch = branch_of(entry) or {}
     since_s, agent, change = float(branch["at_s"]), int(branch["agent"]), change_of(entry)
-    color = COLORS[Behavior(change)] if "behavior" in branch else ACTION
+    color = COLORS.get(change, OWN_COLOR) if "behavior" in branch else ACTION
     apart = {i: float(np.nanmax(d)) for i, d in separations(factual, other).items() if _known(d)}
     affected = sorted((i for i, d in apart.items() if d > AFFECTED_M), key=lambda i: -apart[i])
     others = [i for i in affected if i != agent]

@@ -258,7 +258,7 @@ class Drawing:
 
     def _legend(self) -> list[tuple[str, str]]:
         if self.mode in ("true", "predicted"):
-            known = [(COLORS[b], b.value) for b in BEHAVIORS]
+            known = [(COLORS[b], str(b)) for b in BEHAVIORS]
         else:
             low, high = {
                 "confidence": ("17 %, a guess", "100 %"),
@@ -297,7 +297,7 @@ class Drawing:
         if self.mode == "true":
             behavior = scene.tracks.behavior
             codes = np.full(rows.size, -1) if behavior is None else behavior[rows]
-            return [UNKNOWN_COLOR if c < 0 else COLORS[BEHAVIORS[c]] for c in codes]
+            return [UNKNOWN_COLOR if c < 0 else scene.tracks.classes[c].color for c in codes]
         posterior = scene.beliefs.at(time_s)
         if self.mode == "confidence":
             chance = posterior.probability.max(axis=1)

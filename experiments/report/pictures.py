@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS
 from experiments.report.tables import FIRST, name_of, subject_of, varying
 
 if TYPE_CHECKING:
@@ -100,10 +100,7 @@ def color_of(name: str, place: int) -> str:
         >>> color_of("timid", 0), color_of("arpack", 0)
         ('#009E73', '#4477AA')
     """
-    try:
-        return COLORS[Behavior(name)]
-    except ValueError:
-        return CYCLE[place % len(CYCLE)]
+    return COLORS.get(name) or CYCLE[place % len(CYCLE)]
 
 
 def _axes() -> tuple[Figure, Axes]:
@@ -155,7 +152,7 @@ def _bars(title: str, rows: pd.DataFrame) -> Picture:
 def _confusion(title: str, rows: pd.DataFrame) -> Picture:
     """A confusion matrix in per cent of each true behaviour."""
     figure, axes = _axes()
-    names = [b.value for b in BEHAVIORS]
+    names = [str(b) for b in BEHAVIORS]
     counts = rows.pivot_table(index="behavior", columns="answer", values="value", aggfunc="sum")
     counts = counts.reindex(index=names, columns=names).fillna(0.0)
     total = counts.sum(axis=1)

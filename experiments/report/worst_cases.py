@@ -130,8 +130,8 @@ def _wrong_answers(scene: ReplayScene, page: str) -> list[Case]:
         surest = int(samples[believed[samples, code].argmax()])
         name = scene.tracks.names[row]
         text = (
-            f"driver {name} is {BEHAVIORS[truth[row]]}, taken for {BEHAVIORS[code]} with "
-            f"{100 * last[code]:.0f} % at last"
+            f"driver {name} is {scene.tracks.classes[truth[row]]}, "
+            f"taken for {BEHAVIORS[code]} with {100 * last[code]:.0f} % at last"
         )
         href = _link(page, float(scene.beliefs.time_s[surest]), name)
         cases.append(Case("answer", float(last[code]), text, href))

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Style
+from behaviors.labels import BEHAVIORS, Behavior, Style
 from experiments.score.metrics import (
     FloatArray,
     IntArray,
@@ -38,8 +38,11 @@ from graphrqi.posterior import aggressive_share
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
 
-STYLE_OF: Final = np.array([STYLES.index(b.style) for b in BEHAVIORS])
-"""(6,) code of each behaviour's style."""
+
+def styles_of(classes: Sequence[Behavior]) -> NDArray[np.int64]:
+    """(k,) code of each behaviour's style."""
+    return np.array([STYLES.index(b.style) for b in classes])
+
 
 ALL: Final = "all"
 """The scenario or split of rows over several of them."""
@@ -51,11 +54,12 @@ class Answers:
 
     Attributes:
         episode: (n,) number of the episode.
-        probability: (n, 6) of each behaviour.
-        truth: (n,) codes into ``BEHAVIORS``, -1 where not known.
+        probability: (n, k) of each class.
+        truth: (n,) codes into ``classes``, -1 where not known or none of them.
         style: (n,) codes into ``STYLES``, -1 where not known.
         answered: (n,) whether a behaviour is likely enough to be an answer.
         domain: (n,) 0 in simulated traffic, 1 in other traffic.
+        classes: the behaviours that the model knows.
     """
 
     episode: IntArray
@@ -64,49 +68,58 @@ class Answers:
     style: NDArray[np.int64]
     answered: NDArray[np.bool_]
     domain: FloatArray
+    classes: tuple[Behavior, ...] = BEHAVIORS
 
     @classmethod
     def known(
-        cls, probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray
-    ) -> Answers:
+        cls, probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray,
+        classes: tuple[Behavior, ...] = BEHAVIORS,
+    ) -> Answers:  # fmt: skip
         """Answers that are always given, about drivers whose behaviour is known.
 
         Args:
-            probability: (n, 6) posteriors.
-            truth: (n,) codes into ``BEHAVIORS``, -1 where not known.
+            probability: (n, k) posteriors.
+            truth: (n,) codes into ``classes``, -1 where not known.
             episode: (n,) episode numbers.
+            classes: the k behaviours.
 
         Returns:
             The answers.
         """
         n, codes = len(probability), truth.astype(np.int64)
-        style = np.where(codes >= 0, STYLE_OF[codes], -1)
-        return cls(episode, probability, codes, style, np.ones(n, dtype=bool), np.zeros(n))
+        style = np.where(codes >= 0, styles_of(classes)[codes], -1)
+        all_answered = np.ones(n, dtype=bool)
+        return cls(episode, probability, codes, style, all_answered, np.zeros(n), classes)
 
     @classmethod
-    def of_tables(cls, tables: Sequence[pa.Table]) -> Answers:
+    def of_tables(
+        cls, tables: Sequence[pa.Table], classes: tuple[Behavior, ...] = BEHAVIORS
+    ) -> Answers:
         """The answers of some episodes, from tables with the columns of a labels file.
 
         Args:
             tables: one of each episode, with a row per driver.
+            classes: the behaviours that the model knows.
 
         Returns:
             The answers.
         """
         table = pa.concat_tables(tables)
-        columns = [table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS]
+        columns = [table[f"p_{b}"].to_numpy() for b in classes]
         return cls(
             episode=np.repeat(np.arange(len(tables)), [t.num_rows for t in tables]),
             probability=np.stack(columns, axis=1).astype(np.float64),
-            truth=_codes(table["truth"], BEHAVIORS),
+            truth=_codes(table["truth"], [*map(str, classes)]),
             style=_codes(table["true_style"], STYLES),
             answered=pc.is_valid(table["behavior"]).to_numpy(),
             domain=table["domain"].to_numpy().astype(np.float64),
+            classes=classes,
         )
 
     def where(self, chosen: NDArray[np.bool_]) -> Answers:
         """The answers for which ``chosen`` (n,) holds."""
-        return Answers(*(getattr(self, name)[chosen] for name in self.__slots__))
+        arrays = {n: getattr(self, n)[chosen] for n in self.__slots__ if n != "classes"}
+        return Answers(**arrays, classes=self.classes)
 
     @property
     def likeliest(self) -> IntArray:
@@ -115,13 +128,13 @@ class Answers:
 
     @property
     def counts(self) -> FloatArray:
-        """(E, 6, 6) confusion matrices of behaviours."""
-        return confusion(self.truth, self.likeliest, self.episode)
+        """(E, k, k) confusion matrices of behaviours."""
+        return confusion(self.truth, self.likeliest, self.episode, len(self.classes))
 
     @property
     def style_counts(self) -> FloatArray:
         """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
-        answer = (aggressive_share(self.probability) < 0.5).astype(np.int64)
+        answer = (aggressive_share(self.probability, self.classes) < 0.5).astype(np.int64)
         return confusion(self.style, answer, self.episode, len(STYLES))
 
 
@@ -171,7 +184,10 @@ def score_answers(
     rows.append(share("confidence", answers.probability.max(axis=1)))
     if breakdown:
         answer = np.where(answers.answered, answers.likeliest, -1)
-        rows += [share("named_share", answer == b.code, behavior=b.value) for b in BEHAVIORS]
+        rows += [
+            share("named_share", answer == code, behavior=str(b))
+            for code, b in enumerate(answers.classes)
+        ]
     known = answers.where(answers.truth >= 0)
     if known.truth.size:
         rows += _behavior_rows(known, keys, majority, breakdown)
@@ -191,23 +207,24 @@ def _behavior_rows(
     right = summed(episode, answers.answered & (answers.likeliest == truth), answers.answered)
     measured: list[tuple[str, Statistic, FloatArray, int]] = [
         ("weighted_accuracy", weighted_accuracy, counts, n),
-        ("majority_weighted_accuracy", weighted_accuracy, confusion(truth, constant, episode), n),
+        ("majority_weighted_accuracy", weighted_accuracy,
+         confusion(truth, constant, episode, len(answers.classes)), n),
         ("answered_accuracy", ratio, right, int(answers.answered.sum())),
         ("balanced_accuracy", balanced_accuracy, counts, n),
         ("macro_f1", macro_f1, counts, n),
         ("ece", calibration_error, bins, n),
-    ]
+    ]  # fmt: skip
     for name, statistic, per_episode, count in measured:
         if count:
             yield tidy_row(keys, name, *bootstrap(statistic, per_episode), count)
     total = counts.sum(axis=0)
-    for behavior in BEHAVIORS:
-        own, row = int(total[behavior.code].sum()), {**keys, "behavior": behavior.value}
+    for code, behavior in enumerate(answers.classes):
+        own, row = int(total[code].sum()), {**keys, "behavior": str(behavior)}
         if own:
-            yield tidy_row(row, "recall", *bootstrap(recall_of(behavior.code), counts), own)
-        for other in BEHAVIORS if breakdown else ():
-            taken = float(total[behavior.code, other.code])
-            yield tidy_row({**row, "answer": other.value}, "confusion", taken, n=own)
+            yield tidy_row(row, "recall", *bootstrap(recall_of(code), counts), own)
+        for taken_for, other in enumerate(answers.classes) if breakdown else ():
+            taken = float(total[code, taken_for])
+            yield tidy_row({**row, "answer": str(other)}, "confusion", taken, n=own)
     for number, (count, sure, _) in enumerate(bins.sum(axis=0) if breakdown else ()):
         if count:
             row = {**keys, "confidence": round(float(sure / count), 4)}
@@ -219,8 +236,9 @@ def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None
     """Rows about drivers whose style is known, with or without their behaviour."""
     truth, episode, n = answers.style, answers.episode, answers.style.size
     counts = answers.style_counts
-    aggressive = aggressive_share(answers.probability)
-    constant = np.full(n, np.bincount(truth).argmax() if majority is None else STYLE_OF[majority])
+    aggressive = aggressive_share(answers.probability, answers.classes)
+    constant = np.full(n, np.bincount(truth).argmax() if majority is None
+                       else styles_of(answers.classes)[majority])  # fmt: skip
     bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
     measured: list[tuple[str, Statistic, FloatArray]] = [
         ("style_accuracy", weighted_accuracy, counts),
@@ -262,12 +280,16 @@ def _difference(statistic: Statistic, counts: FloatArray) -> FloatArray:
     return np.asarray(both[..., 0] - both[..., 1])
 
 
-def score_places(parts: Iterable[tuple[str, str, pa.Table]], keys: Mapping[str, Cell]) -> list[Row]:
+def score_places(
+    parts: Iterable[tuple[str, str, pa.Table]], keys: Mapping[str, Cell],
+    classes: tuple[Behavior, ...] = BEHAVIORS,
+) -> list[Row]:  # fmt: skip
     """Score the answers of many episodes by scenario and split, and over all of either.
 
     Args:
         parts: scenario, split and the last answers of each episode, see `Answers.of_tables`.
         keys: what was measured, for the rows.
+        classes: the behaviours that the model knows.
 
     Returns:
         Rows as from `score_answers` with ``scenario`` and ``split``; these are "all" over several.
@@ -281,7 +303,7 @@ def score_places(parts: Iterable[tuple[str, str, pa.Table]], keys: Mapping[str, 
             tables = [t for a, b, t in found if scenario in (ALL, a) and split in (ALL, b)]
             if tables:
                 place = {**keys, "scenario": scenario, "split": split}
-                rows += score_answers(Answers.of_tables(tables), place)
+                rows += score_answers(Answers.of_tables(tables, classes), place)
     return rows
 
 

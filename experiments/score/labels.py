@@ -12,7 +12,8 @@ import numpy as np
 import pyarrow as pa
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Behavior
+from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
 from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
@@ -38,7 +39,7 @@ LABELS: Final = pa.schema(
         pa.field("time_s", pa.float64()),
         pa.field("behavior", pa.string()),
         pa.field("style", pa.string()),
-        *(pa.field(f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
+        *(pa.field(f"p_{b}", pa.float32()) for b in BEHAVIORS),
         pa.field("domain", pa.float32()),
         pa.field("unknown", pa.float32()),
         pa.field("truth", pa.string()),
@@ -51,7 +52,14 @@ The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``
 own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum; each is null
 below the label threshold (`graphrqi.posterior`). ``domain`` is 0 in simulated traffic and 1 in
 other traffic; ``unknown`` is the probability that the style is only guessed. ``truth`` and
-``true_style`` are the true labels, null where unknown."""
+``true_style`` are the true labels, null where unknown. A model that knows further behaviours adds
+a column of the same kind for each."""
+
+
+def labels_schema(model: Model) -> pa.Schema:
+    """Columns of a labels file of a model."""
+    own = model.classes[len(BEHAVIORS) :]
+    return pa.schema([*LABELS, *(pa.field(f"p_{b}", pa.float32()) for b in own)])
 
 
 def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pa.Table:
@@ -73,12 +81,12 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
     tracks = measured(episode)
     answers = [(frame.time_s, stream.update(frame)) for frame in tracks.frames()]
     if not answers:
-        return LABELS.empty_table()
+        return labels_schema(model).empty_table()
     row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for _, a in answers])
     each = [a.ids.size for _, a in answers]
     probability = np.concatenate([a.probability for _, a in answers])
     told = np.concatenate([a.labelled for _, a in answers])
-    aggressive = aggressive_share(probability) >= 0.5
+    aggressive = aggressive_share(probability, model.classes) >= 0.5
     known = {agent.id: agent for agent in episode.agents}
     drivers = [known[i] for i in tracks.ids.tolist()]
 
@@ -90,21 +98,22 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
         "agent": pa.array(tracks.ids[row]),
         "name": of_agents(tracks.names),
         "time_s": pa.array(np.repeat([time_s for time_s, _ in answers], each)),
-        "behavior": _words(BEHAVIORS, probability.argmax(axis=1), told),
+        "behavior": _words(model.classes, probability.argmax(axis=1), told),
         "style": _words(STYLES, np.where(aggressive, 0, 1), told),
         "domain": pa.array(np.repeat([a.domain for _, a in answers], each)),
         "unknown": pa.array(np.concatenate([a.unknown for _, a in answers])),
         "truth": of_agents([agent.behavior for agent in drivers]),
         "true_style": of_agents([agent.style for agent in drivers]),
     }
-    for behavior, share in zip(BEHAVIORS, probability.T.astype(np.float32), strict=True):
-        columns[f"p_{behavior.value}"] = pa.array(share)
-    return pa.table(columns).select(LABELS.names).cast(LABELS)
+    for behavior, share in zip(model.classes, probability.T.astype(np.float32), strict=True):
+        columns[f"p_{behavior}"] = pa.array(share)
+    schema = labels_schema(model)
+    return pa.table(columns).select(schema.names).cast(schema)
 
 
 def _words(names: Sequence[str], codes: IntArray, told: BoolArray) -> pa.Array:
     """The word of each code; null without a label."""
-    return pa.array(names, pa.string()).take(pa.array(codes, pa.int64(), mask=~told))
+    return pa.array([*map(str, names)], pa.string()).take(pa.array(codes, pa.int64(), mask=~told))
 
 
 def _with_truth(
@@ -189,7 +198,7 @@ def answer_episodes(
     found: list[Answered] = []
     with (
         Progress("answering episodes", len(chosen), quiet) as progress,
-        nullcontext() if out is None else table_file(out, LABELS) as writer,
+        nullcontext() if out is None else table_file(out, labels_schema(model)) as writer,
     ):
         answers = in_parallel(_answers, arguments, jobs) if arguments else ()
         for (_, entry, place), (names, table) in zip(chosen, answers, strict=True):
@@ -212,10 +221,18 @@ def _answers(
     return episode.tracks.names, table if every_frame else _last_answers(table)
 
 
-def scored_answers(answered: Sequence[Answered], model: str) -> list[Row]:
+def scored_answers(
+    answered: Sequence[Answered], model: str, classes: tuple[Behavior, ...] = BEHAVIORS
+) -> list[Row]:
     """Rows as from `experiments.score.answers.score_places`, of the last answers of a model."""
+    strange = {word for one in answered for word in one.table["truth"].to_pylist()}
+    if strange := strange - {None, *classes}:
+        LOGGER.warning(
+            "model %s does not know %s: scored by their style alone; graphrqi train on such data "
+            "makes a model that does", model, ", ".join(sorted(strange))
+        )  # fmt: skip
     parts = [(one.place, one.entry.split, one.table) for one in answered]
-    return score_places(parts, {"model": model})
+    return score_places(parts, {"model": model}, classes)
 
 
 def classify_dataset(
@@ -236,8 +253,9 @@ def classify_dataset(
     Returns:
         Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
     """
+    known = load_model(model)
     answered = answer_episodes(
-        load_model(model), [open_dataset(source)], labels=labels, out=out, traffic=traffic,
+        known, [open_dataset(source)], labels=labels, out=out, traffic=traffic,
         jobs=jobs, quiet=quiet,
     )  # fmt: skip
     rows: list[Row] = []
@@ -246,8 +264,8 @@ def classify_dataset(
             "model": str(model), "episode": one.entry.id, "name": one.entry.name,
             "scenario": one.place, "split": one.entry.split,
         }  # fmt: skip
-        rows += score_answers(Answers.of_tables([one.table]), keys)
-    return [*rows, *scored_answers(answered, str(model))]
+        rows += score_answers(Answers.of_tables([one.table], known.classes), keys)
+    return [*rows, *scored_answers(answered, str(model), known.classes)]
 
 
 def evaluate(
@@ -262,13 +280,14 @@ def evaluate(
     Raises:
         InputError: if nothing is known of any driver that an answer was given about.
     """
+    known = load_model(model)
     answered = answer_episodes(
-        load_model(model), [open_dataset(source)], labels=labels, traffic=traffic, jobs=jobs,
+        known, [open_dataset(source)], labels=labels, traffic=traffic, jobs=jobs,
         quiet=quiet,
     )  # fmt: skip
     if not any(one.table.num_rows for one in answered):
         raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")
-    rows = scored_answers(answered, str(model))
+    rows = scored_answers(answered, str(model), known.classes)
     if not is_scored(rows):
         raise InputError(
             f"{source}: found no driver whose behaviour or style is known, expected at least one; "

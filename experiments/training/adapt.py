@@ -68,7 +68,7 @@ def adapt(
         tidy_row({}, "scale", adaptation.scale),
     ]
     rows += [
-        tidy_row({"behavior": behavior.value}, "offset", float(offset))
+        tidy_row({"behavior": str(behavior)}, "offset", float(offset))
         for behavior, offset in zip(BEHAVIORS, adaptation.offset, strict=True)
     ]
     card = {**trained.card, "adapted": {"drivers": drivers, "labelled": len(allowed)}}
@@ -81,7 +81,7 @@ def _labelled(answered: list[Answered], given: DriverLabels) -> tuple[FloatArray
     answers, allowed = [], []
     for one in answered:
         names, entry = one.table["name"].to_pylist(), one.entry
-        columns = [one.table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS]
+        columns = [one.table[f"p_{b!s}"].to_numpy() for b in BEHAVIORS]
         found = given.of(names, entry.name, entry.file, entry.id)
         for label, answer in zip(found, np.stack(columns, axis=1), strict=True):
             if label is not None:

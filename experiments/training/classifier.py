@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, get_args
 
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from experiments.console.notices import LOGGER
 from experiments.data.windows import gather
 from experiments.score.labels import answer_episodes, scored_answers
@@ -65,7 +67,13 @@ def train_model(
     worlds = [d for d in datasets if "worlds" in d.header.configuration]
     home = [d for d in datasets if d not in worlds]
     other, networks = None, dict[str, Any]()
+    classes = tuple(dict.fromkeys(one for dataset in datasets for one in dataset.behaviors))
     if chosen.name == BOTH and home and worlds:
+        if len(classes) > len(BEHAVIORS):
+            raise InputError(
+                "train: found random worlds beside behaviours of one's own, expected one of the "
+                "two: the networks for other traffic know the six"
+            )
         other, networks = train_on_worlds(home, worlds, seed, jobs, quiet)
         datasets = home
     options: dict[str, Any] = {
@@ -76,13 +84,14 @@ def train_model(
         "seed": seed,
         "jobs": jobs,
         "quiet": quiet,
+        "classes": classes,
     }
     training = gather(datasets, "train", chosen.name, **options)
     validation = None
     if any(dataset.episodes("validation") for dataset in datasets):
         with _skipping_empty():
             validation = gather(datasets, "validation", chosen.name, **options)
-    model = train(chosen.name, training, validation, solver, seed)
+    model = train(chosen.name, training, validation, solver, seed, classes=classes)
     card = {**_card(datasets, model, training), **networks}
     return dataclasses.replace(model, other=other, card=card)
 
@@ -141,7 +150,7 @@ def train_on(
     check_model_folder(out)
     model = train_model(opened, method, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet)
     answered = answer_episodes(model, opened, split="test", jobs=jobs, quiet=quiet)
-    rows = [*model.card["scores"], *scored_answers(answered, model.method.name)]
+    rows = [*model.card["scores"], *scored_answers(answered, model.method.name, model.classes)]
     scores = stamped(rows, "train", seed)
     model = dataclasses.replace(model, card={**model.card, "scores": scores})
     save_model(model, out)

@@ -183,7 +183,7 @@ def verdict_rows(verdicts: Sequence[Verdict]) -> list[Row]:
             "rule": v.event.words,
             "driver": v.agent,
             "role": v.role,
-            "behavior": None if v.behavior is None else v.behavior.value,
+            "behavior": None if v.behavior is None else str(v.behavior),
             "prevents": v.prevents,
             "placebo": v.placebo,
         }

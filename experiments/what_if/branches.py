@@ -47,7 +47,7 @@ class WhatIf(BaseModel):
         actions: the actions to take at that instant, one counterfactual episode each.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
 
     episode: GenerateConfig
     index: Annotated[int, Field(ge=0)] = 0
@@ -138,8 +138,12 @@ def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
     """
     scenario = config.check()
     configuration: dict[str, Any] = {
-        "what_if": config.model_dump(mode="json", exclude_none=True),
+        "what_if": {
+            **config.model_dump(mode="json", exclude_none=True, exclude={"behaviors"}),
+            "behaviors": [str(one) for one in config.behaviors],
+        },
         "made_with": dict(made_with(config.episode.engine)),
+        **({"behaviors": config.episode.behaviors} if config.episode.behaviors else {}),
     }
     if is_dataset(folder) and open_dataset(folder).header.configuration == configuration:
         return open_dataset(folder).manifest  # it is there already
@@ -167,7 +171,7 @@ def _plan(
     plan = [_Planned(None, factual, tuple(agents))]
     for change in config.changes:
         kind = "action" if isinstance(change, Action) else "behavior"
-        branch = {"at_s": config.at_s, "agent": config.agent, kind: change.value}
+        branch = {"at_s": config.at_s, "agent": config.agent, kind: str(change)}
         meta = factual.model_copy(update={"options": {**factual.options, "branch": branch}})
         changed = (
             tuple(agents)

@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from behaviors.errors import InputError
+from behaviors.labels import read_behaviors, tables_of
 from behaviors.populations import read_population
 from behaviors.profiles import DEFAULT_SPREAD
 from sim.highway.ego import check_action
@@ -36,6 +37,10 @@ def _check_classifier(classifier: object) -> object:
     if classifier is not None and not callable(classifier):
         raise InputError(f"classifier: found {classifier!r}, expected a callable")
     return classifier
+
+
+def _behavior_tables(source: Any) -> dict[str, Any] | None:
+    return None if source is None else tables_of(read_behaviors(source))
 
 
 def _population_table(source: Any) -> dict[str, Any] | None:
@@ -78,6 +83,10 @@ class TrafficConfig(BaseModel):
     population: Annotated[dict[str, Any] | None, PlainValidator(_population_table)] = None
     """A shipped population's name ("us101"), a TOML file, or its parsed content; None for drivers
     around the profiles."""
+
+    behaviors: Annotated[dict[str, Any] | None, PlainValidator(_behavior_tables)] = None
+    """Behaviours of one's own, beside the six, that the mix may name: names that ship, a TOML file,
+    or its parsed content. In observations each counts for that of the six which it is like."""
 
     net: str | None = None
     """A map to drive on instead (a format of `sim.road.files` or a map that netconvert reads); the

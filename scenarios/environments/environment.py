@@ -228,7 +228,7 @@ class TrafficEnv(EgoEnv):
         reference = checked.net or checked.scenario or self._scenario_name
         options: dict[str, Any] = {
             "flow": checked.flow, "mix": checked.mix, "spread": checked.spread,
-            "population": checked.population,
+            "population": checked.population, "behaviors": checked.behaviors,
         }  # fmt: skip
         if reference != self._scenario_name:
             usual = TrafficConfig()
@@ -541,7 +541,7 @@ class TrafficEnv(EgoEnv):
             for row, other in enumerate(others):
                 drawn = self.agents.get(agent_of(other))  # another ego vehicle is not drawn
                 if drawn is not None and drawn.behavior is not None:
-                    found[row, drawn.behavior.code] = 1.0
+                    found[row, drawn.behavior.base.code] = 1.0
             return found
         if option != "posterior":
             return None

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from behaviors.errors import InputError
-from behaviors.populations import read_population
+from behaviors.toml_files import read_toml
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.own_road import own_road
@@ -95,6 +95,10 @@ class ScenarioFile(BaseModel):
     """A shipped population's name, a TOML file (a path from the file's folder), or its content as a
     table."""
 
+    behaviors: str | dict[str, Any] | None = None
+    """Behaviours of one's own, beside the six: names that ship, a TOML file (a path from the file's
+    folder), or its content as a table."""
+
     jaywalk_share: float | None = None
     """Share of pedestrians who cross on red and anywhere."""
 
@@ -146,11 +150,10 @@ class ScenarioFile(BaseModel):
             found["flows"] = [RouteFlow(one.route, one.per_hour, one.walking) for one in self.flows]
         if self.routes is not None:
             found["routes"] = folder / self.routes
-        if self.population is not None:
-            given = self.population
-            is_file = isinstance(given, str) and is_path(given)
-            path_or_name = folder / str(given) if is_file else given
-            found["population"] = read_population(path_or_name).table()
+        for name in ("population", "behaviors"):
+            given = getattr(self, name)
+            if isinstance(given, str) and is_path(given):
+                found[name] = read_toml(folder / given)
         if self.limits_mps is not None:
             found["limit_mps"] = self.limits_mps[0]
         return found

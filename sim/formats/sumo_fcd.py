@@ -21,7 +21,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import Recording, Rows, default_size, recorded
 from sim.formats.common.tables import column_names, read_table
@@ -275,12 +275,12 @@ def _recording(
             size, assumed = default_size(kind), assumed + 1
         kinds.append(kind)
         sizes.append(size)
-        if behavior and behavior not in set(Behavior):
+        if behavior and behavior not in BEHAVIORS:
             raise InputError(
                 f"{path}: {element} {identity:.60}: behavior: found {behavior[:40]!r}, expected "
                 f"one of {', '.join(BEHAVIORS)}"
             )
-        codes.append(Behavior(behavior).code if behavior else -1)
+        codes.append(BEHAVIORS.index(behavior) if behavior else -1)
     values, labelled = np.asarray(found.values), np.array(codes, dtype=np.int8)
     heading = np.radians(90.0 - values[:, 2])
     rows = Rows(
@@ -323,7 +323,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
             raise InputError(f"{name}: found agent {label!r}, expected a name that can be printed")
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<fcd-export>"]
     labels = [
-        "" if tracks.behavior is None or code < 0 else f' behavior="{BEHAVIORS[code].value}"'
+        "" if tracks.behavior is None or code < 0 else f' behavior="{tracks.classes[code]}"'
         for code in (np.full(len(tracks.names), -1) if tracks.behavior is None else tracks.behavior)
     ]
     ids = [quoteattr(label) for label in tracks.names]

@@ -20,7 +20,6 @@ from highway_env.road.graphics import WorldSurface
 from numpy.typing import NDArray
 
 from behaviors.colors import COLORS, rgb
-from behaviors.labels import Behavior
 from sim.frames import Signal
 from sim.highway.network import HighwayNetwork
 from sim.highway.traffic import TrafficRoad
@@ -29,7 +28,7 @@ from sim.road.shapes import RoadShapes, road_shapes
 FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
 
-BEHAVIOR_COLORS: Final[dict[Behavior, Color]] = {b: rgb(c) for b, c in COLORS.items()}
+BEHAVIOR_COLORS: Final[dict[str, Color]] = {b: rgb(c) for b, c in COLORS.items()}
 """As in every other picture, for pygame."""
 
 SIGNAL_COLORS: Final[dict[Signal, Color]] = {
@@ -159,7 +158,7 @@ def _draw_traffic(surface: WorldSurface, road: TrafficRoad, ego: Any | None) -> 
         pygame.draw.circle(surface, PERSON, place, max(3, round(0.35 * surface.scaling)))
     for vehicle in road.vehicles:
         behavior = getattr(vehicle, "behavior", None)
-        color = PAVING if behavior is None else BEHAVIOR_COLORS[behavior]
+        color = PAVING if behavior is None else BEHAVIOR_COLORS.get(behavior) or rgb(behavior.color)
         color = EGO if vehicle is ego else color
         _draw_vehicle(surface, vehicle, color, EGO if vehicle is ego else OUTLINE)
 

@@ -206,7 +206,11 @@ def rows_where(
     """
     if split is not None and split not in get_args(Split):
         raise InputError(f"split: found {split!r}, expected one of {', '.join(get_args(Split))}")
+    own: set[str] = set()
     if behavior is not None and behavior not in BEHAVIORS:
+        for text in pc.unique(table.column("options")).to_pylist():
+            own |= {*json.loads(text).get("behaviors", {})}
+    if behavior is not None and behavior not in (*BEHAVIORS, *own):
         raise InputError(f"behavior: found {behavior!r}, expected one of {', '.join(BEHAVIORS)}")
     wanted = {
         "split": split,
@@ -215,7 +219,9 @@ def rows_where(
         "flow": flow if flow is None or isinstance(flow, str) else words_of(float(flow)),
     }
     fits = [pc.equal(table.column(n), value) for n, value in wanted.items() if value is not None]
-    if behavior is not None:
+    if behavior in own:  # drawn if the mix has it
+        fits.append(pc.match_substring(table.column("mix"), f'"{behavior}": '))
+    elif behavior is not None:
         fits.append(pc.greater(table.column(str(behavior)), 0))
     return table.filter(reduce(pc.and_, fits)) if fits else table
 

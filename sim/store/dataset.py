@@ -21,6 +21,7 @@ import pyarrow.compute as pc
 from behaviors.detector_inputs import ShownTrait
 from behaviors.display import counted, html_table, import_pandas
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
 from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.road import Road
@@ -117,6 +118,12 @@ class Dataset:
         ``agent_steps`` and of every behaviour and kind that was drawn.
         """
         return totals_of(self.catalogue)
+
+    @property
+    def behaviors(self) -> tuple[Behavior, ...]:
+        """The behaviours that its drivers may have: the six, then those of one's own."""
+        said = self.header.configuration.get("behaviors")
+        return (*BEHAVIORS, *read_behaviors(said if isinstance(said, dict) else None))
 
     def __len__(self) -> int:
         """How many episodes there are."""

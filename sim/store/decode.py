@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior, Style, Trait
-from behaviors.profiles import PROFILE_FIELDS, Profile
+from behaviors.labels import BEHAVIORS, Behavior, Style, Trait, read_behaviors
+from behaviors.profiles import PERCEPTION_FIELDS, PROFILE_FIELDS, Profile
 from behaviors.row_index import RowIndex
 from sim.files import Place
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
@@ -57,8 +57,10 @@ def read_tables(
         for table in TABLES
         if table != "conflicts"
     }
+    classes = (*BEHAVIORS, *read_behaviors(entry.behaviors))
     for table, rows in tables.items():
-        _check_values(paths[table], rows, WORDS.get(table, {}))
+        words = WORDS.get(table, {}) | ({"behavior": classes} if table == "agents" else {})
+        _check_values(paths[table], rows, words)
     agents, time_s = tables["agents"], _array(tables["frames"], "time_s")
     if time_s.size != entry.frames or (np.diff(time_s) <= 0).any():
         raise InputError(
@@ -72,7 +74,7 @@ def read_tables(
         raise InputError(f"{paths['agents']}: found agents out of order, expected by id")
     rows = _track_rows(paths["steps"], tables["steps"], ids, time_s.size)
     seen = np.flatnonzero(np.diff(rows.index.first))
-    behavior = _codes(agents, "behavior", BEHAVIORS)[seen]
+    behavior = _codes(agents, "behavior", classes)[seen]
     names = agents.column("name").to_pylist()
     tracks = Tracks.of_rows(
         rows if seen.size == ids.size else rows.part(seen, slice(None)),
@@ -84,6 +86,7 @@ def read_tables(
         time_s=time_s,
         signals=_signals(paths["signals"], tables["signals"], time_s.size),
         behavior=behavior if (behavior >= 0).any() else None,
+        classes=classes,
         events=tuple(
             Event(**{**row, "kind": EventKind(row["kind"])}) for row in _dicts(tables["events"])
         ),
@@ -92,7 +95,7 @@ def read_tables(
         ShownTrait(**{**row, "trait": Trait(row["trait"]), "other": _known(row["other"])})
         for row in _dicts(tables["traits"])
     )
-    return tracks, _agent_specs(paths["agents"], agents), shown
+    return tracks, _agent_specs(paths["agents"], agents, classes), shown
 
 
 def read_conflicts(place: Place, entry: EpisodeEntry) -> Conflicts:
@@ -144,7 +147,7 @@ def _check_values(path: Path, rows: pa.Table, words: dict[str, tuple[str, ...]])
 
 def _codes(rows: pa.Table, name: str, words: tuple[str, ...]) -> NDArray[np.int8]:
     """Each row's place in the words; -1 for null."""
-    codes = pc.index_in(rows.column(name), value_set=pa.array(words, pa.string()))
+    codes = pc.index_in(rows.column(name), value_set=pa.array([*map(str, words)], pa.string()))
     return cast("NDArray[np.int8]", pc.fill_null(codes, -1).to_numpy().astype(np.int8))
 
 
@@ -184,16 +187,20 @@ def _signals(path: Path, table: pa.Table, steps: int) -> NDArray[np.int8]:
     return np.take_along_axis(signals, np.maximum.accumulate(last, axis=1), axis=1)
 
 
-def _agent_specs(path: Path, table: pa.Table) -> tuple[AgentSpec, ...]:
+def _agent_specs(
+    path: Path, table: pa.Table, classes: tuple[Behavior, ...]
+) -> tuple[AgentSpec, ...]:
     specs: list[AgentSpec] = []
     for row in table.to_pylist():
         numbers = {name: row[name] for name in PROFILE_FIELDS}
         known = any(value is not None for value in numbers.values())
+        if row[PERCEPTION_FIELDS[0]] is None:  # older datasets do not have these columns
+            numbers |= dict.fromkeys(PERCEPTION_FIELDS, 0.0)
         try:
             profile = Profile(**numbers) if known else None
         except (InputError, TypeError) as error:
             raise InputError(f"{path}: agent {row['agent']}: {error}") from None
-        behavior = None if row["behavior"] is None else Behavior(row["behavior"])
+        behavior = None if row["behavior"] is None else classes[classes.index(row["behavior"])]
         specs.append(
             AgentSpec(
                 id=row["agent"],

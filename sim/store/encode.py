@@ -208,7 +208,7 @@ def agents_table(agents: Sequence[AgentSpec], names: Mapping[int, str]) -> pa.Ta
         "agent": [a.id for a in agents],
         "name": [names.get(a.id, str(a.id)) for a in agents],
         "kind": [a.kind.value for a in agents],
-        "behavior": [None if a.behavior is None else a.behavior.value for a in agents],
+        "behavior": [None if a.behavior is None else str(a.behavior) for a in agents],
         "style": [None if a.style is None else a.style.value for a in agents],
         "length_m": [a.length_m for a in agents],
         "width_m": [a.width_m for a in agents],

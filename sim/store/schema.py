@@ -25,7 +25,7 @@ float64, exactly.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
 
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
@@ -375,6 +375,12 @@ class EpisodeEntry(EpisodeMeta):
     def file(self) -> str | None:
         """The file that the recording was read from; None for a simulated episode."""
         return self._option("file")
+
+    @property
+    def behaviors(self) -> dict[str, Any]:
+        """Behaviours of one's own, beside the six, as `behaviors.read_behaviors` takes them."""
+        found = self.options.get("behaviors", {})
+        return found if isinstance(found, dict) else {}
 
     def _option(self, name: str) -> str | None:
         value = self.options.get(name)

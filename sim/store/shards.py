@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
 
 from behaviors.errors import InputError
+from behaviors.profiles import PERCEPTION_FIELDS
 from sim.files import PARTIAL_PREFIX, Place, place_of
 from sim.invalid_fields import first_wrong_field
 from sim.store.encode import written_schema
@@ -260,11 +261,17 @@ def read_rows(
     path = place.path / file
     try:
         with opened(place, file) as parquet:
-            check_columns(path, parquet.schema_arrow, table_schema(table, entry.exact))
+            schema = table_schema(table, entry.exact)
+            missing = set(PERCEPTION_FIELDS) - {*parquet.schema_arrow.names}  # in older datasets
+            there = pa.schema([one for one in schema if one.name not in missing])
+            check_columns(path, parquet.schema_arrow, there)
             for number in range(parquet.num_row_groups):
                 ids = parquet.metadata.row_group(number).column(0).statistics
                 if ids is not None and ids.min == ids.max == entry.id:
-                    return parquet.read_row_group(number, columns, use_threads=False)
+                    rows = parquet.read_row_group(number, columns, use_threads=False)
+                    for name in schema.names[len(there) :] if columns is None else ():
+                        rows = rows.append_column(name, pa.nulls(rows.num_rows, pa.float64()))
+                    return rows
     except FileNotFoundError:
         raise InputError(f"{path}: found no file, expected the shard of {entry.id}") from None
     none = table_schema(table, entry.exact).empty_table()

@@ -184,7 +184,7 @@ class EpisodeWriter:
             AgentSpec(
                 id=int(tracks.ids[i]),
                 kind=KINDS[tracks.kind[i]],
-                behavior=None if codes[i] < 0 else BEHAVIORS[codes[i]],
+                behavior=None if codes[i] < 0 else tracks.classes[codes[i]],
                 profile=None,
                 route=(),
                 depart_s=float(tracks.time_s[first[i]]) if tracks.time_s.size else 0.0,

@@ -115,7 +115,7 @@ class Trunk(_Closing):
         others = tuple(
             self.alternative(agent.id, behavior)
             for agent in self._drivers.values()
-            for behavior in BEHAVIORS
+            for behavior in (*BEHAVIORS, *scenario.behaviors)
         )
         self._connection.send((scenario, tuple(agents), seed, ENGINE_LAWS[engine], others))
 

@@ -58,7 +58,7 @@ def law_attributes(law: str, profile: Profile) -> dict[str, float]:
 
     Examples:
         >>> from behaviors import Behavior
-        >>> from behaviors.profiles import PROFILES
+        >>> from behaviors.labels import PROFILES
         >>> law_attributes("W99", PROFILES[Behavior.TIMID])["cc1"]
         2.9
     """

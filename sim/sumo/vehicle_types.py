@@ -17,7 +17,7 @@ from typing import Final
 from xml.sax.saxutils import quoteattr
 
 from behaviors.errors import InputError
-from behaviors.profiles import Profile
+from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S, Profile
 from sim.frames import AgentKind
 from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
 from sim.sumo.settings import DEFAULT_SETTINGS, SumoSettings, law_attributes
@@ -51,6 +51,28 @@ def driver_attributes(profile: Profile) -> dict[str, float]:
         "jmTimegapMinor": profile.gap_acceptance_s,
         "jmCrossingGap": profile.crossing_gap_s,
         "jmDriveAfterYellowTime": profile.yellow_run_s,
+    }
+
+
+def perception_parameters(profile: Profile) -> dict[str, float]:
+    """Parameters of SUMO's driver-state device for a driver's error of perception; none without.
+
+    The device's error is an Ornstein-Uhlenbeck process. With half of its awareness and twice its
+    usual coefficients, the process has standard deviation 1 and the correlation time
+    `ERROR_TIME_S`.
+    """
+    noise = profile.perception_noise
+    if not noise:
+        return {}
+    return {
+        "initialAwareness": 0.5,
+        "minAwareness": 0.1,
+        "errorTimeScaleCoefficient": 2.0 * ERROR_TIME_S,
+        "errorNoiseIntensityCoefficient": 2.0,
+        "headwayErrorCoefficient": noise,
+        "speedDifferenceErrorCoefficient": noise * CLOSING_ERROR_PER_S,
+        "headwayChangePerceptionThreshold": 0.0,
+        "speedDifferenceChangePerceptionThreshold": 0.0,
     }
 
 
@@ -91,6 +113,8 @@ def vehicle_type(
             **driver_attributes(profile),
             **law_attributes(settings.law, profile),
         }
+        if profile.reaction_time_s > 0:
+            numbers["actionStepLength"] = max(profile.reaction_time_s, settings.longest_step_s)
     return words | {attribute: f"{value:.6g}" for attribute, value in numbers.items()}
 
 
@@ -114,9 +138,9 @@ def route_file(
     yield "<routes>"
     ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
     for agent in ordered:
-        yield f"<vType{_attributes(vehicle_type(agent, settings))}/>"
+        yield _element(vehicle_type(agent, settings), agent)
     for agent in alternatives:
-        yield f"<vType{_attributes(vehicle_type(agent, settings, alternative_name(agent)))}/>"
+        yield _element(vehicle_type(agent, settings, alternative_name(agent)), agent)
     for agent in ordered:
         edges = quoteattr(" ".join(agent.route))
         depart = f"{agent.depart_s:.3f}"
@@ -134,6 +158,19 @@ def route_file(
                 f'departLane="best" departSpeed="max"><route edges={edges}/></vehicle>'
             )
     yield "</routes>"
+
+
+def _element(attributes: dict[str, str], agent: AgentSpec) -> str:
+    """The vType of an agent, with the parameters of its driver's state if it errs."""
+    named = {} if agent.profile is None else perception_parameters(agent.profile)
+    if not named:
+        return f"<vType{_attributes(attributes)}/>"
+    parameters = {"has.driverstate.device": "true"}
+    parameters |= {f"device.driverstate.{name}": f"{value:.6g}" for name, value in named.items()}
+    inner = "".join(
+        f"<param key={quoteattr(k)} value={quoteattr(v)}/>" for k, v in parameters.items()
+    )
+    return f"<vType{_attributes(attributes)}>{inner}</vType>"
 
 
 def _attributes(values: dict[str, str]) -> str:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from behaviors.detector_inputs import ShownTrait
-from behaviors.labels import BEHAVIORS, Behavior, Trait
-from behaviors.profiles import PROFILES
+from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Trait
 from experiments.replay.beliefs import Beliefs, kept_steps, sampled
 from experiments.replay.forecasts import Forecast
 from experiments.replay.graph_history import graph_history

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from behaviors.labels import Behavior
-from behaviors.profiles import PROFILES
+from behaviors.labels import PROFILES, Behavior
 from sim.frames import AgentKind
 from sim.highway import driving
 from sim.highway.driving import Beside, change_incentive, profile_fields

@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from behaviors.labels import Behavior, Style
-from behaviors.profiles import PROFILES
+from behaviors.labels import PROFILES, Behavior, Style
 from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
 from sim.episode.detector_inputs import detector_inputs

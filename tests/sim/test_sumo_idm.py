@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from behaviors.labels import Behavior
-from behaviors.profiles import PROFILES
+from behaviors.labels import PROFILES, Behavior
 from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.frames import AgentKind

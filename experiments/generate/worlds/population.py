@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS, PROFILES, Behavior
 from behaviors.populations.draw import LOWEST_HEADWAY_S
-from behaviors.profiles import FARTHEST_SPREADS, PROFILES, Profile
+from behaviors.profiles import FARTHEST_SPREADS, Profile
 from graphrqi.posterior import AGGRESSIVE
 from sim.frames import AgentKind
 from sim.scenario import KIND_LIMITS, AgentSpec

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
-from behaviors.profiles import PROFILES
+from behaviors.labels import BEHAVIORS, PROFILES
 
 FloatArray = NDArray[np.float64]
 

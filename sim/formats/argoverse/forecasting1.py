@@ -17,7 +17,6 @@ import numpy as np
 import pandas
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
 from sim.formats.common.tables import read_table
@@ -109,7 +108,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
              "X": x, "Y": y, "CITY_NAME": CITY}
         ).to_csv(index=False, lineterminator="\n")  # fmt: skip
         codes = np.full(len(labels), -1) if window.behavior is None else window.behavior
-        words = [BEHAVIORS[code].value if code >= 0 else "" for code in codes]
+        words = [str(window.classes[code]) if code >= 0 else "" for code in codes]
         kinds = [KINDS[kind].value for kind in window.kind]
         known = pandas.DataFrame({"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": words})
         path = folder / f"{name}-{number:04d}.csv"

@@ -21,7 +21,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from behaviors.labels import BEHAVIORS
 from sim.files import whole_folder
 from sim.formats.common.recording import Recording, Rows, left_out, recorded
 from sim.formats.common.tables import read_table
@@ -214,7 +213,7 @@ def _labels(window: Tracks, identity: str) -> pa.Table:
         "scenario_id": [identity] * len(window.names),
         "track_id": list(window.names),
         "kind": [KINDS[k].value for k in window.kind],
-        "behavior": [BEHAVIORS[c].value if c >= 0 else None for c in codes],
+        "behavior": [str(window.classes[c]) if c >= 0 else None for c in codes],
         "length_m": window.length,
         "width_m": window.width,
     }

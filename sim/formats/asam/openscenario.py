@@ -20,7 +20,6 @@ from typing import Any, Final
 import numpy as np
 from scenariogeneration import xosc
 
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.asam.opendrive import NO_DATE, RoadFile, as_bytes, opendrive
 from sim.frames import KINDS, SIGNALS, AgentKind, FloatArray, IntArray, Tracks
@@ -127,7 +126,7 @@ def _entity(tracks: Tracks, agent: int) -> Any:
         MAX_SPEED_MPS, MAX_ACCEL_MPS2, MAX_DECEL_MPS2,
     )  # fmt: skip
     if tracks.behavior is not None and tracks.behavior[agent] >= 0:
-        made.add_property("behavior", str(BEHAVIORS[tracks.behavior[agent]]))
+        made.add_property("behavior", str(tracks.classes[tracks.behavior[agent]]))
     return made
 
 

@@ -189,7 +189,7 @@ def _word(where: str, column: str, word: str) -> DriverLabel:
     if column != "behavior":
         known |= {style.value: DriverLabel(style) for style in Style}
     if column != "style":
-        known |= {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
+        known |= {str(one): DriverLabel(one.style, one) for one in BEHAVIORS}
     if word not in known:
         raise InputError(
             f"{where}: {column}: found {word!r:.60}, expected one of {', '.join(known)}"

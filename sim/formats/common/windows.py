@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS
 from sim.formats.common.tables import read_table
 from sim.frames import PEDESTRIAN, Tracks
 
@@ -106,6 +106,6 @@ def labels_beside(path: Path, names: Sequence[str]) -> NDArray[np.int8] | None:
                 f"{path}: behavior of agent {name!r:.60}: found {word!r:.60}, expected one of "
                 f"{', '.join(BEHAVIORS)}"
             )
-        known[name] = Behavior(word).code if word else -1
+        known[name] = BEHAVIORS.index(word) if word else -1
     codes = np.array([known.get(name, -1) for name in names], dtype=np.int8)
     return codes if (codes >= 0).any() else None

@@ -66,7 +66,7 @@ LIGHTS: Final = (
 )  # fmt: skip
 """What a light shows, by the end of its word; it is off where none fits."""
 
-BEHAVIOR_CODES: Final = {behavior.value: code for code, behavior in enumerate(BEHAVIORS)}
+BEHAVIOR_CODES: Final = {str(behavior): code for code, behavior in enumerate(BEHAVIORS)}
 
 
 def read(path: Path) -> Iterator[Recording]:

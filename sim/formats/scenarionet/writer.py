@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
@@ -105,7 +104,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
                 "track_length": int(tracks.time_s.size),
                 "type": TYPES[KINDS[tracks.kind[i]]],
                 "object_id": label,
-                "behavior": BEHAVIORS[code].value if code >= 0 else None,
+                "behavior": str(tracks.classes[code]) if code >= 0 else None,
             },
         }
     summary = {key: _object_summary(key, agent) for key, agent in agents.items()}

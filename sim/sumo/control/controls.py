@@ -13,6 +13,7 @@ from sim.sumo.control.clearing import Clearing
 from sim.sumo.control.cutting_in import CuttingIn
 from sim.sumo.control.drivers import LANE_CHANGES, Controller
 from sim.sumo.control.jaywalking import Jaywalking
+from sim.sumo.control.lapses import Lapses
 from sim.sumo.control.obedience import ORDINARY_SPEED_MODE, Obedience
 from sim.sumo.control.stopping import Stopping
 from sim.sumo.control.wrong_way import WrongWay
@@ -45,6 +46,7 @@ class Controls:
         self._cutting_in = CuttingIn(sumo, road, agents)
         self._stopping = Stopping(sumo, road, agents)
         self._wrong_way = WrongWay(sumo, road, agents)
+        self._lapses = Lapses(sumo, road, agents)
         self._of_drivers: tuple[Controller[Any], ...] = (
             self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
         )  # fmt: skip
@@ -57,9 +59,9 @@ class Controls:
         ended = self._acting.end_due(time_s, vehicles)
         if ended or vehicles is not self._vehicles:
             self._vehicles = vehicles
-            for controller in self._of_drivers:
-                controller.set_vehicles(self._acting.others(vehicles))
+            self._share_out(vehicles)
         self._jaywalking.step(time_s, vehicles, persons)
+        self._look_away(time_s, vehicles)
         if self._step % self._every == 0:
             self._obedience.step(time_s, persons)
             self._clearing.step(time_s)
@@ -69,6 +71,25 @@ class Controls:
             self._wrong_way.step(time_s, vehicles)
             return
         self._wrong_way.removed = []
+
+    def _share_out(self, vehicles: Sequence[str]) -> None:
+        """Give the controllers the vehicles that they steer."""
+        others = self._acting.others(vehicles)
+        self._lapses.set_vehicles([one for one in others if not self._wrong_way.overtakes(one)])
+        away = self._lapses.away
+        steered = [one for one in others if one not in away] if away else others
+        for controller in self._of_drivers:
+            controller.set_vehicles(steered)
+
+    def _look_away(self, time_s: float, vehicles: Sequence[str]) -> None:
+        """Begin and end lapses of attention; nobody else steers a driver who looks away."""
+        before = self._lapses.away
+        for agent in self._lapses.step(time_s):
+            for controller in self._of_drivers:
+                controller.change(agent, time_s)
+            self._set_back(str(agent.id))
+        if self._lapses.away != before:
+            self._share_out(vehicles)
 
     def change(self, to: AgentSpec | Command, time_s: float) -> None:
         """Let a driver on the road go on with another behaviour, or carry out an action.
@@ -100,13 +121,17 @@ class Controls:
         """Let a driver go on with another profile."""
         assert agent.profile is not None
         sumo = self._sumo
-        for controller in self._of_drivers:
+        for controller in (*self._of_drivers, self._lapses):
             controller.change(agent, time_s)
         sumo.vehicle_setType(name, alternative_name(agent))
         sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn again
-        sumo.vehicle_setSpeed(name, -1.0)
-        sumo.vehicle_setSpeedMode(name, ORDINARY_SPEED_MODE)
-        sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
+        self._set_back(name)
+
+    def _set_back(self, name: str) -> None:
+        """Let SUMO choose the speed and lane of a vehicle again, by all of its rules."""
+        self._sumo.vehicle_setSpeed(name, -1.0)
+        self._sumo.vehicle_setSpeedMode(name, ORDINARY_SPEED_MODE)
+        self._sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
 
     @property
     def removed(self) -> Sequence[int]:

@@ -1,4 +1,4 @@
-"""Running red lights, rolling over stop lines, not yielding to pedestrians.
+"""Running red lights, rolling over stop lines, not yielding to pedestrians, overlooking others.
 
 Each is decided once per encounter, with the driver's probability. SUMO's speed mode says which
 rules a vehicle obeys. It differs from the ordinary mode only up to the junction of a decided
@@ -36,6 +36,7 @@ FASTEST_LIMITS: Final = 2.5
 class _RuleBreaker(RouteDriver):
     runs_red: bool = False
     rolls: bool = False
+    overlooks: bool = False
     refuses: bool = False
     mode: int = ORDINARY_SPEED_MODE
     near: bool = False
@@ -56,6 +57,7 @@ class Obedience(Controller[_RuleBreaker]):
             profile.red_run_probability,
             profile.stop_roll_probability,
             1.0 - profile.yield_probability,
+            profile.overlook_probability,
         )
         return _RuleBreaker(agent, 1) if breaks > 0 else None
 
@@ -96,7 +98,14 @@ class Obedience(Controller[_RuleBreaker]):
         driver.edge, driver.refuses, driver.near = edge, False, False
         driver.runs_red = bool(driver.rng.random() < profile.red_run_probability)
         driver.rolls = bool(driver.rng.random() < profile.stop_roll_probability)
+        driver.overlooks = self._overlooks(driver)
+        driver.runs_red |= self._overlooks(driver)
         driver.decided.clear()
+
+    def _overlooks(self, driver: _RuleBreaker) -> bool:
+        """Draw whether a driver does not see what it has to yield to."""
+        chance = driver.profile.overlook_probability
+        return chance > 0 and bool(driver.rng.random() < chance)
 
     def _decide(self, driver: _RuleBreaker, ahead: Approach, occupied: frozenset[str]) -> int:
         profile = driver.profile
@@ -104,12 +113,13 @@ class Obedience(Controller[_RuleBreaker]):
             over = ahead.on_red if driver.runs_red and ahead.signal else ahead.crossings
             for crossing in sorted((over & occupied) - driver.decided):
                 driver.decided.add(crossing)
-                if driver.rng.random() >= profile.yield_probability:
+                refuses = driver.rng.random() >= profile.yield_probability
+                if self._overlooks(driver) or refuses:
                     driver.refuses = True
         mode = ORDINARY_SPEED_MODE
         if driver.runs_red and ahead.signal:
             mode &= IGNORE_RED
-        if driver.refuses or (driver.rolls and ahead.stop):
+        if driver.refuses or driver.overlooks or (driver.rolls and ahead.stop):
             mode |= 32  # ignores right of way in the junction,
             if not (driver.runs_red and ahead.signal):
                 mode &= ~8  # and before it
