@@ -168,7 +168,7 @@ def _element(attributes: dict[str, str], agent: AgentSpec) -> str:
     parameters = {"has.driverstate.device": "true"}
     parameters |= {f"device.driverstate.{name}": f"{value:.6g}" for name, value in named.items()}
     inner = "".join(
-        f"<param key={quoteattr(k)} value={quoteattr(v)}/>" for k, v in parameters.items()
+        f"<param{_attributes({'key': key, 'value': value})}/>" for key, value in parameters.items()
     )
     return f"<vType{_attributes(attributes)}>{inner}</vType>"
 

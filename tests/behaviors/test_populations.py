@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS, PROFILES, Behavior
 from behaviors.populations import (
     POPULATION_FIELDS,
     POPULATIONS,
@@ -22,7 +22,7 @@ from behaviors.populations import (
     drivers_of,
     read_population,
 )
-from behaviors.profiles import PROFILE_FIELDS, PROFILES
+from behaviors.profiles import PROFILE_FIELDS
 
 CORRELATION = np.array(
     [

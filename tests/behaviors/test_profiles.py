@@ -4,8 +4,8 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.metrics import f1_score
 from sklearn.model_selection import cross_val_predict
 
-from behaviors.labels import BEHAVIORS, Behavior, Style
-from behaviors.profiles import PROFILE_FIELDS, PROFILES, SOURCES, sample_profile
+from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Style
+from behaviors.profiles import PROFILE_FIELDS, SOURCES, sample_profile
 
 
 def test_every_number_of_every_profile_has_a_source():
@@ -17,8 +17,8 @@ def test_every_number_of_every_profile_has_a_source():
 @pytest.mark.parametrize("behavior", BEHAVIORS)
 def test_spread_zero_gives_clones_and_the_profile_is_the_median(behavior):
     rng = np.random.default_rng(1)
-    assert sample_profile(behavior, rng, 0.0) == PROFILES[behavior]
-    drawn = [sample_profile(behavior, rng, 0.15).time_headway_s for _ in range(400)]
+    assert sample_profile(behavior.profile, rng, 0.0) == PROFILES[behavior]
+    drawn = [sample_profile(behavior.profile, rng, 0.15).time_headway_s for _ in range(400)]
     assert np.median(drawn) == pytest.approx(PROFILES[behavior].time_headway_s, rel=0.03)
     assert np.std(np.log(drawn)) == pytest.approx(0.15, rel=0.12)
 
@@ -27,7 +27,7 @@ def test_spread_does_not_change_how_much_randomness_is_used():
     after = []
     for spread in (0.0, 0.5):
         rng = np.random.default_rng(3)
-        sample_profile(Behavior.TIMID, rng, spread)
+        sample_profile(Behavior.TIMID.profile, rng, spread)
         after.append(rng.random())
     assert after[0] == after[1]
 
@@ -51,7 +51,7 @@ def test_realised_numbers_overlap_but_tell_the_behaviours_apart():
     rows, labels = [], []
     for behavior in BEHAVIORS:
         for _ in range(200):
-            profile = sample_profile(behavior, rng)
+            profile = sample_profile(behavior.profile, rng)
             rows.append([getattr(profile, name) for name in names])
             labels.append(behavior.code)
     forest = RandomForestClassifier(100, random_state=0)

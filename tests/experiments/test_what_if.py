@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from behaviors import InputError
-from behaviors.labels import Behavior
+from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
 from experiments.generate.configuration import GenerateConfig
 from experiments.replay.ghosts import find_ghosts
@@ -73,7 +73,7 @@ def test_branches_begin_at_the_instant_and_differ_by_one_driver(made: Path) -> N
         if kind == "behavior":
             row = int(np.searchsorted(tracks.ids, AGENT))
             assert tracks.behavior is not None
-            assert tracks.behavior[row] == Behavior(change).code
+            assert tracks.behavior[row] == BEHAVIORS.index(change)
         far = np.abs(tracks.xy[:, 0, 0] - tracks.xy[tracks.ids == AGENT][0, 0, 0]) > 60.0
         there = np.searchsorted(happened.tracks.ids, tracks.ids)
         column = int(np.searchsorted(happened.tracks.time_s, AT_S + 0.05))

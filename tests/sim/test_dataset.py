@@ -39,7 +39,7 @@ def population() -> tuple[AgentSpec, ...]:
             id=i,
             kind=AgentKind.CAR,
             behavior=behavior,
-            profile=sample_profile(behavior, rng),
+            profile=sample_profile(behavior.profile, rng),
             route=("west", "east"),
             depart_s=0.1 * i,
             length_m=4.0 + 0.1 * i,

@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from behaviors import PROFILES, Behavior
+from behaviors import BEHAVIORS, PROFILES, Behavior
 from scenarios import SCENARIOS
 from scenarios.networks.build import find_program
 from sim.engines import get_engine
@@ -113,7 +113,7 @@ def test_a_free_driver_is_not_held_to_the_limit():
     assert seen.speed[0, -1] == pytest.approx(1.35 * 13.89, rel=0.02)
 
 
-@pytest.mark.parametrize("behavior", list(Behavior))
+@pytest.mark.parametrize("behavior", BEHAVIORS)
 def test_stops_behind_what_stands_in_the_way(behavior):
     road = TrafficRoad(straight_network())
     for lane in range(3):

@@ -7,7 +7,7 @@ import openpyxl
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.labels import Behavior, Style
+from behaviors.labels import BEHAVIORS, Behavior, Style
 from sim.formats import read_recordings
 from sim.formats.common.label_file import DriverLabel, read_driver_labels
 
@@ -76,7 +76,7 @@ def test_sheets_beside_tracks_label_them(tmp_path):
     (read,) = read_recordings(tracks, "traf")
     behavior = dict(zip(read.tracks.names, read.tracks.behavior.tolist(), strict=True))
     assert behavior["1"] in (Behavior.IMPATIENT.code, Behavior.RECKLESS.code)
-    assert behavior["2"] in [b.code for b in Behavior if b.style is Style.CONSERVATIVE]
+    assert behavior["2"] in [b.code for b in BEHAVIORS if b.style is Style.CONSERVATIVE]
     assert (behavior["3"], behavior["4"]) == (-1, -1)
     assert any("2 labels are resolved from the traits in a7.xlsx, b7.xlsx" in n for n in read.notes)
     for sheet in (tmp_path / "annotations").iterdir():

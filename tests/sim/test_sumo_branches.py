@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.labels import Behavior
+from behaviors.labels import BEHAVIORS, Behavior
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.frames import Frame
@@ -97,7 +97,7 @@ def test_one_driver_changes_and_the_others_are_not_drawn_anew() -> None:
         now = trunk.advance(FORK_S)[-1]
         agent = next(int(i) for i in now.ids if int(i) in drivers)
         branches = {
-            behavior: tuple(trunk.branch(UNTIL_S, agent, behavior)) for behavior in Behavior
+            behavior: tuple(trunk.branch(UNTIL_S, agent, behavior)) for behavior in BEHAVIORS
         }
         again = tuple(trunk.branch(UNTIL_S, agent, Behavior.TIMID))
         plain = tuple(trunk.branch(UNTIL_S))
