@@ -21,7 +21,8 @@ def test_a_behaviour_comes_back_equal_from_its_table_and_from_a_worker(name):
     (again,) = read_behaviors(tables_of((own,)))
     for other in (again, pickle.loads(pickle.dumps(own))):
         assert vars(other) == vars(own)
-    assert own.source and own.profile.reaction_time_s > 0
+    assert own.source
+    assert own.profile.reaction_time_s > 0
 
 
 def test_a_behaviour_may_be_like_one_before_it(tmp_path):
@@ -31,7 +32,8 @@ def test_a_behaviour_may_be_like_one_before_it(tmp_path):
     assert (sleepy.base, sleepy.style) == (Behavior.TIMID, Behavior.TIMID.style)
     assert (tired.profile.lapse_s, sleepy.profile.min_gap_m) == (1.0, 4.2)
     mix = parse_mix("aggressive=.3,conservative=.5,sleepy=.2", (tired, sleepy))
-    assert mix[sleepy] == 0.2 and sum(mix.values()) == pytest.approx(1.0)
+    assert mix[sleepy] == 0.2
+    assert sum(mix.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(
@@ -52,6 +54,6 @@ def test_a_behaviour_may_be_like_one_before_it(tmp_path):
 )
 def test_a_broken_file_is_refused_by_file_and_key(text, said, tmp_path):
     (tmp_path / "mine.toml").write_text(text)
-    with pytest.raises(InputError, match="mine.toml") as refused:
+    with pytest.raises(InputError, match="mine") as refused:
         read_behaviors(tmp_path / "mine.toml")
     assert said in str(refused.value)

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Behavior
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.score.answers import Answers, score_answers
@@ -98,7 +98,7 @@ def last_answers(answers, truths, styles, confidence=0.7) -> pa.Table:
         rest = (1.0 - confidence) / 5
         rows.append({
             "episode": "e", "scenario": "s", "split": "test", "agent": agent, "name": str(agent),
-            "behavior": answer, "style": BEHAVIORS[BEHAVIORS.index(answer)].style, "domain": 0.0, "unknown": 0.0,
+            "behavior": answer, "style": getattr(Behavior, answer.upper()).style, "domain": 0.0, "unknown": 0.0,
             "truth": truth, "true_style": style,
             **{f"p_{b.value}": confidence if b.value == answer else rest for b in BEHAVIORS},
         })  # fmt: skip

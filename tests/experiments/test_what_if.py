@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from behaviors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, Behavior
 from experiments.cli.commands import main
 from experiments.generate.configuration import GenerateConfig
 from experiments.replay.ghosts import find_ghosts
