@@ -98,7 +98,8 @@ def last_answers(answers, truths, styles, confidence=0.7) -> pa.Table:
         rest = (1.0 - confidence) / 5
         rows.append({
             "episode": "e", "scenario": "s", "split": "test", "agent": agent, "name": str(agent),
-            "behavior": answer, "style": getattr(Behavior, answer.upper()).style, "domain": 0.0, "unknown": 0.0,
+            "behavior": answer, "style": getattr(Behavior, answer.upper()).style,
+            "domain": 0.0, "unknown": 0.0,
             "truth": truth, "true_style": style,
             **{f"p_{b.value}": confidence if b.value == answer else rest for b in BEHAVIORS},
         })  # fmt: skip
