@@ -17,7 +17,7 @@ from behaviors.labels import BEHAVIORS, Behavior
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.score.answers import Answers, score_answers
-from experiments.score.labels import LABELS
+from experiments.score.tables import LABELS
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import call
 
