@@ -18,7 +18,8 @@ from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from sim.files import whole_file
 from sim.frames import Tracks
-from sim.store.schema import EpisodeEntry
+from sim.store.dataset import open_dataset
+from sim.store.schema import CONFLICTS, EpisodeEntry
 
 ENDINGS: Final = (".parquet", ".csv")
 """Endings of the files that are written; a path without an ending is Parquet."""
@@ -155,3 +156,33 @@ def table_file(path: Path, schema: pa.Schema) -> Iterator[pyarrow.csv.CSVWriter 
         else:
             with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
                 yield writer
+
+
+def write_conflicts(source: Path, out: Path) -> None:
+    """Write the conflicts of all episodes of a dataset into one file.
+
+    Args:
+        source: folder of a dataset.
+        out: .parquet or .csv, with the columns `JOINED`, the names of both road users, and those of
+            the dataset's table ``conflicts``.
+
+    Raises:
+        InputError: if the file has another ending.
+        OSError: if it cannot be written.
+    """
+    dataset = open_dataset(source)
+    names = [pa.field(name, pa.string()) for name in ("first_name", "second_name")]
+    own = [
+        pa.field(f.name, pa.string() if pa.types.is_dictionary(f.type) else f.type)
+        for f in CONFLICTS
+        if f.name != "episode"
+    ]
+    with table_file(out, pa.schema([*JOINED, *names, *own])) as file:
+        for entry in dataset.episodes():
+            rows, tracks = dataset.rows(entry, "conflicts"), dataset.read(entry).tracks
+            columns = joined_columns(entry, rows.num_rows)
+            for side in ("first", "second"):
+                at = np.searchsorted(tracks.ids, rows[side].to_numpy())
+                columns[f"{side}_name"] = pa.array(tracks.names, pa.string()).take(pa.array(at))
+            columns |= {field.name: rows[field.name].cast(field.type) for field in own}
+            file.write_table(pa.table(columns))
