@@ -11,51 +11,20 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from behaviors.errors import InputError, lookup
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
 from experiments.guard import guarded_call
 from experiments.rival import PlainRival, whole_tracks
+from experiments.score.answer_file import PROBABILITIES, read_answers
 from experiments.score.answers import Answers, score_difference
 from experiments.score.labels import ALL, Answered, answer_episodes, scored_answers
 from experiments.score.rows import Row
 from graphrqi.model_files import load_model
-from sim.formats.common.tables import read_table
 from sim.frames import IntArray
 from sim.store.dataset import open_dataset
 
 RIVAL: Final = "plain rival"
 """Name of the random forest on nine numbers of a driver's whole track, `experiments.rival`."""
-
-PROBABILITIES: Final = tuple(f"p_{b.value}" for b in BEHAVIORS)
-"""Columns of a file of answers that give probabilities; all of them or none."""
-
-
-def read_answers(path: Path) -> pd.DataFrame:
-    """The last answer about each driver in a file.
-
-    Args:
-        path: CSV or Parquet with the columns ``episode``, ``agent`` and ``label``, a behaviour.
-            ``time_s`` orders several answers about one driver; `PROBABILITIES` may be given, too.
-
-    Returns:
-        Probabilities (n, 6) by episode and agent; without such columns the label has 1.
-
-    Raises:
-        InputError: if a column is missing or broken, or a label is no behaviour.
-    """
-    numbers = ("agent", "time_s", *PROBABILITIES)
-    optional = ("time_s", *PROBABILITIES)
-    table = read_table(path, numbers, ("episode", "label"), optional).columns.to_pandas()
-    table = table.astype({"episode": str, "label": str, "agent": np.int64})
-    labels = {behavior.value: behavior for behavior in Behavior}
-    codes = {word: lookup(labels, word, f"{path}: label").code for word in table["label"].unique()}
-    if not set(PROBABILITIES) <= set(table):
-        chosen = table["label"].map(codes).to_numpy()
-        table[list(PROBABILITIES)] = np.eye(len(BEHAVIORS))[chosen]
-    if "time_s" in table:
-        table = table.sort_values("time_s", kind="stable")
-    last: pd.DataFrame = table.groupby(["episode", "agent"])[list(PROBABILITIES)].last()
-    return last
 
 
 def compare(

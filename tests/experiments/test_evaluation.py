@@ -136,10 +136,11 @@ def test_answers_from_a_file_are_scored_like_ours(data, tmp_path, capsys) -> Non
     drawn = [
         {"episode": entry.id, "agent": agent.id, "time_s": t, "label": b}
         for agent in opened.read(entry).agents
+        if agent.behavior is not None
         for t, b in ((9.0, str(agent.behavior)), (1.0, "timid"))
     ]
     pd.DataFrame(drawn).to_csv(tmp_path / "true.csv", index=False)
-    pd.DataFrame(drawn[2:]).to_parquet(tmp_path / "partial.parquet")
+    pd.DataFrame(drawn[6:]).to_parquet(tmp_path / "partial.parquet")
     for name in ("true.csv", "partial.parquet"):
         given = ("--answers", tmp_path / name, "--json", tmp_path / "scores.json", "--jobs", 1)
         assert call("evaluate", "graphrqi-plus", data, *given, "-q") == 0
