@@ -421,7 +421,7 @@ def test_other_tables_say_their_columns(tmp_path: Path, columns: list[str]) -> N
 
 
 def test_features_of_tf_examples(tmp_path: Path) -> None:
-    from sim.formats.waymo.tfrecord import write_record
+    from sim.formats.waymo.messages import write_record
 
     name = b"state/current/x"
     entry = b"\n" + bytes([len(name)]) + name + b"\x12\x04\x12\x02\n\x00"
