@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from behaviors.detector_inputs import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes
 from behaviors.labelling import label_from_traits
-from behaviors.labels import BEHAVIORS, Trait
+from behaviors.labels import BEHAVIORS, Behavior, Trait, read_behaviors, tables_of
 from behaviors.traits import waits
 from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
@@ -105,6 +105,10 @@ def count_scenario(
             yield frame
 
     tracks = Tracks.from_frames(frames(), {a.id: a.behavior for a in agents})
+    classes = (*BEHAVIORS, *scenario.behaviors)
+    if tracks.behavior is not None:
+        code = np.array([*map(classes.index, tracks.classes), -1], dtype=np.int8)
+        tracks = tracks.changed(behavior=code[tracks.behavior], classes=classes)
     found = annotate(TrajectoryRows.of(tracks), longer.road)
     events = list(found.events)
     if reported:
@@ -188,7 +192,10 @@ def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
     return np.asarray(seen.driving & ~near & (change < STEADY_MPS2))
 
 
-def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> list[Row]:
+def rows_of(
+    counts: DriverCounts, engine: str, scenario: str, seed: int = 0,
+    classes: Sequence[Behavior] = BEHAVIORS,
+) -> list[Row]:  # fmt: skip
     """One row per behaviour and metric, with a 95 % interval over drivers.
 
     Args:
@@ -196,6 +203,7 @@ def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> 
         engine: what drove it.
         scenario: its name.
         seed: of the bootstrap.
+        classes: the behaviours that codes stand for.
 
     Returns:
         Rows with the keys ``engine scenario behavior metric value low high n``; n is the number of
@@ -204,8 +212,8 @@ def rows_of(counts: DriverCounts, engine: str, scenario: str, seed: int = 0) -> 
     rng = np.random.default_rng(seed)
     place: dict[str, Cell] = {"engine": engine, "scenario": scenario}
     found: list[Row] = []
-    for behavior in BEHAVIORS:
-        mine = counts.drivers[counts.drivers["behavior"] == behavior.code]
+    for code, behavior in enumerate(classes):
+        mine = counts.drivers[counts.drivers["behavior"] == code]
         weights = np.zeros((RESAMPLES, 0))
         if len(mine):
             share = np.full(len(mine), 1 / len(mine))
@@ -238,6 +246,7 @@ def measure(
     seeds: Sequence[int] = (0, 1, 2, 3, 4),
     duration_s: float = 600.0,
     jobs: int | None = 1,
+    behaviors: str | None = None,
 ) -> Iterator[list[Row]]:
     """Measure every behaviour against every trait.
 
@@ -247,6 +256,7 @@ def measure(
         seeds: one for each episode.
         duration_s: length of each episode, s.
         jobs: processes; None for one per core.
+        behaviors: those of one's own, as `read_behaviors` takes them, beside the six.
 
     Yields:
         The rows of each scenario; last, where there are several, those of all together, as
@@ -254,11 +264,13 @@ def measure(
     """
     names = [get_scenario(name).name for name in scenarios] or list(SCENARIOS)
     everything: list[DriverCounts] = []
+    own = read_behaviors(behaviors)
+    classes = (*BEHAVIORS, *own)
     for name in names:
-        made = get_scenario(name)(duration_s=duration_s)
+        made = get_scenario(name)(duration_s=duration_s, behaviors=tables_of(own))
         tasks = [(made, seed, engine) for seed in seeds]
         counted = list(in_parallel(count_scenario, tasks, jobs))
         everything += counted
-        yield rows_of(DriverCounts.joined(counted), engine, name)
+        yield rows_of(DriverCounts.joined(counted), engine, name, classes=classes)
     if len(names) > 1:
-        yield rows_of(DriverCounts.joined(everything), engine, "all")
+        yield rows_of(DriverCounts.joined(everything), engine, "all", classes=classes)

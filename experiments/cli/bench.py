@@ -55,6 +55,9 @@ def _show(
 def behaviors(
     scenario: Only = None,
     engine: Annotated[str, option("Which simulator.")] = "sumo",
+    behaviors: Annotated[
+        str | None, option("Behaviours of your own, too: a TOML file, or distracted, novice.")
+    ] = None,
     jobs: Jobs = None,
     quick: Quick = False,
     json: Json = None,
@@ -63,7 +66,27 @@ def behaviors(
     from experiments.benchmarks.behaviors import measure
 
     seeds, duration_s = ((0,), 60.0) if quick else (tuple(range(5)), 600.0)
-    _show("behaviors", measure(scenario or (), engine, seeds, duration_s, jobs), json)
+    _show("behaviors", measure(scenario or (), engine, seeds, duration_s, jobs, behaviors), json)
+
+
+@bench.command(epilog="example: graphrqi bench attention --quick --json attention.json")
+def attention(
+    behavior: Annotated[str, option("Of the six, or distracted, novice.")] = "careful",
+    engine: Annotated[str, option("Which simulator.")] = "sumo-idm",
+    jobs: Jobs = None,
+    quick: Quick = False,
+    json: Json = None,
+) -> None:
+    """Measure reactions, headway and rear-end collisions as the reaction time grows."""
+    from behaviors.errors import lookup
+    from behaviors.labels import BEHAVIORS, SHIPPED, read_behaviors
+    from experiments.benchmarks.attention import measure
+
+    known = {str(one): one for one in (*BEHAVIORS, *read_behaviors(",".join(SHIPPED)))}
+    chosen, seeds, duration_s = lookup(known, behavior, "behavior"), 10, 300.0
+    if quick:
+        seeds, duration_s = 1, 120.0
+    _show("attention", measure(chosen, engine, seeds, duration_s, jobs), json)
 
 
 @bench.command(epilog="example: graphrqi bench classification --quick --json rows.json")

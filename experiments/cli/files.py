@@ -101,15 +101,24 @@ def _pairs(what: str, text: str | None) -> dict[str, str] | None:
 
 def export(
     dataset: DatasetFolder,
-    format: Annotated[str, option("See graphrqi list.", "--format", metavar="KEY", names="format")],
+    format: Annotated[
+        str,
+        option("See graphrqi list; vtypes: SUMO's vehicle types of the drivers, of a dataset or "
+               "of behaviours (a TOML file, or distracted, novice).", "--format", metavar="KEY",
+               names="format"),
+    ],
     out: Annotated[Path, option("Folder to write into.")],
     quiet: Quiet = False,
-) -> None:
-    """Write a dataset in another format."""
+) -> None:  # fmt: skip
+    """Write a dataset, or its drivers alone, in another format."""
     from experiments.console.notices import say
     from experiments.data.exchange import export_dataset
+    from experiments.data.vtypes import export_types
 
-    written = export_dataset(dataset, out, format, quiet)
+    if format == "vtypes":
+        written = export_types(str(dataset), out)
+    else:
+        written = export_dataset(dataset, out, format, quiet)
     say(f"{out}: {len(written)} files written")
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.compiled import in_place
 from sim.frames import EventKind, Signal
-from sim.highway.draws import YIELDS, chance
+from sim.highway.draws import OVERLOOKS, YIELDS, chance
 from sim.highway.driving import attention_m, can_stop
 from sim.highway.junctions import ENTERED_M
 from sim.highway.scene import record
@@ -170,6 +170,9 @@ def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> 
 def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene) -> bool:
     """Whether a driver stops for a pedestrian at a crossing that is ``near`` to ``far`` m ahead."""
     me, person, crossing = scene.vehicles[i], scene.walkers[w], scene.net.crossings[strip.crossing]
+    overlooks = me.overlook_probability
+    if overlooks > 0.0 and chance(me.key, OVERLOOKS, person.agent) < overlooks:
+        return False
     at = _crossover(w, scene)
     half = scene.net.lanes[me.lane].width / 2 - STRIP_M
     beyond = person.s - scene.footways.crossovers[at].begin_s

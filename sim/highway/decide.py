@@ -19,9 +19,21 @@ from typing import Any, Final
 
 import numpy as np
 
+from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
 from sim.highway import crossings, junctions
-from sim.highway.draws import CUTS_IN, DAWDLES, STOP_LASTS, STOPS, WRONG_WAY, chance, wait_s
+from sim.highway.draws import (
+    CUTS_IN,
+    DAWDLES,
+    ERRS,
+    LAPSE_LASTS,
+    LAPSES,
+    STOP_LASTS,
+    STOPS,
+    WRONG_WAY,
+    chance,
+    wait_s,
+)
 from sim.highway.driving import (
     GUIDED,
     LEAST_CHANGE_GAP_M,
@@ -39,7 +51,7 @@ from sim.highway.driving import (
     turning_angle,
 )
 from sim.highway.scene import along_lane, beside, onward, path_to
-from sim.highway.state import Scene
+from sim.highway.state import MOST_LATE, Scene
 from sim.highway.tables import curvature_at, heading_at, project
 
 STOP_LASTS_S: Final = (3.0, 6.0)
@@ -343,7 +355,12 @@ def _accelerate(i: int, scene: Scene) -> None:
     me = scene.vehicles[i]
     speed, desired = me.speed, desired_speed(me, scene.net.lanes[me.lane].limit)
     here = beside(i, me.lane, scene)
-    accel = follow(me, speed, desired, here.front_gap, here.front_speed)
+    gap, front_speed = here.front_gap, here.front_speed
+    if me.perception_noise > 0.0 and gap < np.inf:
+        error = me.perception_noise * _error(me)
+        front_speed -= CLOSING_ERROR_PER_S * error * gap
+        gap *= math.exp(error)
+    accel = follow(me, speed, desired, gap, front_speed)
     if me.wanted != me.lane:
         there = beside(i, me.wanted, scene)
         accel = min(accel, follow(me, speed, desired, there.front_gap, there.front_speed))
@@ -351,10 +368,46 @@ def _accelerate(i: int, scene: Scene) -> None:
         accel = min(accel, approach(me, speed, me.stop_gap))
     if _stops_for_no_reason(me):
         accel = min(accel, -me.comfort_decel_mps2)
+    if me.reaction_time_s > 0.0:
+        accel = _late(me, accel)
     me.accel = start_up(me, accel)
     if me.krauss:
         me.accel -= dawdling(me, chance(me.key, DAWDLES, me.dawdled))
         me.dawdled += 1
+    if _looks_away(me):
+        me.accel = 0.0
+
+
+@in_place(inner=True)
+def _error(me: Any) -> float:
+    """The driver's present error of perception, an Ornstein-Uhlenbeck process of deviation 1."""
+    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, ERRS, 2 * me.erred)))
+    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, ERRS, 2 * me.erred + 1))
+    keeps = math.exp((me.seen_at - me.clock) / ERROR_TIME_S) if me.erred > 0 else 0.0
+    me.error = keeps * me.error + math.sqrt(1.0 - keeps * keeps) * drawn
+    me.seen_at, me.erred = me.clock, me.erred + 1
+    return float(me.error)
+
+
+@in_place(inner=True)
+def _late(me: Any, accel: float) -> float:
+    """The acceleration that the driver wanted a reaction time ago; ``accel`` is the present one."""
+    me.late[me.decided % MOST_LATE] = accel
+    me.decided += 1
+    step_s = max(me.clock / me.decided, 1e-3)
+    ago = min(int(me.reaction_time_s / step_s + 0.5), MOST_LATE - 1, me.decided - 1)
+    return float(me.late[(me.decided - 1 - ago) % MOST_LATE])
+
+
+@in_place(inner=True)
+def _looks_away(me: Any) -> bool:
+    """Whether a driver's attention lapses now; schedules such lapses."""
+    if me.clock >= me.lapse_at:
+        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, LAPSE_LASTS, me.lapses - 1))
+        me.lapse_until = me.clock + lasts_s
+        me.lapse_at = me.lapse_until + wait_s(me.key, LAPSES, me.lapses, me.lapse_rate_per_min)
+        me.lapses += 1
+    return bool(me.clock < me.lapse_until)
 
 
 @in_place(inner=True)

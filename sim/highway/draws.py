@@ -25,6 +25,11 @@ STOPS: Final = 4
 STOP_LASTS: Final = 5
 WRONG_WAY: Final = 6
 DAWDLES: Final = 7
+LAPSES: Final = 8
+LAPSE_LASTS: Final = 9
+ERRS: Final = 10
+OVERLOOKS: Final = 11
+OVERLOOKS_LIGHT: Final = 12
 
 
 def driver_key(seed: int | tuple[int, ...]) -> np.uint64:

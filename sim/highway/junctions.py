@@ -18,7 +18,7 @@ import numpy as np
 from behaviors import driver_models
 from sim.compiled import in_place, shared
 from sim.frames import EventKind, Signal
-from sim.highway.draws import ROLLS, RUNS_RED, chance
+from sim.highway.draws import OVERLOOKS, OVERLOOKS_LIGHT, ROLLS, RUNS_RED, chance
 from sim.highway.driving import STANDING_MPS, attention_m, can_stop, desired_speed
 from sim.highway.scene import along_lane, beside, next_stretch, path_to, record
 from sim.highway.state import EVENT_KINDS, Scene
@@ -128,6 +128,8 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
     if _shows(me.path, RED, scene):
         first = beside(i, me.lane, scene).front_gap > me.to_line
         if first and chance(me.key, RUNS_RED, me.path) < me.red_run_probability:
+            return False
+        if chance(me.key, OVERLOOKS_LIGHT, me.path) < me.overlook_probability:
             return False
         return can_stop(me.speed, me.to_line, me.emergency_decel)
     if _shows(me.path, YELLOW, scene):
@@ -300,6 +302,9 @@ def _must_wait(
     whether the other one is on its way out of the junction.
     """
     me, foe = scene.vehicles[i], scene.vehicles[j]
+    overlooks = me.overlook_probability
+    if overlooks > 0.0 and chance(me.key, OVERLOOKS, foe.agent) < overlooks:
+        return False
     foe_line, held = foe.to_line, foe.was_held
     if leaving:
         front = foe.s + foe.length / 2

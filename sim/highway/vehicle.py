@@ -21,7 +21,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from behaviors.labels import Behavior
 from behaviors.profiles import Profile
 from sim.frames import FloatArray
-from sim.highway.draws import CUTS_IN, STOPS, WRONG_WAY, driver_key, wait_s
+from sim.highway.draws import CUTS_IN, LAPSES, STOPS, WRONG_WAY, driver_key, wait_s
 from sim.highway.driving import profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
@@ -188,6 +188,7 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
         for at, kind, drawn, rate in (
             ("cut_in_at", CUTS_IN, "cut_ins", row.cut_in_rate_per_min),
             ("stop_at", STOPS, "stops", row.stop_rate_per_min),
+            ("lapse_at", LAPSES, "lapses", row.lapse_rate_per_min),
             ("wrong_way_at", WRONG_WAY, "wrong_ways", row.wrong_way_rate_per_min),
         ):
             row[at] = row.clock + wait_s(row.key, kind, row[drawn], rate)

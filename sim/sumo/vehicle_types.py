@@ -160,6 +160,12 @@ def route_file(
     yield "</routes>"
 
 
+def type_element(agent: AgentSpec, name: str, probability: float) -> str:
+    """The vType of a driver as a member of a vTypeDistribution."""
+    attributes = vehicle_type(agent, name=name) | {"probability": f"{probability:.6g}"}
+    return _element(attributes, agent)
+
+
 def _element(attributes: dict[str, str], agent: AgentSpec) -> str:
     """The vType of an agent, with the parameters of its driver's state if it errs."""
     named = {} if agent.profile is None else perception_parameters(agent.profile)

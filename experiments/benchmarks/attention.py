@@ -1,0 +1,180 @@
+"""How late drivers react, how their headway drifts, and when they run into each other.
+
+A platoon follows a driver that brakes for no reason now and then. All followers have the numbers of
+one behaviour but for the reaction time. Beside it stands the longest delay at which the law is
+linearly string stable: there, a disturbance does not grow from driver to driver.
+
+References:
+    Treiber, Kesting, Helbing (2006), Delays, inaccuracies and anticipation in microscopic traffic
+        models, Physica A 360, 71.
+    Wilson, Ward (2011), Car-following models: fifty years of linear stability analysis,
+        Transportation Planning and Technology 34, 3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from behaviors.driver_models import idm_desired_gap, idm_free_acceleration, idm_interaction
+from behaviors.labels import Behavior
+from behaviors.profiles import Profile
+from experiments.data.parallel import in_parallel
+from experiments.score.rows import Cell, Row, tidy_row
+from scenarios import get_scenario
+from sim.engines import get_engine
+from sim.frames import AgentKind, EventKind, FloatArray, Tracks
+from sim.scenario import DIMENSIONS_M, AgentSpec
+
+REACTION_TIMES_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
+"""Reaction times of the followers, s."""
+
+FOLLOWERS: Final = 9
+"""Drivers behind the one that brakes."""
+
+STOPS_PER_MIN: Final = 3.0
+"""How often the first driver wants to brake for no reason."""
+
+BRAKES_MPS2, REACTS_MPS2 = -1.0, -0.5
+"""Accelerations from which the first driver brakes, and the second reacts (our choice)."""
+
+WITHIN_S: Final = 8.0
+"""A later braking is not a reaction, s."""
+
+LAG_S: Final = 5.0
+"""Lag of the headway's autocorrelation, s."""
+
+
+def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict[str, FloatArray]:
+    """Drive a platoon and measure it.
+
+    Args:
+        profile: of the followers; the first driver is slower and brakes for no reason.
+        engine: a key of ``ENGINES``.
+        seed: of the episode.
+        duration_s: its length, s.
+
+    Returns:
+        ``reaction_s`` of the second driver to each braking, ``headway_autocorrelation`` of each
+        follower, and ``collisions``, their number.
+    """
+    road = get_scenario("straight_road")(
+        lanes=1, crossing=False, pedestrians_per_h=0.0, length_m=5000.0, duration_s=duration_s
+    )
+    route = next(flow.route for flow in road.flows if not flow.walking)
+    first = dataclasses.replace(
+        Behavior.CAREFUL.profile, speed_factor=0.9, stop_rate_per_min=STOPS_PER_MIN
+    )
+    length, width, _ = DIMENSIONS_M[AgentKind.CAR]
+    agents = [
+        AgentSpec(
+            i, AgentKind.CAR, Behavior.CAREFUL, profile if i else first, route, 3.0 * i, length,
+            width, seed=1000 * seed + i,
+        )
+        for i in range(FOLLOWERS + 1)
+    ]  # fmt: skip
+    frames = list(get_engine(engine)(road, agents, seed))
+    hits = sum(one.kind is EventKind.COLLISION for frame in frames for one in frame.events)
+    tracks = Tracks.from_frames(frames)
+    accel = np.diff(tracks.speed, axis=1) / tracks.step_s
+    begins = np.flatnonzero((accel[0, 1:] < BRAKES_MPS2) & ~(accel[0, :-1] < BRAKES_MPS2)) + 1
+    ahead = round(WITHIN_S / tracks.step_s)
+    found = [np.flatnonzero(accel[1, at : at + ahead] < REACTS_MPS2)[:1] for at in begins]
+    lag = round(LAG_S / tracks.step_s)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gap = np.hypot(*(tracks.xy[:-1] - tracks.xy[1:]).transpose(2, 0, 1)) - length
+        headway = np.where(tracks.speed[1:] > 3.0, gap / tracks.speed[1:], np.nan)
+    return {
+        "reaction_s": np.concatenate([*found, np.empty(0)]) * tracks.step_s,
+        "headway_autocorrelation": np.array([_correlation(one, lag) for one in headway]),
+        "collisions": np.array([float(hits)]),
+    }
+
+
+def _correlation(values: FloatArray, lag: int) -> float:
+    """Correlation of a series with itself ``lag`` steps later; NaN where too little is known."""
+    now, later = values[:-lag], values[lag:]
+    both = np.isfinite(now) & np.isfinite(later)
+    return float(np.corrcoef(now[both], later[both])[0, 1]) if both.sum() > lag else np.nan
+
+
+def idm_delay_limit_s(profile: Profile, speed: float) -> float:
+    """The longest delay at which IDM is linearly string stable.
+
+    A delay d multiplies the response by exp(-i w d); the limit is where the gain from a leader's
+    speed to the follower's first exceeds 1 at some frequency w.
+
+    Args:
+        profile: the drivers' numbers.
+        speed: of the undisturbed traffic, m/s; below the desired speed.
+
+    Returns:
+        s; 0 if the law is unstable without delay.
+
+    Examples:
+        >>> relaxed = dataclasses.replace(Behavior.CAREFUL.profile, time_headway_s=3.0)
+        >>> idm_delay_limit_s(relaxed, 8.0) > idm_delay_limit_s(Behavior.CAREFUL.profile, 8.0)
+        True
+    """
+    p, desired = profile, 13.89 * profile.speed_factor
+
+    def accel(gap: float, own: float, leader: float) -> float:
+        wanted = idm_desired_gap(
+            own, leader, p.min_gap_m, p.time_headway_s, p.max_accel_mps2, p.comfort_decel_mps2
+        )
+        free = idm_free_acceleration(own, desired, p.max_accel_mps2)
+        return free - p.max_accel_mps2 * idm_interaction(gap, wanted)
+
+    free = idm_free_acceleration(speed, desired, p.max_accel_mps2) / p.max_accel_mps2
+    gap = (p.min_gap_m + speed * p.time_headway_s) / np.sqrt(free)
+    h = 1e-4
+    by_gap = (accel(gap + h, speed, speed) - accel(gap - h, speed, speed)) / (2 * h)
+    by_own = (accel(gap, speed + h, speed) - accel(gap, speed - h, speed)) / (2 * h)
+    by_leader = (accel(gap, speed, speed + h) - accel(gap, speed, speed - h)) / (2 * h)
+    w = np.geomspace(1e-3, 10.0, 2000)
+    stable = 0.0
+    for delay in np.arange(0.0, 3.0, 0.01):
+        late = np.exp(-1j * w * delay)
+        gain = (by_gap + 1j * w * by_leader) * late
+        gain /= -(w**2) + (by_gap - 1j * w * by_own) * late
+        if (np.abs(gain) > 1.0 + 1e-6).any():
+            return stable
+        stable = float(delay)
+    return stable
+
+
+def measure(
+    behavior: Behavior, engine: str, seeds: int, duration_s: float, jobs: int | None
+) -> Iterator[list[Row]]:
+    """Measure platoons of one behaviour for every reaction time.
+
+    Args:
+        behavior: whose numbers the followers have, but for the reaction time.
+        engine: a key of ``ENGINES``.
+        seeds: episodes of each reaction time.
+        duration_s: length of each, s.
+        jobs: processes; None for one per core.
+
+    Yields:
+        Rows by ``reaction_time_s``, and then the law's own limit.
+    """
+    keys: dict[str, Cell] = {"engine": engine, "behavior": str(behavior)}
+    for reaction_s in REACTION_TIMES_S:
+        profile = dataclasses.replace(behavior.profile, reaction_time_s=reaction_s)
+        tasks = [(profile, engine, seed, duration_s) for seed in range(seeds)]
+        found = list(in_parallel(platoon, tasks, jobs))
+        place: dict[str, Cell] = {**keys, "reaction_time_s": reaction_s}
+        reactions = np.concatenate([one["reaction_s"] for one in found])
+        rows = [tidy_row(place, "collisions", sum(float(one["collisions"][0]) for one in found))]
+        if reactions.size:
+            low, middle, high = np.percentile(reactions, [10, 50, 90])
+            rows.append(tidy_row(place, "reaction_s", middle, low, high, reactions.size))
+        linked = np.concatenate([one["headway_autocorrelation"] for one in found])
+        if np.isfinite(linked).any():
+            rows.append(tidy_row(place, "headway_autocorrelation", float(np.nanmean(linked))))
+        yield rows
+    limit = idm_delay_limit_s(behavior.profile, 10.0)
+    yield [tidy_row(keys, "string_stable_up_to_s", limit)]

@@ -1,0 +1,123 @@
+"""Drivers for use elsewhere: SUMO's vTypeDistribution, and a table of IDM, Krauss and MOBIL."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
+from behaviors.profiles import PROFILE_FIELDS, sample_profile
+from sim.files import whole_folder
+from sim.frames import AgentKind
+from sim.scenario import DIMENSIONS_M, IMPERFECTION, AgentSpec
+from sim.store.catalogue import is_dataset
+from sim.store.dataset import open_dataset
+from sim.sumo.vehicle_types import type_element
+
+DRIVERS_OF_EACH: Final = 20
+"""Drivers that stand for each behaviour (our choice: its spread shows)."""
+
+NOT_IN_SUMO: Final = (
+    "yield_probability", "red_run_probability", "stop_roll_probability", "cut_in_rate_per_min",
+    "stop_rate_per_min", "wrong_way_rate_per_min", "lapse_rate_per_min", "lapse_s",
+    "overlook_probability",
+)  # fmt: skip
+"""Numbers that no attribute of a vType has: controllers act on them while SUMO runs."""
+
+IN_TABLE: Final = {
+    "speed_factor": "idm_v0_per_limit",
+    "time_headway_s": "idm_T_s",
+    "min_gap_m": "idm_s0_m",
+    "max_accel_mps2": "idm_a_mps2",
+    "comfort_decel_mps2": "idm_b_mps2",
+    "politeness": "mobil_p",
+    "reaction_time_s": "reaction_time_s",
+    "perception_noise": "gap_error",
+}
+"""Columns of the table by the profile's numbers; Krauss's tau, decel and minGap are T, b and s0."""
+
+
+def export_types(source: str, out: Path) -> list[Path]:
+    """Write ``vtypes.add.xml`` and ``drivers.csv``.
+
+    Args:
+        source: a dataset, whose mix the shares are; or behaviours as `read_behaviors` takes them,
+            beside the six in equal shares.
+        out: folder of the files; new or empty.
+
+    Raises:
+        InputError: if the source is neither, or the folder holds something.
+    """
+    if out.exists() and any(out.iterdir()):
+        raise InputError(f"{out}: found something there, expected a new or empty folder")
+    shares = _shares(source)
+    agents = list(_drivers(shares))
+    with whole_folder(out) as folder:
+        (folder / "vtypes.add.xml").write_text("\n".join(_xml(agents, shares)) + "\n")
+        (folder / "drivers.csv").write_text(_table(agents, shares))
+    return [out / "vtypes.add.xml", out / "drivers.csv"]
+
+
+def _shares(source: str) -> dict[Behavior, float]:
+    """The share of each behaviour."""
+    if is_dataset(source):
+        dataset = open_dataset(source)
+        mixes = [entry.options.get("mix") for entry in dataset.episodes()]
+        found = [mix for mix in mixes if isinstance(mix, Mapping)]
+        if not found:
+            raise InputError(f"{source}: found no mix of behaviours, expected a generated dataset")
+        number: Any = {b: np.mean([mix.get(b, 0.0) for mix in found]) for b in dataset.behaviors}
+        return {b: float(share) for b, share in number.items() if share > 0}
+    known = (*BEHAVIORS, *read_behaviors(source))
+    return dict.fromkeys(known, 1.0 / len(known))
+
+
+def _drivers(shares: Mapping[Behavior, float]) -> Iterator[AgentSpec]:
+    """Drivers of cars, as many of each behaviour."""
+    length, width, _ = DIMENSIONS_M[AgentKind.CAR]
+    for behavior in shares:
+        rng = np.random.default_rng(0)
+        for _ in range(DRIVERS_OF_EACH):
+            profile = sample_profile(behavior.profile, rng)
+            yield AgentSpec(0, AgentKind.CAR, behavior, profile, (), 0.0, length, width)
+
+
+def _named(agents: list[AgentSpec]) -> Iterator[tuple[str, AgentSpec]]:
+    for number, agent in enumerate(agents):
+        yield f"{agent.behavior}_{number % DRIVERS_OF_EACH}", agent
+
+
+def _xml(agents: list[AgentSpec], shares: Mapping[Behavior, float]) -> Iterator[str]:
+    yield "<additional>"
+    yield f"  <!-- not expressed by vTypes: {', '.join(NOT_IN_SUMO)} -->"
+    for behavior in shares:
+        said = ", ".join(f"{name} {getattr(behavior.profile, name):g}" for name in NOT_IN_SUMO)
+        yield f"  <!-- {behavior}: {said} -->"
+    yield '  <vTypeDistribution id="drivers">'
+    for name, agent in _named(agents):
+        assert agent.behavior is not None
+        yield "    " + type_element(agent, name, shares[agent.behavior] / DRIVERS_OF_EACH)
+    yield "  </vTypeDistribution>"
+    yield "</additional>"
+
+
+def _table(agents: list[AgentSpec], shares: Mapping[Behavior, float]) -> str:
+    left_out = [name for name in PROFILE_FIELDS if name not in IN_TABLE]
+    text = io.StringIO()
+    text.write(f"# not expressed by IDM, Krauss and MOBIL: {', '.join(left_out)}\n")
+    writer = csv.writer(text, lineterminator="\n")
+    head = ["driver", "behavior", "style", "share", *IN_TABLE.values(), "krauss_sigma"]
+    writer.writerow(head)
+    for name, agent in _named(agents):
+        behavior = agent.behavior
+        assert behavior is not None
+        numbers = [f"{getattr(agent.profile, one):.6g}" for one in IN_TABLE]
+        share = f"{shares[behavior] / DRIVERS_OF_EACH:.6g}"
+        writer.writerow([name, behavior, behavior.style, share, *numbers, IMPERFECTION])
+    return text.getvalue()
