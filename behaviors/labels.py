@@ -203,7 +203,9 @@ TRAITS: Final[dict[Trait, Behavior]] = {
 """The paper's trait table: which behaviour each trait belongs to."""
 
 
-def read_behaviors(source: str | Path | Mapping[str, Any] | None) -> tuple[Behavior, ...]:
+def read_behaviors(
+    source: str | Path | Mapping[str, Any] | tuple[()] | None,
+) -> tuple[Behavior, ...]:
     """Behaviours of one's own, beside the six.
 
     Args:
@@ -219,7 +221,7 @@ def read_behaviors(source: str | Path | Mapping[str, Any] | None) -> tuple[Behav
         (<Style.CONSERVATIVE: 'conservative'>, 'careful', 1.5)
     """
     known = {str(one): one for one in BEHAVIORS}
-    if source is None or isinstance(source, Mapping):
+    if not source or isinstance(source, Mapping):
         return _all_of(source or {}, known)
     text = str(source)
     named = isinstance(source, str) and not any(mark in text for mark in "./\\")

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from behaviors.errors import InputError
-from behaviors.labels import Behavior
+from behaviors.labels import BEHAVIORS, Behavior
 from scenarios import SCENARIOS, get_scenario
 from scenarios.demand import PopulationOptions, parse_flow, parse_kinds, parse_mix
 from scenarios.networks import build
@@ -37,7 +37,8 @@ def test_scenarios_carry_the_name_they_are_registered_under(name):
 
 
 def test_a_scenario_takes_the_options_of_the_population():
-    population = {"mix", "kinds", "spread", "duration_s", "step_s", "jaywalk_share", "population"}
+    population = {"mix", "kinds", "spread", "duration_s", "step_s", "jaywalk_share", "population",
+                  "behaviors"}  # fmt: skip
     assert population == PopulationOptions.__annotations__.keys()
     assert population < SCENARIOS["two_way_road"].options.keys()
     assert SCENARIOS["two_way_road"].options.keys().isdisjoint({"two_way", "lanes", "crossing"})
@@ -88,7 +89,7 @@ def test_bad_values_are_refused_by_name_in_one_line(options, message):
 
 def test_flow_mix_and_kinds():
     assert parse_flow("1e3", {}) == 1000.0
-    assert parse_mix(None) == pytest.approx(dict.fromkeys(Behavior, 1 / 6))
+    assert parse_mix(None) == pytest.approx(dict.fromkeys(BEHAVIORS, 1 / 6))
     assert parse_mix({"timid": 1}) == {Behavior.TIMID: 1.0}
     styles = parse_mix("aggressive=.2,conservative=.8")
     assert styles[Behavior.RECKLESS] == pytest.approx(0.2 / 3)
