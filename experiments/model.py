@@ -56,7 +56,6 @@ WORLDS, WORLDS_SEED = 60, 77
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
 
-
 NETWORK_EPISODES: Final[dict[str, dict[str, Any]]] = {
     "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
     "light": {"episodes": 20, "flow": "light"},
@@ -73,7 +72,6 @@ WORLDS_EPISODES: Final = {7000: 700, 31000: 1500, 52000: 2000}
 
 OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
 """Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
-
 
 NETWORKS: Final = "networks.safetensors"
 """File of the trained networks in the working folder, beside the folder of the classifier."""

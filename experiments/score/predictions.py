@@ -33,7 +33,6 @@ from sim.road.lane_graph import LaneGraph
 HORIZONS_S: Final = (1.0, 3.0, 5.0)
 """Horizons reported, s."""
 
-
 MOST_SPAN_S: Final = 1.5
 """Where agents were between two frames farther apart is not known, s (more than one of the slowest
 recordings' seconds)."""
@@ -41,28 +40,22 @@ recordings' seconds)."""
 HISTORY_S: Final = 5.0
 """Predictors are given at most this much of the past, s: what a stream remembers."""
 
-
 EVERY_S: Final = 2.0
 """Time between the instants of prediction, s."""
-
 
 WARM_UP_S: Final = 5.0
 """No prediction is made before an episode is this old, s; `instants` says what holds for shorter
 horizons and episodes."""
 
-
 LEAST_SEEN_S: Final = 1.0
 """Agents observed for less than this are not scored, s."""
-
 
 MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
 """Measures of each agent. Beside displacement metrics: coverage of the predicted 90 % set,
 negative log density, overlap with another's likeliest future, and ending off every lane."""
 
-
 LANE_MARGIN_M: Final = 0.5
 """A place this far outside a lane is off it."""
-
 
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Groups of agents: all that drive, those of each true behaviour, those that walk."""
