@@ -63,7 +63,8 @@ def run_scenario(
         from graphrqi.stream import load_stream
 
         stream = load_stream(model, window)
-    latest, beliefs = dict[int, tuple[Posterior, int]](), dict[int, Posterior]()
+    latest: dict[int, tuple[Posterior, int]] = {}
+    beliefs: dict[int, Posterior] = {}
     entered, kept, driven = set[int](), list[Frame](), np.zeros(2)  # m and s, without the step
     frames = collisions = 0
     started, spent_s, due_s, time_s = time.monotonic(), 0.0, WARM_UP_S, 0.0
