@@ -7,6 +7,7 @@ so that intervals resample episodes.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -299,29 +300,23 @@ def score_predictions(
         episodes.
     """
     rows: list[Row] = []
-    if not episodes:
-        return rows
-    names = list(episodes[0])
+    names = list(episodes[0]) if episodes else []
+    total = {name: np.stack([one[name].total for one in episodes]) for name in names}
     for g, group in enumerate(GROUPS):
-        count = np.array([e[names[0]].count[g] for e in episodes])
-        if not count.sum():
-            continue
-        for name in names:
-            for h, horizon_s in enumerate(horizons_s):
-                row: dict[str, Cell] = {
-                    **keys, "predictor": name, "horizon_s": horizon_s, "behavior": group
-                }  # fmt: skip
-                for m, metric in enumerate(MEASURES):
-                    mine = np.array([e[name].total[g, h, m] for e in episodes])
-                    if not np.isfinite(mine).all():
-                        continue
-                    mean = root_ratio if metric == "rmse_m" else ratio
-                    rows.append(_mean_row(row, metric, mean, mine, count))
-                    if metric in ("ade_m", "fde_m"):
-                        for other in names[: names.index(name)]:
-                            theirs = np.array([e[other].total[g, h, m] for e in episodes])
-                            against = f"{metric}_minus_{other}"
-                            rows.append(_mean_row(row, against, ratio, mine - theirs, count))
+        count = np.array([one[names[0]].count[g] for one in episodes])
+        for name, h in itertools.product(names if count.sum() else (), range(len(horizons_s))):
+            row: dict[str, Cell] = {
+                **keys, "predictor": name, "horizon_s": horizons_s[h], "behavior": group
+            }  # fmt: skip
+            for m, metric in enumerate(MEASURES):
+                mine = total[name][:, g, h, m]
+                if not np.isfinite(mine).all():
+                    continue
+                mean = root_ratio if metric == "rmse_m" else ratio
+                rows.append(_mean_row(row, metric, mean, mine, count))
+                for other in names[: names.index(name)] if metric in ("ade_m", "fde_m") else ():
+                    apart = mine - total[other][:, g, h, m]
+                    rows.append(_mean_row(row, f"{metric}_minus_{other}", ratio, apart, count))
     return rows
 
 
