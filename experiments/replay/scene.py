@@ -13,7 +13,7 @@ import numpy as np
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.data.admission import SCALED, is_scene
+from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs

@@ -85,12 +85,6 @@ def test_actors_on_top_of_each_other_are_superimposed():
     assert "(median distance to the next centre 0.7 m): actors are superimposed" in found.doubts[0]
 
 
-def test_true_times_that_are_uneven_make_no_doubt():
-    dense = road(seconds=60.0)
-    gaps = np.random.default_rng(2).integers(1, 5, 150)
-    assert not check_scene(dense.part(np.arange(24), np.cumsum(gaps))).doubts
-
-
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_a_wrong_frame_step_is_found_out(factor):
     tracks = road()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.data.scene_check import check_scene
-from experiments.data.units import image_scale, in_metres, unit_of
+from experiments.data.units import image_scale, in_metres
 from sim.frames import Tracks
 
 
@@ -94,8 +94,3 @@ def test_other_units_given_as_metres_are_named(factor, unit):
     )  # fmt: skip
     found = check_scene(wrong)
     assert any(f"{unit} seem to be metres" in said for said in found.doubts)
-
-
-@pytest.mark.parametrize("ratio", [0.4, 0.9, 1.0, 2.4, float("nan")])
-def test_kinds_that_differ_are_no_other_unit(ratio):
-    assert unit_of(ratio) is None

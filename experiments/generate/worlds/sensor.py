@@ -32,7 +32,6 @@ NOISE_M: Final = (0.01, 0.5)
 NOISE_CORRELATION_S: Final = (0.0, 0.2, 0.5, 1.0)
 """Time in which an error of position falls to 1/e, s; 0: white."""
 
-
 LOSSES: Final = (0.0, 0.0, 0.05, 0.15, 0.3)
 """Shares of frames, and of single detections, that are missing, drawn with equal chances."""
 
