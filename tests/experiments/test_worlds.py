@@ -109,7 +109,7 @@ def driving(n: int = 50, t: int = 400) -> Tracks:
     """Cars of 5 m that drive eastwards at 10 m/s for 40 s, one behind the other."""
     xy = np.zeros((n, t, 2))
     xy[..., 0] = np.arange(t) * 1.0 + 20.0 * np.arange(n)[:, None]
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(n), names=tuple(map(str, range(n))), kind=np.zeros(n), length=np.full(n, 5.0),
         width=np.full(n, 2.0), time_s=np.arange(t) * 0.1, xy=xy, heading=np.zeros((n, t)),
         speed=np.full((n, t), 10.0), valid=np.ones((n, t), dtype=bool), signals=np.zeros((0, t)),

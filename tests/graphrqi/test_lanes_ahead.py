@@ -113,7 +113,7 @@ def test_a_map_that_is_turned_and_moved_with_the_traffic_tells_the_same(crossing
         replace(lane, centerline=lane.centerline @ turn + (500.0, -80.0)) for lane in crossing.lanes
     )
     road = replace(crossing, name=f"turned by {turned}", lanes=lanes)
-    there = replace(motion, xy=motion.xy @ turn + (500.0, -80.0), heading=motion.heading + turned)
+    there = motion.with_dense(xy=motion.xy @ turn + (500.0, -80.0), heading=motion.heading + turned)
     after = lanes_ahead(history, there, road)
     np.testing.assert_array_equal(before.exists, after.exists)
     np.testing.assert_allclose(before.points, after.points, atol=1e-6)
@@ -168,7 +168,7 @@ def test_what_leaves_all_paths_is_predicted_as_without_a_map(crossing):
     nowhere = join_lanes(raw, ahead, free, np.ones(1), np.zeros(1), TIME_S)
     assert nowhere is free  # nobody is trusted
     assert not np.allclose(sure.xy, without.xy)
-    away = replace(history, xy=history.xy + 1000.0)
+    away = history.with_dense(xy=history.xy + 1000.0)
     np.testing.assert_array_equal(
         predict_recorded(away, 50, network(lanes), crossing).xy,
         predict_recorded(away, 50, network(lanes)).xy,

@@ -15,7 +15,7 @@ from sim.frames import Tracks
 def drivers(n: int = 6, seconds: float = 21.0) -> Tracks:
     time_s = np.arange(round(seconds * 10)) / 10.0
     x = np.arange(n)[:, None] * 20.0 + 8.0 * time_s
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(n),
         names=tuple(map(str, range(n))),
         kind=np.zeros(n, dtype=np.int8),

@@ -70,7 +70,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
             f"{name}: found {n} agents at {t} times, expected agents times times at most "
             f"{MAX_STATES}, since this format has a state for each"
         )
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agents: dict[str, Any] = {}
     for i, label in enumerate(tracks.names):
         at = rows.index.rows(i)
