@@ -80,7 +80,7 @@ def test_slow_frame_rates_and_lost_frames_make_no_doubt(every):
 
 def test_actors_on_top_of_each_other_are_superimposed():
     one = road()
-    moved = dataclasses.replace(road(first=100), xy=one.xy + np.array([0.5, 0.45]))
+    moved = road(first=100).with_dense(xy=one.xy + np.array([0.5, 0.45]))
     found = check_scene(together(one, moved))
     assert not found.is_scene
     assert "superimposed" in found.findings[0]
@@ -122,5 +122,5 @@ def test_parked_vehicles_are_named_and_no_reason_to_doubt():
 def test_one_object_that_is_tracked_twice_is_no_reason_to_doubt():
     tracks = road()
     twin = tracks.part(np.array([0]), slice(None))
-    twin = dataclasses.replace(twin, ids=np.array([500]), names=("500",), xy=twin.xy + 0.2)
+    twin = twin.with_dense(ids=np.array([500]), names=("500",), xy=twin.xy + 0.2)
     assert check_scene(together(tracks, twin)).is_scene

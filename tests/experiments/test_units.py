@@ -89,8 +89,8 @@ def test_other_units_given_as_metres_are_named(factor, unit):
     true = in_metres(street(), image_scale(street()))
     cars = dataclasses.replace(true, length=np.full(30, 4.6), width=np.full(30, 1.8))
     assert check_scene(cars, outlines=True).nearest_m > 0.0
-    wrong = dataclasses.replace(
-        cars, xy=factor * cars.xy, speed=factor * cars.speed,
+    wrong = cars.with_dense(
+        xy=factor * cars.xy, speed=factor * cars.speed,
         length=factor * cars.length, width=factor * cars.width,
     )  # fmt: skip
     found = check_scene(wrong)

@@ -113,7 +113,7 @@ def test_a_map_that_is_turned_and_moved_with_the_traffic_tells_the_same(crossing
         replace(lane, centerline=lane.centerline @ turn + (500.0, -80.0)) for lane in crossing.lanes
     )
     road = replace(crossing, name=f"turned by {turned}", lanes=lanes)
-    there = motion.with_dense(xy=motion.xy @ turn + (500.0, -80.0), heading=motion.heading + turned)
+    there = replace(motion, xy=motion.xy @ turn + (500.0, -80.0), heading=motion.heading + turned)
     after = lanes_ahead(history, there, road)
     np.testing.assert_array_equal(before.exists, after.exists)
     np.testing.assert_allclose(before.points, after.points, atol=1e-6)

@@ -45,8 +45,7 @@ def platoons(seed: int, agents: int = 18, seconds: float = 12.0) -> Tracks:
 
 def renumbered(tracks: Tracks, order: np.ndarray) -> Tracks:
     """The same traffic, rows in another order under ids that keep ascending."""
-    return dataclasses.replace(
-        tracks,
+    return tracks.with_dense(
         names=tuple(tracks.names[i] for i in order),
         xy=tracks.xy[order],
         heading=tracks.heading[order],

@@ -72,8 +72,8 @@ def shaken(tracks: Tracks, noise_m=0.1, seed=0) -> Tracks:
     rng = np.random.default_rng(seed)
     xy = tracks.xy + rng.normal(0.0, noise_m, tracks.xy.shape)
     step = np.diff(xy, axis=1, prepend=xy[:, :1] - (xy[:, 1:2] - xy[:, :1])) / tracks.step_s
-    return replace(
-        tracks, xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
+    return tracks.with_dense(
+        xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
         heading=np.arctan2(step[..., 1], step[..., 0]),
     )  # fmt: skip
 
