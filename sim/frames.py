@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,6 +215,7 @@ class Tracks:
 
     Tracks keep rows. The dense arrays ``xy``, ``heading``, ``speed`` and ``valid`` are filled on
     first use; above ``MAX_CELLS`` they raise an `InputError`, and everything else still works.
+    Tracks `of_dense` arrays keep these, and make rows on first use.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -254,8 +255,8 @@ class Tracks:
         if self.behavior is not None:
             shapes["behavior"] = (np.int8, (n,))
         check_and_freeze(self, shapes)
-        index = self.rows.index
-        if (index.agents, index.times) != (n, t):
+        index = self.rows.index if "rows" in self.__dict__ else None
+        if index is not None and (index.agents, index.times) != (n, t):
             found = f"{index.agents} agents at {index.times} times"
             raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if len(self.names) != n:
@@ -282,16 +283,31 @@ class Tracks:
             ...     valid=[[False, True]], signals=np.zeros((0, 2))).speed
             array([[nan,  5.]])
         """
-        seen = np.asarray(valid, dtype=bool)
         n, t = np.shape(facts["ids"])[0], np.shape(facts["time_s"])[0]
-        values = []
+        seen = np.asarray(valid, dtype=bool)
+        dense: dict[str, NDArray[Any]] = {"valid": frozen(seen)}
         for name, given, tail in (("xy", xy, (2,)), ("heading", heading, ()), ("speed", speed, ())):
             found, expected = np.asarray(given, dtype=np.float64), (n, t, *tail)
             if found.shape != expected or seen.shape != (n, t):
                 shape = found.shape if seen.shape == (n, t) else seen.shape
                 raise InputError(f"Tracks.{name}: found shape {shape}, expected {expected}")
-            values.append(found[seen])
-        return cls(rows=TrackRows(RowIndex.of(seen), *values), **facts)
+            dense[name] = frozen(np.where(seen[..., None] if tail else seen, found, np.nan))
+        tracks = cls.__new__(cls)
+        tracks.__dict__.update({"behavior": None, "events": (), **facts, **dense})
+        tracks.__post_init__()
+        return tracks
+
+    if not TYPE_CHECKING:  # it is a field: mypy and the constructor know it
+
+        def __getattr__(self, name: str) -> Any:
+            """The rows of tracks that were made from dense arrays, when they are first needed."""
+            if name != "rows" or "valid" not in self.__dict__:
+                raise AttributeError(f"Tracks has no attribute {name}")
+            index = RowIndex.of(self.valid)
+            at = index.agent, index.step
+            rows = TrackRows(index, self.xy[at], self.heading[at], self.speed[at])
+            self.__dict__["rows"] = rows
+            return rows
 
     def with_dense(self, **changes: Any) -> Tracks:
         """The same tracks with some arguments of `of_dense` replaced."""
