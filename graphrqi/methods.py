@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
-from graphrqi.classify import Classifier, make_classifier
+from graphrqi.classify import CLASSIFIERS, Classifier
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.observer import Observer
@@ -199,7 +199,7 @@ def train(
         raise InputError(f"seed: found {seed}, expected 0 to {MOST_SEED}")
     if not len(training):
         raise InputError("training: found no sample, expected at least one")
-    classifier = make_classifier(chosen.classifier, len(BEHAVIORS), **chosen.options)
+    classifier = CLASSIFIERS[chosen.classifier](len(BEHAVIORS), **chosen.options)
     held = None
     if validation is not None and len(validation):
         held = (validation.features.astype(np.float64), validation.codes)

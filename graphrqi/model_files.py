@@ -14,8 +14,8 @@ from pydantic_core import PydanticCustomError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify import Classifier, restore_classifier
-from graphrqi.classify.checks import part_of
+from graphrqi.classify import CLASSIFIERS, Classifier
+from graphrqi.classify.contract import part_of
 from graphrqi.methods import METHODS, Method, Model
 from graphrqi.networks.weights import SCHEMA_VERSION, load_weights, save_weights
 from graphrqi.places.adaptation import Adaptation
@@ -178,10 +178,9 @@ def load_model(name_or_folder: str | Path) -> Model:
 
 def _restored(method: Method, arrays: dict[str, NDArray[Any]], features: int) -> Classifier:
     """A method's classifier."""
+    classifier = CLASSIFIERS[method.classifier](len(BEHAVIORS), **method.options)
     try:
-        return restore_classifier(
-            method.classifier, len(BEHAVIORS), features, dict(method.options), arrays
-        )
+        classifier.restore(arrays, features)
     except InputError:
         raise
     except (LookupError, RuntimeError, TypeError, ValueError) as error:
@@ -189,6 +188,7 @@ def _restored(method: Method, arrays: dict[str, NDArray[Any]], features: int) ->
         raise InputError(
             f"found weights that do not load ({reason}), expected those of {method.name}"
         ) from None
+    return classifier
 
 
 def _model_folder(name_or_folder: str | Path) -> Path:
