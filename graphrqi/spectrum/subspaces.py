@@ -55,19 +55,29 @@ def null_space(graph: TrafficGraph) -> Floats:
     return basis
 
 
-def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats, Floats]:
-    """All (m,) eigenvalues, ascending, and (d, m) eigenvectors, but those of the null space.
+def dense_pairs(graph: TrafficGraph) -> tuple[Floats, Floats]:
+    """All (d,) eigenvalues, ascending, and (d, d) eigenvectors, by LAPACK's symmetric solver."""
+    values, vectors = np.linalg.eigh(graph.laplacian.toarray())
+    return values, vectors
 
-    Adding s N N^T, N the given null space, moves its eigenvalue from 0 to s above every other one
-    and touches nothing else.
+
+def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
+    """Every eigenpair of d vehicles in c components, with the null space apart.
+
+    Returns (d - c,) nonzero eigenvalues, ascending, (d, d - c) their eigenvectors, and (d, c) the
+    orthonormal indicators of the components. Costs the sum of the cubes of the component sizes.
     """
-    matrix = graph.laplacian.toarray()
-    kept = graph.ids.size
-    if null is not None and null.shape[1]:
-        matrix += 4.0 * laplacian_scale(graph) * null @ null.T
-        kept -= null.shape[1]
-    values, vectors = np.linalg.eigh(matrix)
-    return values[:kept], vectors[:, :kept]
+    null, laplacian = null_space(graph), graph.laplacian
+    labels, above = components(graph), 4.0 * laplacian_scale(graph)
+    values, vectors = np.empty(0), np.zeros((graph.ids.size, graph.ids.size - null.shape[1]))
+    for c in range(null.shape[1]):
+        rows = np.flatnonzero(labels == c)
+        block: Floats = (laplacian if null.shape[1] == 1 else laplacian[rows][:, rows]).toarray()
+        inner, turn = np.linalg.eigh(block + above / rows.size)  # moves 0 above all the rest
+        vectors[np.ix_(rows, values.size + np.arange(rows.size - 1))] = turn[:, :-1]
+        values = np.append(values, inner[:-1])
+    sort = np.argsort(values, kind="stable")
+    return values[sort], vectors[:, sort], null
 
 
 def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:
@@ -80,23 +90,6 @@ def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None =
     place = previous.graph.rows_of(graph.ids)
     rows[place >= 0] = old[place[place >= 0]]
     return rows
-
-
-def starting_block(
-    graph: TrafficGraph, size: int, previous: Spectrum | None, outside: Floats | None
-) -> Floats:
-    """Orthonormal columns (d, size) to start from, orthogonal to the columns ``outside``.
-
-    They are the earlier eigenvectors by vehicle id, filled up with noise of a fixed seed.
-    """
-    noise = np.random.default_rng(graph.ids.size).normal(size=(graph.ids.size, size))
-    if previous is not None:
-        known = carry_rows(previous, graph)[:, :size]
-        noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
-    if outside is not None:
-        noise -= outside @ (outside.T @ noise)
-    block, _ = np.linalg.qr(noise)
-    return block
 
 
 def rayleigh_ritz(graph: TrafficGraph, basis: Floats, end: End) -> tuple[Floats, Floats]:
