@@ -3,10 +3,11 @@
 Two Laplacians are embedded separately: the traffic graph's, and that of the similarity of the
 agents' motion. Each embedding consists of the generalised eigenvectors L a = lambda D a of the
 smallest eigenvalues above zero. The consensus consists of the projections of the two that correlate
-most. Arrays are dense, which suits up to some hundred agents.
+most. From one moment to the next the eigenpairs are updated by first-order perturbation instead of
+being solved again. Arrays are dense, which suits up to some hundred agents.
 
-Differs from the paper: the eigenproblem is solved at every update. The paper's first-order
-perturbation of the last solution is an approximation of that.
+Differs from the paper: a newcomer's row begins as the mean of its neighbours' rows. The
+eigenproblem is solved again every ``RESTART_S`` and when many agents have changed.
 
 References:
     Li, Dani, Hu, Tang, Chang, Liu (2017), Attributed Network Embedding for Learning in a Dynamic
@@ -16,6 +17,7 @@ References:
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -37,6 +39,16 @@ NUM_DIMENSIONS: Final = 8
 EVERY_S: Final = 0.5
 """Time between updates of the embedding."""
 
+RESTART_S: Final = 10.0
+"""Time after which the eigenproblem is solved again; the paper's graph resets as often."""
+
+MAX_CHANGED: Final = 0.3
+"""Share of agents new since the last update above which the eigenproblem is solved again."""
+
+MIN_SPLIT: Final = 1e-2
+"""Eigenvalues closer than this are not mixed by the perturbation, since the first-order mixture is
+unbounded there; normalised eigenvalues lie in 0 to 2."""
+
 _ZERO: Final = 1e-8
 """Eigenvalues up to this one belong to connected components and are left out of the embedding."""
 
@@ -44,27 +56,69 @@ _RIDGE: Final = 1e-6
 """Weight of a loop at every agent, so that agents without neighbours have a positive degree."""
 
 
-def laplacian_vectors(adjacency: FloatArray, num_pairs: int = NUM_DIMENSIONS) -> FloatArray:
-    """Generalised eigenvectors L a = lambda D a of the smallest eigenvalues above zero.
+@dataclass(frozen=True, slots=True)
+class LaplacianPairs:
+    """Generalised eigenpairs L a = lambda D a of a weighted graph.
 
-    Args:
-        adjacency: (n, n) symmetric weights.
-        num_pairs: how many; fewer where fewer exist.
-
-    Returns:
-        (n, k) with a' D a = 1.
-
-    Examples:
-        >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-        >>> laplacian_vectors(path, 1).shape
-        (3, 1)
+    Attributes:
+        values: (k,) ascending, above zero.
+        vectors: (n, k) with a' D a = 1.
+        adjacency: (n, n) the graph they belong to.
     """
-    if not len(adjacency):
-        return np.zeros((0, 0))
-    degree = np.diag(adjacency.sum(axis=1) + _RIDGE)
-    laplacian = degree - adjacency - _RIDGE * np.eye(len(adjacency))
-    values, vectors = eigh(laplacian, degree)
-    return np.asarray(vectors[:, np.flatnonzero(values > _ZERO)[:num_pairs]])
+
+    values: FloatArray
+    vectors: FloatArray
+    adjacency: FloatArray
+
+    @classmethod
+    def solved(cls, adjacency: FloatArray, num_pairs: int = NUM_DIMENSIONS) -> LaplacianPairs:
+        """At most so many pairs of the smallest eigenvalues above zero of symmetric weights (n, n).
+
+        Examples:
+            >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+            >>> LaplacianPairs.solved(path, 2).values.round(3)
+            array([1., 2.])
+        """
+        if not len(adjacency):
+            return cls(np.zeros(0), np.zeros((0, 0)), adjacency)
+        degree = np.diag(adjacency.sum(axis=1) + _RIDGE)
+        laplacian = degree - adjacency - _RIDGE * np.eye(len(adjacency))
+        values, vectors = eigh(laplacian, degree)
+        kept = np.flatnonzero(values > _ZERO)[:num_pairs]
+        return cls(values[kept], vectors[:, kept], adjacency)
+
+    def moved(self, adjacency: FloatArray) -> LaplacianPairs:
+        """The pairs of a slightly different graph (n, n) of the same vertices, to first order."""
+        change = adjacency - self.adjacency
+        degree_change = change.sum(axis=1)
+        a, values = self.vectors, self.values
+        by_degree = a.T @ (degree_change[:, None] * a)  # a_j' dD a_i
+        by_laplacian = by_degree - a.T @ change @ a  # a_j' dL a_i
+        numerator = by_laplacian - by_degree * values[None, :]
+        split = values[None, :] - values[:, None]  # lambda_i - lambda_j
+        apart = np.abs(split) > MIN_SPLIT
+        mixing = np.where(apart, numerator / np.where(apart, split, 1.0), 0.0)
+        np.fill_diagonal(mixing, -0.5 * np.diag(by_degree))
+        vectors = a + a @ np.clip(mixing, -1.0, 1.0)
+        degree = adjacency.sum(axis=1) + _RIDGE
+        vectors = vectors - degree @ vectors / degree.sum()  # orthogonal to the constant vector
+        norm = np.sqrt((degree[:, None] * vectors**2).sum(axis=0))
+        vectors = vectors / np.where(norm > 0, norm, 1.0)
+        return LaplacianPairs(np.maximum(values + np.diag(numerator), 0.0), vectors, adjacency)
+
+    def of_vertices(self, kept: IntArray, into: IntArray, adjacency: FloatArray) -> LaplacianPairs:
+        """The pairs where rows ``kept`` of this graph become rows ``into`` of the next (m, m).
+
+        Newcomers start at the mean of their neighbours. The pairs' graph is the old one among
+        vertices that remain, and the new one for all others.
+        """
+        known = adjacency[:, into]
+        total = known.sum(axis=1)
+        vectors = known @ self.vectors[kept] / np.where(total > 0, total, 1.0)[:, None]
+        vectors[into] = self.vectors[kept]
+        before = adjacency.copy()
+        before[np.ix_(into, into)] = self.adjacency[np.ix_(kept, kept)]
+        return LaplacianPairs(self.values, vectors, before)
 
 
 def consensus(network: FloatArray, attributes: FloatArray) -> FloatArray:
@@ -122,19 +176,33 @@ class EmbeddingObserver(NullObserver):
         self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
         self._motion = RawMotion()
         self._ids: IntArray = np.empty(0, dtype=np.int64)
+        nobody = LaplacianPairs.solved(np.zeros((0, 0)))
+        self._network, self._likeness = nobody, nobody
         self._embedding: FloatArray = np.zeros((0, NUM_DIMENSIONS))
-        self._updated_s = -np.inf
+        self._updated_s = self._solved_s = -np.inf
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        super().update(time_s, ids, xy, drives)
         motion = self._motion.update(time_s, ids, xy, drives)
+        super().update(time_s, ids, xy, drives)
         if time_s - self._updated_s < EVERY_S - 1e-6:
             return False
-        self._updated_s, self._ids = time_s, ids
+        self._updated_s = time_s
         self._graph = self._graph.observe(ids, xy)
-        network = laplacian_vectors(self._graph.adjacency.toarray())
-        self._embedding = consensus(network, laplacian_vectors(similarity(motion)))
+        network, likeness = self._graph.adjacency.toarray(), similarity(motion)
+        into, kept = align(self._ids, ids)
+        changed = 1.0 - into.size / max(ids.size, 1)
+        pairs = min(self._network.values.size, self._likeness.values.size)
+        whole = pairs == NUM_DIMENSIONS and changed <= MAX_CHANGED
+        if whole and time_s - self._solved_s < RESTART_S - 1e-6:
+            self._network = self._network.of_vertices(kept, into, network).moved(network)
+            self._likeness = self._likeness.of_vertices(kept, into, likeness).moved(likeness)
+        else:
+            self._solved_s = time_s
+            self._network = LaplacianPairs.solved(network)
+            self._likeness = LaplacianPairs.solved(likeness)
+        self._ids = ids
+        self._embedding = consensus(self._network.vectors, self._likeness.vectors)
         return True
 
     def observation(self) -> Observation:

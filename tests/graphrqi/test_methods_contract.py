@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from graphrqi.features.embedding import EmbeddingObserver, laplacian_vectors
+from graphrqi.features.embedding import EmbeddingObserver, LaplacianPairs
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model, save_model
@@ -144,11 +144,31 @@ def random_graph(n: int, seed: int) -> np.ndarray:
     return weight + weight.T
 
 
-def test_laplacian_vectors_solve_the_generalised_problem():
+def test_laplacian_pairs_solve_the_generalised_problem():
     adjacency = random_graph(12, 0)
-    vectors = laplacian_vectors(adjacency, 5)
+    pairs = LaplacianPairs.solved(adjacency, 5)
     degree = np.diag(adjacency.sum(axis=1) + 1e-6)
-    product = (degree - np.eye(12) * 1e-6 - adjacency) @ vectors
-    values = (vectors * product).sum(axis=0)
-    assert np.abs(product - degree @ vectors * values).max() < 1e-5
-    np.testing.assert_allclose(vectors.T @ degree @ vectors, np.eye(5), atol=1e-9)
+    residual = (degree - np.eye(12) * 1e-6 - adjacency) @ pairs.vectors
+    residual -= degree @ pairs.vectors * pairs.values
+    assert np.abs(residual).max() < 1e-5
+    np.testing.assert_allclose(pairs.vectors.T @ degree @ pairs.vectors, np.eye(5), atol=1e-9)
+
+
+def test_perturbation_is_right_to_first_order():
+    """With every pair kept, the error of the moved pairs falls with the square of the change."""
+    adjacency, direction = random_graph(10, 1), random_graph(10, 2)
+    whole = LaplacianPairs.solved(adjacency, 10)
+    assert np.diff(whole.values).min() > 1e-2
+    errors = []
+    for size in (1e-3, 1e-4):
+        changed = adjacency + size * direction
+        moved, exact = whole.moved(changed), LaplacianPairs.solved(changed, 10)
+        sign = np.sign((moved.vectors * exact.vectors).sum(axis=0))
+        errors.append(
+            max(
+                np.abs(moved.values - exact.values).max(),
+                np.abs(moved.vectors * sign - exact.vectors).max(),
+            )
+        )
+    assert errors[0] < 1e-3
+    assert errors[1] < 0.03 * errors[0]
