@@ -20,9 +20,9 @@ from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.spectrum import End, Floats, Spectrum
 from graphrqi.spectrum.subspaces import (
     carry_rows,
+    dense_pairs,
     laplacian_scale,
     null_space,
-    pairs_by_component,
     pick,
 )
 
@@ -155,12 +155,9 @@ class Problem:
         return values[wanted], vectors[:, wanted]
 
     def dense(self, note: str = "") -> Pairs:
-        """The answer of LAPACK's dense symmetric solver, component by component."""
-        values, vectors, null = pairs_by_component(self.graph)
-        if not self.nonzero:
-            values = np.concatenate([np.zeros(null.shape[1]), values])
-            vectors = np.hstack([null, vectors])
-        return Pairs(*self.chosen(values, vectors), complete=True, note=note)
+        """The answer of LAPACK's dense symmetric solver."""
+        found = dense_pairs(self.graph, self.null)
+        return Pairs(*self.chosen(*found), complete=True, note=note)
 
 
 def eigensolver(

@@ -55,10 +55,19 @@ def null_space(graph: TrafficGraph) -> Floats:
     return basis
 
 
-def dense_pairs(graph: TrafficGraph) -> tuple[Floats, Floats]:
-    """All (d,) eigenvalues, ascending, and (d, d) eigenvectors, by LAPACK's symmetric solver."""
-    values, vectors = np.linalg.eigh(graph.laplacian.toarray())
-    return values, vectors
+def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats, Floats]:
+    """All (m,) eigenvalues, ascending, and (d, m) eigenvectors, but those of the null space.
+
+    Adding s N N^T, N the given null space, moves its eigenvalue from 0 to s above every other one
+    and touches nothing else.
+    """
+    matrix = graph.laplacian.toarray()
+    kept = graph.ids.size
+    if null is not None and null.shape[1]:
+        matrix += 4.0 * laplacian_scale(graph) * null @ null.T
+        kept -= null.shape[1]
+    values, vectors = np.linalg.eigh(matrix)
+    return values[:kept], vectors[:, :kept]
 
 
 def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:

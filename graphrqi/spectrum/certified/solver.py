@@ -56,7 +56,7 @@ from graphrqi.spectrum.certified.prepared import prepare
 from graphrqi.spectrum.certified.tracking import Goal, track
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.spectrum import Floats, Spectrum
-from graphrqi.spectrum.subspaces import carry_rows, null_space
+from graphrqi.spectrum.subspaces import carry_rows, null_space, pairs_by_component
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
@@ -90,7 +90,10 @@ class Carried(NamedTuple):
 def solve(problem: Problem) -> Pairs:
     """Track the pairs from the earlier answer, and certify that none was missed."""
     d = problem.graph.ids.size
-    if d < DENSE_BELOW or DENSE_SHARE * problem.asked >= d:
+    if d < DENSE_BELOW:
+        pairs = problem.dense()
+        return replace(pairs, carried=Carried(pairs.vectors))
+    if DENSE_SHARE * problem.asked >= d:
         return _dense(problem)
     previous = problem.previous
     if previous is not None and previous.end != problem.end:
@@ -166,8 +169,14 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
 
 def _dense(problem: Problem, note: str = "") -> Pairs:
     """The pairs by dense solutions of the components."""
-    pairs = problem.dense(note)
-    return replace(pairs, carried=Carried(pairs.vectors))
+    values, vectors, null = pairs_by_component(problem.graph)
+    if not problem.nonzero:
+        values = np.concatenate([np.zeros(null.shape[1]), values])
+        vectors = np.hstack([null, vectors])
+    if problem.end == "largest":
+        values, vectors = values[::-1], vectors[:, ::-1]
+    values, vectors = values[: problem.asked].copy(), vectors[:, : problem.asked].copy()
+    return Pairs(values, vectors, True, note, Carried(vectors))
 
 
 def _fall_back(problem: Problem) -> Pairs:
