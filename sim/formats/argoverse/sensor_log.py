@@ -100,11 +100,6 @@ def read(path: Path) -> Iterator[Recording]:
     of_agents, others = boxes.among("category", CATEGORIES)
     agents, at = boxes.part(of_agents), sweep[of_agents]
     agent, names = agents.names("track_uuid")
-    if EGO_NAME in names:
-        raise InputError(
-            f"{path}: column track_uuid: found {EGO_NAME}, expected other ids: it is the "
-            "recording car's"
-        )
     xy = np.einsum("nij,nj->ni", turn[at, :2], agents.stacked(*_PLACE)) + place[at, :2]
     ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(agents)[:, :, 0])
     ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
