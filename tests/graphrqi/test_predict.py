@@ -272,13 +272,14 @@ def test_places_follow_the_lane_and_return_to_its_centre(straight):
 def test_signals_follow_their_programme(four_way):
     plan = four_way.signal_plans[0]
     change_s = plan.duration_s[0] + 1000 * sum(plan.duration_s)
+    place, heading = on_lane(four_way, four_way.connections[0].from_lane, 100.0)
     frames = []
     for time_s in np.arange(change_s - 6.0, change_s - 2.0, 0.1):
         signals = np.zeros(len(four_way.signal_groups), dtype=np.int8)
         signals[list(plan.groups)] = plan.state_at(time_s)
         frames.append(
             Frame(
-                time_s=time_s, ids=[0], xy=[[0.0, 0.0]], heading=[0.0], speed=[1.0], length=[4.0],
+                time_s=time_s, ids=[0], xy=[place], heading=[heading], speed=[1.0], length=[4.0],
                 width=[2.0], kind=[0], signals=signals,
             )
         )  # fmt: skip

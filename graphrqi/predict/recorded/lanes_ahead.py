@@ -215,7 +215,7 @@ def lanes_ahead(
     farthest = stretches * float(steady.reach[near.agent].max())
     graph = LaneGraph.of(road)
     table = PathTable.of(road, REACH_M * max(1, math.ceil(min(farthest / REACH_M, LONGEST))))
-    table.cover(np.unique(lane), 0.0)
+    table.cover(lane)
     all_ = _paths_of(table, near, lane, near.s + stretches * steady.reach[near.agent])
     steady_at = _places(graph, table, all_.path, all_.s[:, None] + steady.gone[all_.agent])
     own = _own_frame(motion, all_.agent, steady_at)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import car_following, lane_positions
-from graphrqi.predict.rollout.columns import START_ACCEL
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
 
@@ -21,8 +20,9 @@ BoolArray = NDArray[np.bool_]
 CHANGE_S = 3.0
 """Duration of a lane change, s (3 to 6 s are observed)."""
 
-_NO_NUMBERS = np.empty((0, 0))
-_MOVE_TOGETHER = (np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
+_MOVE_TOGETHER = car_following.Others(
+    np.empty((0, 0), dtype=np.int64), np.empty((0, 0)), np.empty((0, 0))
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,18 +69,16 @@ def roll(
     Returns:
         The drivers' future.
     """
-    present = scene.present
+    present = _present(scene)
     if planned is not None:
-        present = present.copy()
-        present[planned, START_ACCEL] = car_following.UNKNOWN_ACCELERATION
+        present.accel[planned] = car_following.UNKNOWN_ACCELERATION
     count = steps or round(scene.steps * STEP_S / step_s)
-    lane, columns, asked = car_following.roll(
+    found = car_following.roll(
         present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, _MOVE_TOGETHER, scene.order, (count, step_s, step_s / STEP_S, decay_s),
+        drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
+        _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    s, offset, speed, travelled = columns[:, 0]
-    return Rollout(lane[0], s, offset, speed, travelled, asked[0], step_s)
+    return Rollout(*(column[0] for column in found), step_s=step_s)
 
 
 def roll_each(
@@ -109,14 +107,15 @@ def roll_each(
         for name in ("path", "offset", "lateral_speed")
     )
     count, step_s = others.s.shape[1], others.step_s
-    lane, columns, asked = car_following.roll(
-        scene.present, path, _lateral(offset, lateral_speed), following, ignores,
-        scene.stop_state, scene.paths.columns,
-        (others.lane, others.s, others.speed), scene.order,
-        (count, step_s, step_s / STEP_S, decay_s),
+    return Rollout(
+        *car_following.roll(
+            _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
+            scene.stop_state, scene.paths.columns,
+            car_following.Others(others.lane, others.s, others.speed),
+            (count, step_s, step_s / STEP_S, decay_s),
+        ),
+        step_s=step_s,
     )  # fmt: skip
-    s, beside, speed, travelled = columns
-    return Rollout(lane, s, beside, speed, travelled, asked, step_s)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
@@ -128,11 +127,19 @@ def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatAr
         drivers: how each drives.
     """
     *_, asked = car_following.roll(
-        scene.present, path, _lateral(scene.offset, scene.lateral_speed)[None],
+        _present(scene), path, _lateral(scene.offset, scene.lateral_speed)[None],
         drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, _MOVE_TOGETHER, scene.order, (1, STEP_S, 1.0, 0.0),
+        scene.paths.columns, _MOVE_TOGETHER, (1, STEP_S, 1.0, 0.0),
     )  # fmt: skip
-    return asked
+    return np.asarray(asked)
+
+
+def _present(scene: Scene) -> car_following.Present:
+    """What a rollout starts from."""
+    return car_following.Present(
+        scene.s, np.maximum(scene.speed, 0.0), scene.accel.copy(), scene.history.length / 2,
+        scene.on_path,
+    )  # fmt: skip
 
 
 def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
