@@ -78,7 +78,8 @@ def roll(
         drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
         _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    return Rollout(*(column[0] for column in found), step_s=step_s)
+    lane, s, offset, speed, travelled, asked = (column[0] for column in found)
+    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
 
 
 def roll_each(
@@ -107,15 +108,13 @@ def roll_each(
         for name in ("path", "offset", "lateral_speed")
     )
     count, step_s = others.s.shape[1], others.step_s
-    return Rollout(
-        *car_following.roll(
-            _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
-            scene.stop_state, scene.paths.columns,
-            car_following.Others(others.lane, others.s, others.speed),
-            (count, step_s, step_s / STEP_S, decay_s),
-        ),
-        step_s=step_s,
+    lane, s, aside, speed, travelled, asked = car_following.roll(
+        _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
+        scene.stop_state, scene.paths.columns,
+        car_following.Others(others.lane, others.s, others.speed),
+        (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
+    return Rollout(lane, s, aside, speed, travelled, asked, step_s)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:

@@ -117,7 +117,7 @@ def _shown(plan: SignalPlan, time_s: FloatArray) -> StateArray:
     ends = np.cumsum(plan.duration_s)
     phase = np.searchsorted(ends - 1e-9, (time_s - plan.offset_s) % ends[-1], side="right")
     states: StateArray = np.array(plan.states, dtype=np.int8)
-    return states[phase % ends.size].T
+    return np.asarray(states[phase % ends.size].T)
 
 
 @functools.lru_cache(maxsize=32)
