@@ -246,7 +246,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
             on_first=np.zeros(net.lanes.size + 1, np.int64),
             on=np.zeros(entries, ON),
             unsorted=np.zeros(entries, ON),
-            unsorted_lane=np.zeros(entries, np.int64),
             lane_head=np.full(net.lanes.size, -1),
             lane_link=np.full(2 * (n + m), -1),
             spot_head=np.full(net.spots.size, -1),
