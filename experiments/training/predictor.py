@@ -25,12 +25,11 @@ from experiments.score.predictions import (
 from graphrqi.model_files import load_model
 from graphrqi.predict.learned.inputs import predictor_inputs, to_own_frame, unlabelled_inputs
 from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
-from graphrqi.predict.rollout.driver_table import DriverTable, default_table, table_to_json
+from graphrqi.predict.rollout.driver_table import DriverTable, load_table, save_table
 from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.predict.training.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
-from sim.files import write_whole
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -125,7 +124,7 @@ def calibrate_drivers(
         "seed": SEED,
         "scores": scores,
     }
-    write_whole(out, table_to_json(table, card).encode())
+    save_table(out, table, card)
     return table
 
 
@@ -183,7 +182,7 @@ def examples_of(
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None:
         raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
-    table = default_table()
+    table = load_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
     by_belief: list[list[Examples]] = [[], [], []]
     label_free = []

@@ -10,6 +10,7 @@ import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
+from graphrqi.networks.weights import save_weights
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
 from graphrqi.predict.prediction import Prediction
@@ -20,10 +21,9 @@ from graphrqi.predict.rollout.driver_parameters import (
 from graphrqi.predict.rollout.driver_table import (
     DRIVER_FIELDS,
     DriverTable,
-    default_table,
     initial_table,
-    table_from_json,
-    table_to_json,
+    load_table,
+    save_table,
 )
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.scene.scene import make_scene
@@ -318,29 +318,23 @@ def test_wrong_input_is_refused_by_name(straight):
         Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[0.2, 0.2]])
 
 
-def test_driver_numbers_survive_their_file():
-    table = default_table()
-    again = table_from_json(table_to_json(table, {}), "again")
+def test_driver_numbers_survive_their_file(tmp_path):
+    table, path = load_table(), tmp_path / "drivers.safetensors"
+    save_table(path, table, {})
+    again = load_table(path)
     assert np.array_equal(again.behavior, table.behavior)
     assert np.array_equal(again.average, table.average)
     assert again.decay_s == table.decay_s
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "broken file"),
-        ('{"schema_version": 99}', "schema_version: found 99, expected 2"),
-        ('{"schema_version": 2}', "broken file"),
-    ],
-)
-def test_broken_driver_files_are_refused(text, message):
-    with pytest.raises(InputError, match=message):
-        table_from_json(text, "drivers.json")
+def test_broken_driver_files_are_refused(tmp_path):
+    save_weights(tmp_path / "drivers.safetensors", "drivers", {}, {})
+    with pytest.raises(InputError, match="expected calibrated drivers"):
+        load_table(tmp_path / "drivers.safetensors")
 
 
 def test_calibrated_profiles_are_ordered_as_the_behaviours_are():
-    table = default_table()
+    table = load_table()
     assert isinstance(table, DriverTable)
     headway = table.behavior[:, DRIVER_FIELDS.index("time_headway_s")]
     aggressive, conservative = headway[:3], headway[3:]
@@ -352,7 +346,7 @@ def test_get_predictor_finds_each():
 
 
 def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
-    table = default_table()
+    table = load_table()
     wish = dict(zip(BEHAVIORS, table.behavior[:, 0], strict=True))
     fast, slow = max(wish, key=wish.__getitem__), min(wish, key=wish.__getitem__)
     a, heading = on_lane(straight, "east_in_1", 60.0)
