@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout import car_following, lane_positions
+from graphrqi.predict.rollout import car_following
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
+from sim.geometry import to_own_frame
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -161,7 +162,8 @@ def positions(scene: Scene, rollout: Rollout) -> FloatArray:
 
 def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
     """(n, H, 2) positions of distances along lanes, and to the left of their centres, m."""
-    return lane_positions.positions(scene.graph, lane, s, offset)
+    xy, _ = scene.graph.position(lane.ravel(), s.ravel(), offset.ravel())
+    return xy.reshape(*s.shape, 2)
 
 
 def in_own_frame(
@@ -178,10 +180,7 @@ def in_own_frame(
         step_s: time between steps, s.
     """
     xy = on_lanes(scene, lane, s, offset)[:, every - 1 :: every]
-    cos, sin = np.cos(scene.heading)[:, None], np.sin(scene.heading)[:, None]
-    gone = xy - scene.xy[:, None]
-    x, y = gone[..., 0], gone[..., 1]
-    own = np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+    own = to_own_frame(xy, scene.xy, scene.heading)
     time_s = np.arange(every, lane.shape[1] + 1, every) * step_s
     straight = np.zeros_like(own)
     straight[..., 0] = scene.speed[:, None] * time_s
@@ -191,9 +190,7 @@ def in_own_frame(
 def steady(scene: Scene) -> Rollout:
     """Every driver along its path at its present speed, returning to its lane's centre."""
     travelled = scene.speed[:, None] * scene.time_s[None]
-    lane, s = lane_positions.along_path(
-        scene.path, scene.s[:, None] + travelled, scene.paths.lane, scene.paths.start
-    )
+    lane, s = scene.paths.along(scene.path, scene.s[:, None] + travelled)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
     return Rollout(lane, s, scene.offsets(), speed, travelled, np.zeros(scene.ids.size))
 
@@ -229,7 +226,6 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
 
 def centre_ahead(scene: Scene, row: int) -> FloatArray:
     """(H, 2) the centre line of one driver's path ahead, every metre for 60 m."""
-    paths = scene.paths
     x = scene.s[row] + np.arange(60.0)[None]
-    lane, s = lane_positions.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
+    lane, s = scene.paths.along(scene.path[row : row + 1], x)
     return np.asarray(on_lanes(scene, lane, s, np.zeros_like(s))[0])

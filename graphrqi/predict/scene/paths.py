@@ -147,6 +147,13 @@ class PathTable:
         """All paths of lanes (n,): (m,) which of these lanes each is of, and (m,) the paths."""
         return members(self.first[lane], self.options[lane])
 
+    def along(self, path: IntArray, x: FloatArray) -> tuple[IntArray, FloatArray]:
+        """(n, H) lanes and distances along them, m, of distances x (n, H) along paths (n,)."""
+        start = self.start[path]
+        on = np.maximum((start[:, None] <= x[..., None]).sum(axis=2) - 1, 0)
+        lane = np.take_along_axis(self.lane[path], on, axis=1)
+        return lane, x - np.take_along_axis(start, on, axis=1)
+
     def _add(self, lanes: IntArray) -> None:
         """Append the paths of some lanes."""
         graph, count = self._graph, len(self.lane)
