@@ -163,16 +163,19 @@ class _Steady(NamedTuple):
 
 
 @functools.lru_cache(maxsize=32)
-def _lane_pieces(graph: LaneGraph) -> tuple[Cells, IntArray]:
-    """The straight pieces of vehicles' lanes, by square cells, and the lane of each piece."""
+def _lane_pieces(graph: LaneGraph) -> tuple[Cells, IntArray, FloatArray]:
+    """The straight pieces of vehicles' lanes by cells, the lane of each, and its length, m."""
     count = graph.segment_last - graph.segment_first + 1
     lane, begin = np.repeat(np.arange(count.size), count), graph.segment_start
-    stop = begin + graph.segment_length[:, None] * graph.segment_direction
+    end = np.append(graph.segment_at[1:], 0.0)
+    end[graph.segment_last] = graph.length
+    length = end - graph.segment_at
+    stop = begin + length[:, None] * graph.segment_direction
     boxes = np.concatenate(
         [np.minimum(begin, stop) - LANE_REACH_M, np.maximum(begin, stop) + LANE_REACH_M], axis=1
     )
     drives = np.flatnonzero(graph.drivable[lane])
-    return cells_of(boxes[drives], drives, CELL_M), lane
+    return cells_of(boxes[drives], drives, CELL_M), lane, length
 
 
 def lanes_ahead(
@@ -234,7 +237,7 @@ def _near_lanes(
     graph: LaneGraph, motion: Motion, drives: BoolArray
 ) -> tuple[_Candidates, IntArray]:
     """Agents beside lanes, without a path yet, and the lane of each."""
-    cells, lane_of = _lane_pieces(graph)
+    cells, lane_of, length_of = _lane_pieces(graph)
     column = np.floor((motion.xy[:, 0] - cells.x0) / cells.size)
     line = np.floor((motion.xy[:, 1] - cells.y0) / cells.size)
     inside = drives & (column >= 0) & (column < cells.columns) & (line >= 0) & (line < cells.rows)
@@ -242,7 +245,7 @@ def _near_lanes(
     cell = (line[who] * cells.columns + column[who]).astype(np.int64)
     which, at = members(cells.first[cell], cells.first[cell + 1] - cells.first[cell])
     agent, piece = who[which], cells.items[at].astype(np.int64)
-    length, lane = graph.segment_length[piece], lane_of[piece]
+    length, lane = length_of[piece], lane_of[piece]
     apart = motion.xy[agent] - graph.segment_start[piece]
     ahead = graph.segment_direction[piece]
     beyond = (apart * ahead).sum(axis=1)
