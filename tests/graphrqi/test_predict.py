@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
@@ -386,12 +385,6 @@ def test_predictions_become_tables(straight):
     assert len(table) == found.modes * 10
     last = table[(table["future"] == 2) & (table["time_s"] > 0.95)]
     assert last[["x", "y"]].to_numpy()[0] == pytest.approx(found.xy[0, 2, -1])
-
-
-def test_tables_need_pandas(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="found no pandas"):
-        Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]]).to_pandas()
 
 
 @pytest.mark.parametrize("name", ["lstm", "graphrqi-predict"])
