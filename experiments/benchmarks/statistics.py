@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.score.metrics import RESAMPLES, RESAMPLING_SEED, FloatArray, IntArray
+from experiments.score.metrics import RESAMPLES, RESAMPLING_SEED
 from experiments.score.rows import Cell
+from sim.frames import FloatArray, IntArray
 
 
 def prediction_keys(

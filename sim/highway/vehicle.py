@@ -11,36 +11,22 @@ decision depends on the order in which vehicles act; vehicles do not drive backw
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
-from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.controller import ControlledVehicle
-from numpy.typing import NDArray
 
 from behaviors.labels import Behavior
 from behaviors.profiles import Profile
+from sim.frames import FloatArray
 from sim.highway.draws import CUTS_IN, STOPS, WRONG_WAY, driver_key, wait_s
 from sim.highway.driving import profile_fields
-from sim.highway.lanes import LaneIndex
+from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.state import VEHICLE, blank_vehicle
-from sim.highway.tables import LaneTables, Records
+from sim.highway.tables import Records
 from sim.scenario import AgentSpec, CarFollowing
 
-FloatArray = NDArray[np.float64]
-Stretch = tuple[str, str]
-
 FIELDS: Final = frozenset(VEHICLE.names or ())
-
-
-class OnRoad(Protocol):
-    """What a vehicle needs of its road."""
-
-    tables: LaneTables
-
-    def route_number(self, stretches: tuple[Stretch, ...]) -> int:
-        """The number of a route, the same for equal ones."""
 
 
 def column(name: str, kind: type) -> Any:
@@ -59,11 +45,11 @@ def lane_column(name: str) -> Any:
     """A property that shows the number of a lane as highway-env's index of it."""
 
     def show(self: Any) -> LaneIndex:
-        index: LaneIndex = self.road.tables.keys[int(self.table[name][self.row])]
+        index: LaneIndex = self.road.network_info.keys[int(self.table[name][self.row])]
         return index
 
     def change(self: Any, lane: LaneIndex) -> None:
-        self.table[name][self.row] = self.road.tables.number[lane]
+        self.table[name][self.row] = self.road.network_info.number[lane]
 
     return property(show, change)
 
@@ -95,17 +81,12 @@ class RowView:
     def position(self, xy: FloatArray) -> None:
         self.table["x"][self.row], self.table["y"][self.row] = xy
 
-    @property
-    def diagonal(self) -> float:
-        """From corner to corner, m."""
-        return math.hypot(self.LENGTH, self.WIDTH)
-
 
 class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     """A vehicle driven by a `Profile`, seen as a highway-env vehicle.
 
     Args:
-        road: where it will drive, once it is put on a lane.
+        road: the `TrafficRoad` where it will drive, once it is put on a lane.
         spec: its kind, size, behaviour and profile.
         stretches: the stretches of road that it will drive over.
         seed: of the driver's own random numbers.
@@ -118,12 +99,11 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     stop_at = column("stop_at", float)
     stop_until = column("stop_until", float)
 
-    route = impact = None
-    check_collisions = hit = False
+    route = None
 
     def __init__(
         self,
-        road: OnRoad,
+        road: Any,
         spec: AgentSpec,
         stretches: tuple[Stretch, ...],
         seed: int | tuple[int, ...],
@@ -140,7 +120,7 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
 
     def put(self, lane: LaneIndex, s: float, speed: float) -> ProfileVehicle:
         """Place it in the middle of a lane, ``s`` m along it, at a speed in m/s."""
-        geometry = self.road.tables.network.lanes[lane]
+        geometry = self.road.network_info.lanes[lane]
         self.position, self.heading = geometry.position(s, 0.0), geometry.heading_at(s)
         self.speed = self.target_speed = speed
         self.lane_index = self.target_lane_index = self.wanted_lane_index = lane
@@ -148,15 +128,10 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
         return self
 
     @property
-    def action(self) -> dict[str, float]:
-        """The steering angle, rad, and the acceleration, m/s2, decided last."""
-        row = self.table[self.row]
-        return {"steering": float(row.steering), "acceleration": float(row.accel)}
-
-    @property
-    def lane(self) -> AbstractLane:
+    def lane(self) -> PolylineLane:
         """The lane it is on."""
-        return self.road.tables.network.lanes[self.lane_index]
+        found: PolylineLane = self.road.network_info.lanes[self.lane_index]
+        return found
 
     @property
     def behavior(self) -> Behavior | None:

@@ -21,9 +21,7 @@ from experiments.replay.pictures import write_picture
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.shown import shown_events
 from experiments.replay.write import ReplayOptions, write_replay
-from experiments.score.futures import PREDICTIONS, predictions_table
-from experiments.score.labels import LABELS
-from experiments.score.tables import table_file
+from experiments.score.tables import LABELS, PREDICTIONS, predictions_table, table_file
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.predict.prediction import Prediction

@@ -10,6 +10,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -17,13 +18,14 @@ import numpy as np
 import pandas
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
-from sim.formats.common.tables import read_table
-from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
+from sim.formats.common.windows import behavior_words, focal_windows, labels_beside
 from sim.frames import KINDS, Tracks
 from sim.input_files import stem
+
+COLUMNS: Final = Columns(id=("track_id",), t="timestamp", words=("object_type",), from_zero=True)
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""
@@ -51,12 +53,8 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    table = read_table(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
-    agent, names = table.names("track_id")
-    time_s = table.numbers("timestamp")
-    labels = labels_beside(path.with_suffix(LABELS_SUFFIX), names)
-    xy = table.stacked("x", "y")
-    rows = Rows(agent, names, time_s - time_s.min(), xy, behavior=labels)
+    rows = COLUMNS.rows(COLUMNS.read(path))
+    rows = replace(rows, behavior=labels_beside(path.with_suffix(LABELS_SUFFIX), rows.names))
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
     yield recorded(path, stem(path), rows, notes)
 
@@ -95,10 +93,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
                 "read back, expected a plain id"
             )
     written: list[Path] = []
-    for number, window in enumerate(windows(tracks, STEPS)):
-        focal = focal_agents(window)
-        if not focal:
-            continue
+    for number, window, focal in focal_windows(name, tracks, STEPS):
         step, row = np.nonzero(window.valid.T)
         role = np.full(len(window.names), "OTHERS")
         role[focal[:2]] = ("AGENT", "AV")[: len(focal)]
@@ -108,15 +103,13 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
             {"TIMESTAMP": window.time_s[step], "TRACK_ID": labels[row], "OBJECT_TYPE": role[row],
              "X": x, "Y": y, "CITY_NAME": CITY}
         ).to_csv(index=False, lineterminator="\n")  # fmt: skip
-        codes = np.full(len(labels), -1) if window.behavior is None else window.behavior
-        words = [BEHAVIORS[code].value if code >= 0 else "" for code in codes]
         kinds = [KINDS[kind].value for kind in window.kind]
-        known = pandas.DataFrame({"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": words})
+        known = pandas.DataFrame(
+            {"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": behavior_words(window)}
+        )
         path = folder / f"{name}-{number:04d}.csv"
         write_whole(path, text.encode())
         beside = known.to_csv(index=False, lineterminator="\n")
         write_whole(path.with_suffix(LABELS_SUFFIX), beside.encode())
         written += [path, path.with_suffix(LABELS_SUFFIX)]
-    if not written:
-        raise NoWindowError(f"{name}: found no 5 s with an agent seen all the time, expected some")
     return written

@@ -19,7 +19,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Style
 from behaviors.row_index import RowIndex
 from sim.formats.common.doubts import Stated, doubts_of, inside_vehicles
-from sim.formats.common.label_file import DriverLabel, relabelled
+from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
 from sim.frames import MAX_MAGNITUDE, AgentKind, Tracks
 from sim.road import Road
@@ -41,6 +41,9 @@ CARS_ASSUMED: Final = "kinds and sizes are not in this format: cars of 4.5 m are
 MAX_REPEATED: Final = 0.02
 """Share of rows that may repeat an agent at one time with other numbers (a tracker that splits
 vehicles makes some .5 %): the first counts. With more, ids or times are wrong."""
+
+MOST_SEEN_ONCE: Final = 100
+"""More agents than this that are all seen once have the numbers of rows for their ids."""
 
 MAX_BROKEN: Final = 0.5
 """Share of agents or rows that may be left out because their numbers are broken."""
@@ -82,8 +85,17 @@ class Recording:
         Returns:
             The recording.
         """
-        behavior, styles = relabelled(self.tracks, self.styles, labels)
-        return replace(self, tracks=self.tracks.with_behavior(behavior), styles=styles)
+        known = self.tracks.behavior
+        codes = np.full(len(labels), -1, dtype=np.int8) if known is None else known.copy()
+        styles = dict(self.styles)
+        for row, (name, label) in enumerate(zip(self.tracks.names, labels, strict=True)):
+            if label is None:
+                continue
+            codes[row] = -1 if label.behavior is None else label.behavior.code
+            styles.pop(name, None)
+            if label.behavior is None:
+                styles[name] = label.style
+        return replace(self, tracks=self.tracks.with_behavior(codes), styles=styles)
 
 
 @dataclass
@@ -255,6 +267,11 @@ def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tup
     rank = np.full(len(rows.names), -1)
     rank[present[order]] = np.arange(present.size)
     n, t = present.size, time_s.size
+    if n == rows.agent.size > MOST_SEEN_ONCE and t > 1:
+        raise InputError(
+            f"{path}: found {n} agents that are seen once each, expected several times of an agent "
+            "(is the column of ids that of row numbers?)"
+        )
     cell = rank[rows.agent] * t + np.searchsorted(time_s, rows.time_s)
     sorting = np.argsort(cell, kind="stable")
     heading, speed = (
