@@ -13,7 +13,6 @@ large as lorries.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -217,11 +216,10 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
     centre = 0.5 * (np.nanmin(tracks.xy[..., 0]) + np.nanmax(tracks.xy[..., 0]))
     xy = scale.ground(tracks.xy - np.array([centre, 0.0]))
     heading, speed = motion(smoothed(xy), tracks.time_s, 0.0)
-    return dataclasses.replace(
-        tracks,
+    return tracks.with_dense(
         xy=xy,
-        heading=np.where(tracks.valid, heading, np.nan),
-        speed=np.where(tracks.valid, speed, np.nan),
+        heading=heading,
+        speed=speed,
         length=LENGTH_OF_SIZE * size,
         width=WIDTH_OF_SIZE * size,
     )

@@ -124,8 +124,7 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
     span = tracks.time_s[after] - tracks.time_s[after - 1]
     share = np.clip((at - tracks.time_s[after - 1]) / span, 0.0, 1.0)[None, :, None]
     share = np.where(share > 1.0 - 1e-4, 1.0, share)
-    seen = tracks.as_rows()
-    begin, end = (seen.places(rows[:, None], step) for step in (after - 1, after))
+    begin, end = (tracks.positions(rows[:, None], step) for step in (after - 1, after))
     out = np.where(share == 1.0, end, begin + share * (end - begin))
     out[:, (at > tracks.time_s[-1] + 1e-3) | (span > MOST_SPAN_S)] = np.nan
     return np.asarray(out)
