@@ -24,7 +24,6 @@ from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.episode.annotate import annotate
-from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.scenario import Scenario, sample_agents
 
@@ -109,7 +108,7 @@ def count_scenario(
     if tracks.behavior is not None:
         code = np.array([*map(classes.index, tracks.classes), -1], dtype=np.int8)
         tracks = tracks.changed(behavior=code[tracks.behavior], classes=classes)
-    found = annotate(TrajectoryRows.of(tracks), longer.road)
+    found = annotate(tracks, longer.road)
     events = list(found.events)
     if reported:
         events = [event for event in events if event.kind not in ENCOUNTERS] + reported
@@ -233,7 +232,7 @@ def rows_of(
                     value = float(top.sum() / bottom.sum())
                     drawn = (weights @ top) / (weights @ bottom) if n else None
             low, high = (None, None) if drawn is None else np.nanpercentile(drawn, [2.5, 97.5])
-            keys = {**place, "behavior": str(behavior)}
+            keys = {**place, "behavior": behavior.value}
             found.append(tidy_row(keys, metric, value, low, high, n))
     walkers = {**place, "behavior": "pedestrian"}
     found.append(tidy_row(walkers, "jaywalks", counts.jaywalks, n=counts.walkers))

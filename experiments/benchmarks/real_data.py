@@ -14,7 +14,6 @@ too few to resample.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -42,7 +41,7 @@ from experiments.score.metrics import (
     weighted_accuracy,
 )
 from experiments.score.rows import Cell, Row, tidy_row
-from graphrqi.classify import make_classifier
+from graphrqi.classify import CLASSIFIERS
 from graphrqi.features.observer import Observer
 from graphrqi.methods import METHODS
 from sim.formats import traf
@@ -128,8 +127,8 @@ def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
 def _nine(tracks: Tracks) -> FloatArray:
     """The plain rival's numbers (`experiments.rival`), 0 where not known."""
     scale = _metres_per_pixel(tracks)
-    scaled = dataclasses.replace(
-        tracks, xy=tracks.xy * scale, length=tracks.length * scale, width=tracks.width * scale
+    scaled = tracks.with_dense(
+        xy=tracks.xy * scale, length=tracks.length * scale, width=tracks.width * scale
     )
     return np.nan_to_num(nine_numbers(scaled, None))
 
@@ -192,10 +191,10 @@ def _posterior(
     features = np.concatenate([v.features[view] for v in training])
     codes = classes[np.concatenate([v.codes for v in training])]
     if view == "majority" or np.unique(codes).size < 2:
-        learner = make_classifier("majority", task)
+        learner = CLASSIFIERS["majority"](task)
     else:
         name, options = SETTINGS[setting]
-        learner = make_classifier(name, task, **options)
+        learner = CLASSIFIERS[name](task, **options)
     learner.fit(features, codes, None, seed=0)
     return learner.posterior(held.features[view])
 

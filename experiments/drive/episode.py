@@ -13,10 +13,8 @@ from experiments.drive.policies import PLANNER, POLICIES, get_policy
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
-from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
-from sim.highway.engine import read_frame
 from sim.road import Road
 from sim.safety import ConflictKind
 from sim.scenario import AgentSpec
@@ -87,7 +85,7 @@ class _Among(TrafficEnv):
         """Move everybody for one simulation step, keep the frame and show it to the policy."""
         known = len(self.events)
         super().advance()
-        self.frames.append(read_frame(self.road, tuple(self.events[known:])))
+        self.frames.append(self.road.frame(tuple(self.events[known:])))
         if self.on_frame is not None:
             self.on_frame(self.frames[-1])
 
@@ -146,7 +144,7 @@ def drive(
 
 def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
     """Collisions, near misses and rules broken of the ego vehicle."""
-    found = incidents(TrajectoryRows.of(driven), road) if driven.time_s.size > 1 else ()
+    found = incidents(driven, road) if driven.time_s.size > 1 else ()
     mine = [event for event in found if ego_id in (event.agent, event.other)]
     near = [event for event in mine if event.kind is EventKind.NEAR_MISS]
     collisions = [event for event in mine if event.kind is EventKind.COLLISION]

@@ -15,8 +15,8 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
-from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
+from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
 from experiments.score.answers import STYLES, Answers, is_scored, score_answers

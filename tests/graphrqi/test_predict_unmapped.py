@@ -12,6 +12,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict.networks.perceptron import Perceptron
 from graphrqi.predict.recorded.features import (
     QUEUE,
     feature_count,
@@ -26,7 +27,7 @@ from graphrqi.predict.recorded.network import (
     RecordedNetwork,
     TrainedRange,
     load_network,
-    shipped_network,
+    trained_network,
 )
 from graphrqi.predict.recorded.predictor import predict_recorded
 from scenarios import SCENARIOS
@@ -72,8 +73,8 @@ def shaken(tracks: Tracks, noise_m=0.1, seed=0) -> Tracks:
     rng = np.random.default_rng(seed)
     xy = tracks.xy + rng.normal(0.0, noise_m, tracks.xy.shape)
     step = np.diff(xy, axis=1, prepend=xy[:, :1] - (xy[:, 1:2] - xy[:, :1])) / tracks.step_s
-    return replace(
-        tracks, xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
+    return tracks.with_dense(
+        xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
         heading=np.arctan2(step[..., 1], step[..., 0]),
     )  # fmt: skip
 
@@ -91,10 +92,11 @@ def base_ends(tracks: Tracks):
 def raw_network(raw, trained=None) -> RecordedNetwork:
     """A network that always answers the same."""
     count = feature_count()
-    return RecordedNetwork(
+    free = Perceptron(
         np.zeros(count), np.ones(count), (np.zeros((count, raw.size), np.float32),),
-        (raw.astype(np.float32).ravel(),), 1.0, trained or TrainedRange(40.0, 0.3, 5.0, 0.6),
+        (raw.astype(np.float32).ravel(),),
     )  # fmt: skip
+    return RecordedNetwork(free, 1.0, trained or TrainedRange(40.0, 0.3, 5.0, 0.6))
 
 
 def test_leaders_are_found_in_the_own_line_only():
@@ -134,10 +136,9 @@ def test_a_queue_that_dissolves_is_seen_by_who_still_stands():
 def test_weights_for_other_inputs_are_refused(tmp_path):
     other = raw_network(np.zeros((MODES, PER_MODE)))
     count = feature_count() - QUEUE
-    cut = replace(
-        other, mean=other.mean[:count], scale=other.scale[:count],
-        weights=(other.weights[0][:count],),
-    )  # fmt: skip
+    free = other.free
+    free = replace(free, mean=free.mean[:count], weights=(free.weights[0][:count],))
+    cut = replace(other, free=free)
     cut.save(tmp_path / "old.safetensors", {})
     with pytest.raises(InputError, match=r"old.safetensors: found a network with .* train it anew"):
         load_network(tmp_path / "old.safetensors")
@@ -203,7 +204,7 @@ def test_noise_moves_the_base_less_than_constant_velocity():
 
 def test_wrong_speeds_do_not_count():
     tracks = recording([0.0], [12.0])
-    wrong = replace(tracks, speed=np.full_like(tracks.speed, 3.0))
+    wrong = tracks.with_dense(speed=np.full_like(tracks.speed, 3.0))
     assert Motion.of(wrong).speed == pytest.approx([12.0], rel=0.05)
 
 
@@ -226,7 +227,7 @@ def test_accelerations_that_did_not_last_do_not_count():
     way = np.cumsum(speed * 0.1, axis=1)
     xy = tracks.xy.copy()
     xy[..., 0] = xy[:, :1, 0] + way
-    jumping = replace(tracks, xy=xy, speed=speed)
+    jumping = tracks.with_dense(xy=xy, speed=speed)
     steady = Motion.of(recording([0.0], [8.0], accel=1.0))
     assert abs(steady.accel[0]) > 0.8 * abs(steady.accel_now[0])
     assert np.all(np.abs(Motion.of(jumping).accel) < 0.6)
@@ -242,7 +243,7 @@ def test_gaps_in_a_track_are_bridged():
     tracks = recording([0.0, 60.0], [10.0, 10.0])
     valid = tracks.valid.copy()
     valid[0, [3, 4, 18, 19]] = False
-    gappy = replace(tracks, valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
+    gappy = tracks.with_dense(valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
     assert base_ends(gappy)[0] == pytest.approx([50.0, 0.0], abs=1e-3)
     assert np.isfinite(features_of(gappy, Motion.of(gappy))).all()
 
@@ -290,7 +291,7 @@ def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():
     angle, shift = 2.1, np.array([500.0, -80.0])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     heading = (tracks.heading + angle + np.pi) % (2 * np.pi) - np.pi
-    moved = replace(tracks, xy=tracks.xy @ turn.T + shift, heading=heading)
+    moved = tracks.with_dense(xy=tracks.xy @ turn.T + shift, heading=heading)
     again = predict(moved, NOBODY, None)
     assert again.xy == pytest.approx(told.xy @ turn.T + shift, abs=1e-3)
     assert again.probability == pytest.approx(told.probability, abs=1e-4)
@@ -334,7 +335,7 @@ def test_inside_it_the_network_corrects_the_base():
 
 
 def test_what_is_saved_loads_back_equal(tmp_path):
-    network = shipped_network()
+    network = trained_network()
     network.save(tmp_path / "again.safetensors", {"why": "test"})
     again = load_network(tmp_path / "again.safetensors")
     tracks = recording([0.0, 25.0], [12.0, 9.0])
@@ -347,12 +348,12 @@ def test_a_file_that_is_no_network_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"no\.safetensors: found no file"):
         load_network(tmp_path / "no.safetensors")
     (tmp_path / "broken.safetensors").write_bytes(b"x" * 40)
-    with pytest.raises(InputError, match=r"broken\.safetensors: expected a trained predictor"):
+    with pytest.raises(InputError, match=r"broken\.safetensors: found .*, expected weights"):
         load_network(tmp_path / "broken.safetensors")
-    endless = dataclasses.replace(shipped_network(), spread_scale=float("inf"))
-    endless.save(tmp_path / "endless.safetensors", {})
-    with pytest.raises(InputError, match=r"endless\.safetensors: spread_scale: found inf"):
-        load_network(tmp_path / "endless.safetensors")
+    nothing = dataclasses.replace(trained_network(), spread_scale=0.0)
+    nothing.save(tmp_path / "nothing.safetensors", {})
+    with pytest.raises(InputError, match=r"nothing\.safetensors: found spread_scale: 0"):
+        load_network(tmp_path / "nothing.safetensors")
 
 
 def test_constant_velocity_keeps_its_meaning():
