@@ -184,10 +184,10 @@ def _outlines(tracks: Tracks, event: Event) -> list[list[float]]:
         return []
     step = min(int(np.searchsorted(tracks.time_s, event.time_s - 1e-6)), tracks.time_s.size - 1)
     agents = [_row(tracks.ids, agent) for agent in (event.agent, event.other or 0)]
-    row, there = tracks.as_rows().find(np.array(agents), np.full(2, step))
+    row, there = tracks.rows.index.find(np.array(agents), np.full(2, step))
     if min(agents) < 0 or not there.all():
         return []
-    rows = tracks.as_rows()
+    rows = tracks.rows
     long, wide = tracks.length[agents, None], tracks.width[agents, None]
     ahead = np.stack([np.cos(rows.heading[row]), np.sin(rows.heading[row])], axis=1)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
@@ -199,7 +199,7 @@ def _outlines(tracks: Tracks, event: Event) -> list[list[float]]:
 def _opening_s(scene: ReplayScene) -> float:
     """The first time at which there are beliefs and half of the largest number of agents, s."""
     tracks, beliefs = scene.tracks, scene.beliefs
-    present = tracks.as_rows().counts()
+    present = tracks.rows.index.counts()
     half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
     known = np.isfinite(beliefs.probability).all(axis=2).any(axis=0)
     wanted = known & (beliefs.time_s >= half_full_s - 1e-6)
@@ -237,7 +237,7 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
 def _places(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """The agents' places, as runs of steps without a gap."""
     tracks = scene.tracks
-    seen = tracks.as_rows()
+    seen = tracks.rows
     agent, step, xy = seen.index.agent, seen.index.step, seen.xy
     begins = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
     inside = np.ones(agent.size, dtype=bool)
@@ -303,7 +303,7 @@ def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, An
     ghosts = scene.ghosts
     if ghosts is None:
         return {"ghosts": []}
-    origin = scene.tracks.as_rows().xy.min(axis=0)
+    origin = scene.tracks.rows.xy.min(axis=0)
     arrays["ghostOf"] = ghosts.ghost.astype("u2")
     arrays["ghostStep"] = ghosts.step.astype("i4")
     arrays["ghostXY"] = (ghosts.xy - origin).astype("f4").ravel()
@@ -321,7 +321,7 @@ def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]], unit: float)
     """Futures, each as its first place and how the steps between its places change."""
     if not scene.forecasts:
         return {"ahead": []}
-    origin = scene.tracks.as_rows().xy.min(axis=0)
+    origin = scene.tracks.rows.xy.min(axis=0)
     xy = np.concatenate([f.xy for f in scene.forecasts]) - origin
     steps = np.diff(xy, axis=1)
     coarse = max(quantum(2.0 * steps, FUTURE_QUANTUM), unit)

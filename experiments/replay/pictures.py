@@ -110,7 +110,7 @@ class Layout:
 
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
-    places = scene.tracks.as_rows().xy
+    places = scene.tracks.rows.xy
     if scene.road is None:
         low, high = places.min(axis=0), places.max(axis=0)
         margin = max(0.03 * float((high - low).max()), 1.0)
@@ -144,7 +144,7 @@ class Drawing:
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         tall = height - HEAD_PX - FOOT_PX
         self.layout = Layout.of(shown_extent(scene), width, tall)
-        self.fastest = max(1.0, float(np.quantile(scene.tracks.as_rows().speed, 0.995)))
+        self.fastest = max(1.0, float(np.quantile(scene.tracks.rows.speed, 0.995)))
         self._shapes = None if scene.road is None else road_shapes(scene.road)
         self._axes: list[Axes] = []
         self._moving: list[Artist] = []
@@ -213,7 +213,7 @@ class Drawing:
         """Draw what does not move."""
         shapes = self._shapes
         if shapes is None:
-            seen = self.scene.tracks.as_rows()
+            seen = self.scene.tracks.rows
             paths = [seen.xy[seen.index.rows(row)] for row in range(self.scene.tracks.ids.size)]
             self._lines([p for p in paths if len(p) > 1], TRACK, 1.0, 1)
             return
@@ -275,10 +275,10 @@ class Drawing:
         after = min(step + 1, tracks.time_s.size - 1)
         span = float(tracks.time_s[after] - tracks.time_s[step])
         share = min(max((time_s - float(tracks.time_s[step])) / span, 0.0), 1.0) if span else 0.0
-        seen = tracks.as_rows()
-        at = seen.at(step)
+        seen = tracks.rows
+        at = seen.index.at(step)
         rows = seen.index.agent[at]
-        ahead = seen.places(rows, np.full(rows.size, after))
+        ahead = tracks.positions(rows, np.full(rows.size, after))
         to = np.where(np.isnan(ahead), seen.xy[at], ahead)
         return rows, seen.xy[at] + share * (to - seen.xy[at]), seen.heading[at], seen.speed[at]
 
@@ -380,7 +380,7 @@ class Drawing:
                 continue
             if row < tracks.ids.size and tracks.ids[row] == event.agent:
                 at = np.array(self._step(event.time_s))
-                place = self.layout.places(tracks.as_rows().places(np.array(row), at))
+                place = self.layout.places(tracks.positions(np.array(row), at))
                 style: dict[str, Any] = {"color": GRAVE, "fillstyle": "none", "zorder": 6}
                 size = 18 + 10 * since
                 for axes in self._axes:
@@ -396,7 +396,7 @@ def _outline(xy: FloatArray, heading: float, length: float, width: float) -> Flo
 
 def fullest_s(scene: ReplayScene) -> float:
     """The time with most agents, s."""
-    return float(scene.tracks.time_s[scene.tracks.as_rows().counts().argmax()])
+    return float(scene.tracks.time_s[scene.tracks.rows.index.counts().argmax()])
 
 
 def check_picture(path: Path) -> None:

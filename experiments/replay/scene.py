@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Final
@@ -13,7 +13,7 @@ import numpy as np
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.data.admission import SCALED, is_scene
+from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
@@ -24,7 +24,6 @@ from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.model_files import load_model
 from sim.episode.annotate import annotate_recording
 from sim.episode.incidents import near_misses
-from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import Tracks
 from sim.road import Road
@@ -163,8 +162,8 @@ def gather(
     if entry.engine in FORMATS:  # a recording: nobody has looked yet
         events = tuple(near_misses(dataset.conflicts(entry)))
         if road is not None:
-            events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
-        tracks = tracks.changed(events=events)
+            events, shown_traits = annotate_recording(tracks, road)
+        tracks = replace(tracks, events=events)
     forecasts: list[Forecast] = []
     shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
@@ -190,7 +189,7 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = _stride(tracks)
-    tracks = tracks.changed(events=shown_events(tracks))
+    tracks = replace(tracks, events=shown_events(tracks))
     if unit == "px":
         tracks = with_drawn_sizes(tracks)
     kept = tracks.part(np.arange(tracks.ids.size), slice(None, None, stride))
@@ -215,7 +214,7 @@ def gather(
 def _stride(tracks: Tracks) -> int:
     """Frames from one that is kept to the next."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    return max(wanted, -(-tracks.as_rows().speed.size // MAX_PLACES))
+    return max(wanted, -(-tracks.rows.speed.size // MAX_PLACES))
 
 
 def _left_out(told: int, forecasts: Sequence[Forecast]) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ def _row(tracks: Tracks, agent: int | None) -> int | None:
 def _parked(tracks: Tracks) -> list[bool]:
     """Whether each vehicle is parked: it is never seen to move."""
     found = []
-    rows = tracks.as_rows()
+    rows = tracks.rows
     for agent in range(tracks.ids.size):
         seen = rows.xy[rows.index.rows(agent)]
         away = np.hypot(*(seen - np.median(seen, axis=0)).T) if len(seen) else np.zeros(1)
@@ -77,7 +77,7 @@ def _closest_s(tracks: Tracks, event: Event, one: int, other: int) -> float:
     if not near.size:
         return event.time_s
     begin, end = int(near[0]), int(near[-1]) + 1
-    rows = tracks.as_rows()
+    rows = tracks.rows
     places = [rows.index.over(rows.xy, row, begin, end, np.nan) for row in (one, other)]
     distance_m = np.hypot(*(places[0] - places[1]).T)
     if np.isnan(distance_m).all():
@@ -100,7 +100,9 @@ def with_drawn_sizes(tracks: Tracks) -> Tracks:
     sides = np.sqrt(tracks.length * tracks.width)
     length = min(float(np.median(sides)), FREE_SHARE * _free_distance(tracks))
     many = tracks.ids.size
-    return tracks.changed(length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
+    return dataclasses.replace(
+        tracks, length=np.full(many, length), width=np.full(many, length / CAR_SHAPE)
+    )
 
 
 def _free_distance(tracks: Tracks) -> float:
@@ -108,7 +110,7 @@ def _free_distance(tracks: Tracks) -> float:
     found: list[FloatArray] = []
     steps = np.unique(np.linspace(0, tracks.time_s.size - 1, FRAMES_MEASURED).astype(int))
     for step in steps:
-        xy = tracks.as_rows().xy[tracks.as_rows().at(step)]
+        xy = tracks.rows.xy[tracks.rows.index.at(step)]
         if len(xy) > 1:
             apart = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
             np.fill_diagonal(apart, np.inf)

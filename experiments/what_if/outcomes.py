@@ -101,7 +101,7 @@ def _place(tracks: Tracks, agent: int, time_s: float) -> FloatArray | None:
         return None
     if abs(float(tracks.time_s[column]) - time_s) > 1e-6:
         return None
-    place = tracks.as_rows().places(np.array(row), np.array(column))
+    place = tracks.positions(np.array(row), np.array(column))
     return None if np.isnan(place[0]) else place
 
 
@@ -112,7 +112,7 @@ def _travelled(
     row = _row(tracks, agent)
     if row < 0:
         return np.empty(0), np.empty(0)
-    rows = tracks.as_rows()
+    rows = tracks.rows
     own = rows.index.rows(row)
     time_s, xy = tracks.time_s[rows.index.step[own]], rows.xy[own]
     later = time_s > since_s + 1e-6

@@ -174,7 +174,7 @@ def moving(ids, starts, velocities, seconds=10.0):
     many, starts, velocities = len(ids), np.array(starts, float), np.array(velocities, float)
     xy = starts[:, None] + velocities[:, None] * time_s[None, :, None]
     shape = (many, time_s.size)
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.array(ids), names=tuple(map(str, ids)), kind=np.zeros(many, np.int8),
         length=np.full(many, 5.0), width=np.full(many, 2.0), time_s=time_s, xy=xy,
         heading=np.zeros(shape), speed=np.tile(np.hypot(*velocities.T)[:, None], time_s.size),
