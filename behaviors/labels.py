@@ -221,8 +221,10 @@ def read_behaviors(
         (<Style.CONSERVATIVE: 'conservative'>, 'careful', 1.5)
     """
     known = {str(one): one for one in BEHAVIORS}
-    if not source or isinstance(source, Mapping):
-        return _all_of(source or {}, known)
+    if not source:
+        return ()
+    if isinstance(source, Mapping):
+        return _all_of(source, known)
     text = str(source)
     named = isinstance(source, str) and not any(mark in text for mark in "./\\")
     found: dict[str, Behavior] = {}

@@ -107,7 +107,7 @@ def count_scenario(
     classes = (*BEHAVIORS, *scenario.behaviors)
     if tracks.behavior is not None:
         code = np.array([*map(classes.index, tracks.classes), -1], dtype=np.int8)
-        tracks = tracks.changed(behavior=code[tracks.behavior], classes=classes)
+        tracks = dataclasses.replace(tracks, behavior=code[tracks.behavior], classes=classes)
     found = annotate(tracks, longer.road)
     events = list(found.events)
     if reported:

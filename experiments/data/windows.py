@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -68,7 +69,8 @@ def _episode_samples(
     tracks = measured(open_dataset(folder).read(entry))
     if tracks.behavior is not None and tracks.classes != classes:
         code = [classes.index(b) if b in classes else -1 for b in tracks.classes]
-        tracks = tracks.changed(behavior=np.array([*code, -1], dtype=np.int8)[tracks.behavior])
+        codes = np.array([*code, -1], dtype=np.int8)[tracks.behavior]
+        tracks = dataclasses.replace(tracks, behavior=codes)
     observer = make_observer(method, solver)
     try:
         return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
