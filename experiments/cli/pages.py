@@ -63,9 +63,6 @@ def replay(
     labels: Annotated[
         Path | None, file_option("From classify (default: made here).", metavar="FILE.parquet")
     ] = None,
-    predictions: Annotated[
-        Path | None, file_option("From predict (default: made here).", metavar="FILE.parquet")
-    ] = None,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
@@ -92,9 +89,9 @@ def replay(
     from experiments.console.notices import say
     from experiments.replay.write import ReplayOptions, write_replay
 
-    refuse_to_overwrite([source, labels, predictions, net], [out, picture])
+    refuse_to_overwrite([source, labels, net], [out, picture])
     options = ReplayOptions(
-        episode=episode, labels=labels, predictions=predictions, format=format, net=net,
+        episode=episode, labels=labels, format=format, net=net,
         model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s,
         picture=picture,
     )  # fmt: skip

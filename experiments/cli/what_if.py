@@ -62,10 +62,10 @@ def what_if(
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
     from experiments.figure_files import check_figure_file
-    from experiments.replay.paths import write_paths
     from experiments.score.rows import dataset_id, melted, stamped
     from experiments.what_if.branches import WhatIf, make_what_if
     from experiments.what_if.outcomes import outcomes
+    from experiments.what_if.picture import write_paths
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 
@@ -103,15 +103,14 @@ def _show_blame(
     from experiments.console.tables import show_table
     from experiments.generate.episode import Task
     from experiments.score.rows import melted, stamped
-    from experiments.what_if.blame import judge, verdict_rows
+    from experiments.what_if.blame import judge
     from sim.scenario import sample_agents
 
     task = Task(config, config.scenarios[0], episode)
     made = config.scenario(task.scenario, episode)
     agents = sample_agents(made, task.seed)
-    verdicts = list(judge(made, agents, task.seed, config.engine, bystanders))
-    if verdicts or json is not None:
-        lines = verdict_rows(verdicts)
+    lines = list(judge(made, agents, task.seed, config.engine, bystanders))
+    if lines or json is not None:
         keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
         show_table(stamped(melted(lines, keys), "what-if --blame", seed), json, lines=lines)
     else:

@@ -1,4 +1,4 @@
-"""Arrays as text for a page: quantised, differenced, deflated, base64.
+"""Arrays as text for a page: rounded, differenced, deflated, base64.
 
 All arrays of a page become one zlib stream, which browsers inflate themselves. ``page/data.js``
 reads it back in the page.
@@ -14,9 +14,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import FloatArray, IntArray
+from sim.frames import FloatArray
 
-DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i2": "Int16", "i4": "Int32", "f4": "Float32"}
+DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i4": "Int32", "f4": "Float32"}
 """Little-endian numbers that a browser reads as typed arrays."""
 
 
@@ -30,47 +30,32 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]
         What is where (by name: type, offset in bytes, count), and the text.
 
     Examples:
-        >>> index, text = pack({"a": np.array([1, 2], dtype="<i2")})
+        >>> index, text = pack({"a": np.array([1, 2], dtype="<u2")})
         >>> index, list(zlib.decompress(base64.b64decode(text)))
-        ({'a': ['Int16', 0, 2]}, [1, 0, 2, 0])
+        ({'a': ['Uint16', 0, 2]}, [1, 0, 2, 0])
     """
     index: dict[str, list[Any]] = {}
     parts: list[bytes] = []
     offset = 0
-    for name, array in sorted(arrays.items(), key=lambda item: -item[1].itemsize):
+    for name, array in arrays.items():
         kind = array.dtype.newbyteorder("<").str.lstrip("<|")
         data = np.ascontiguousarray(array, dtype=f"<{kind}").tobytes()
         index[name] = [DTYPES[kind], offset, array.size]
-        # A typed array begins at a multiple of its size.
-        data += bytes(-len(data) % 4)
+        data += bytes(-len(data) % 4)  # a typed array begins at a multiple of its size
         parts.append(data)
         offset += len(data)
     return index, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode()
 
 
-def quantum(steps: FloatArray, finest: float) -> float:
-    """The finest rounding, not finer than ``finest``, with which every step fits 16 bits."""
-    largest = float(np.abs(steps).max(initial=0.0))
-    return max(finest, largest / 32000.0)
-
-
-def differences(values: FloatArray, begins: IntArray, unit: float) -> tuple[IntArray, NDArray[Any]]:
-    """Runs of values as a first one and steps.
+def differences(values: FloatArray, unit: float) -> NDArray[np.int32]:
+    """Rounded values (n, ...) as differences along the first axis, as flat numbers.
 
     Args:
-        values: (n,) the runs, one after another.
-        begins: (r,) where each run begins.
-        unit: what one step counts.
-
-    Returns:
-        (r,) the first values as int32, and (n,) int16 steps, 0 at the beginning of each run.
+        values: the values.
+        unit: what they are rounded to.
 
     Examples:
-        >>> first, steps = differences(np.array([1.0, 1.5, 9.0]), np.array([0, 2]), 0.5)
-        >>> first.tolist(), steps.tolist()
-        ([2, 18], [0, 1, 0])
+        >>> differences(np.array([1.0, 1.5, 9.0]), 0.5).tolist()
+        [2, 1, 15]
     """
-    whole = np.rint(values / unit).astype(np.int64)
-    steps = np.diff(whole, prepend=whole[:1])
-    steps[begins] = 0
-    return whole[begins].astype(np.int32), steps.astype(np.int16)
+    return np.diff(np.rint(values / unit), axis=0, prepend=0).astype(np.int32).ravel()

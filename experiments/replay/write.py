@@ -26,10 +26,8 @@ class ReplayOptions:
         format: format of a recording; None to recognise it by its content.
         net: the SUMO net that a recording was made on.
         labels: a labels file; None to classify with ``model``.
-        predictions: a predictions file; None to predict with ``predictor``.
         model: a shipped model's name or a folder.
-        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
-            or for the first in ``predictions``.
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one.
         color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
         begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
             opens when the road has filled to half and there are beliefs, a film begins with the
@@ -42,7 +40,6 @@ class ReplayOptions:
     format: str | None = None
     net: Path | None = None
     labels: Path | None = None
-    predictions: Path | None = None
     model: str = "graphrqi-plus"
     predictor: str | None = None
     color: str | None = None
@@ -88,9 +85,8 @@ def write_replay(
         if o.episode is None and many > 1:
             LOGGER.info("%s: showing %s, the first of %d episodes", source, entry.name, many)
         scene = gather(
-            dataset, entry, model=o.model, labels=o.labels,
-            predictions=o.predictions, predictor=o.predictor, quiet=quiet,
-        )  # fmt: skip
+            dataset, entry, model=o.model, labels=o.labels, predictor=o.predictor, quiet=quiet
+        )
     first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
     if o.begin_s is not None and not min(first_s, 0.0) <= o.begin_s <= last_s:
         raise InputError(
