@@ -1,7 +1,8 @@
 """The replay page: one HTML file that needs no other file and no network.
 
-Style and script are inlined from ``page/``; the page's own security policy lets exactly these run
-and nothing be fetched, so that a name in hostile data can neither act nor call out.
+All arrays of a page become one zlib stream, which browsers inflate themselves; ``page/data.js``
+reads it. Style and script are inlined from ``page/``; the page's own security policy lets exactly
+these run and nothing be fetched, so that a name in hostile data can neither act nor call out.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import zlib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +25,6 @@ from numpy.typing import NDArray
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS, TRAITS
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.replay.packing import differences, pack
 from experiments.replay.scene import ReplayScene
 from graphrqi.posterior import LABEL_PROBABILITY
 from sim.files import write_whole
@@ -61,6 +63,10 @@ def ramp_color(share: float) -> str:
 def ramp() -> list[str]:
     """Colours of a scale from low to high; the page interpolates between them."""
     return [ramp_color(share) for share in np.linspace(0.0, 1.0, RAMP_STOPS)]
+
+
+DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i4": "Int32", "f4": "Float32"}
+"""Little-endian numbers that a browser reads as typed arrays."""
 
 
 def default_mode(scene: ReplayScene) -> str:
@@ -319,3 +325,44 @@ def _road(scene: ReplayScene) -> dict[str, Any] | None:
         **{name: [_flat(shape) for shape in getattr(shapes, name)] for name in lines},
         "stops": [{"line": _flat(stop.line), "signal": stop.signal} for stop in shapes.stops],
     }
+
+
+def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]:
+    """Put arrays into one text.
+
+    Args:
+        arrays: by name, each of a type in ``DTYPES``.
+
+    Returns:
+        What is where (by name: type, offset in bytes, count), and the text.
+
+    Examples:
+        >>> index, text = pack({"a": np.array([1, 2], dtype="<u2")})
+        >>> index, list(zlib.decompress(base64.b64decode(text)))
+        ({'a': ['Uint16', 0, 2]}, [1, 0, 2, 0])
+    """
+    index: dict[str, list[Any]] = {}
+    parts: list[bytes] = []
+    offset = 0
+    for name, array in arrays.items():
+        kind = array.dtype.newbyteorder("<").str.lstrip("<|")
+        data = np.ascontiguousarray(array, dtype=f"<{kind}").tobytes()
+        index[name] = [DTYPES[kind], offset, array.size]
+        data += bytes(-len(data) % 4)  # a typed array begins at a multiple of its size
+        parts.append(data)
+        offset += len(data)
+    return index, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode()
+
+
+def differences(values: FloatArray, unit: float) -> NDArray[np.int32]:
+    """Rounded values (n, ...) as differences along the first axis, as flat numbers.
+
+    Args:
+        values: the values.
+        unit: what they are rounded to.
+
+    Examples:
+        >>> differences(np.array([1.0, 1.5, 9.0]), 0.5).tolist()
+        [2, 1, 15]
+    """
+    return np.diff(np.rint(values / unit), axis=0, prepend=0).astype(np.int32).ravel()

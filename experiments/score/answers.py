@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -232,34 +231,6 @@ def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None
     for name, statistic, per_episode in measured:
         yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     yield tidy_row(keys, "style_auc", *auc_over_episodes(aggressive, truth == 0, episode), n)
-
-
-def score_difference(ours: Answers, theirs: Answers, keys: Mapping[str, Cell]) -> list[Row]:
-    """How much better some answers are than others about the same drivers.
-
-    Args:
-        ours: about drivers whose behaviour is known.
-        theirs: about the same drivers in the same order.
-        keys: what was measured, for the rows.
-
-    Returns:
-        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, with intervals by a
-        paired bootstrap over episodes.
-    """
-    rows = []
-    for name, statistic, pair in (
-        ("macro_f1", macro_f1, (ours.counts, theirs.counts)),
-        ("style_balanced_accuracy", balanced_accuracy, (ours.style_counts, theirs.style_counts)),
-    ):
-        found = bootstrap(partial(_difference, statistic), np.stack(pair, axis=1))
-        rows.append(tidy_row(keys, f"{name}_difference", *found, ours.truth.size))
-    return rows
-
-
-def _difference(statistic: Statistic, counts: FloatArray) -> FloatArray:
-    """A statistic of the first of two matrices (..., 2, k, k) less that of the second."""
-    both = statistic(counts)
-    return np.asarray(both[..., 0] - both[..., 1])
 
 
 def score_places(parts: Iterable[tuple[str, str, pa.Table]], keys: Mapping[str, Cell]) -> list[Row]:

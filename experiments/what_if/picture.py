@@ -10,7 +10,7 @@ import numpy as np
 from behaviors.colors import COLORS
 from behaviors.labels import Behavior
 from experiments.figure_files import check_figure_file, write_figure
-from experiments.replay.pictures import INK, MUTED, draw_road
+from experiments.replay.pictures import INK, LONG, MUTED, draw_road
 from experiments.what_if.branches import branch_of, change_of
 from experiments.what_if.outcomes import INCIDENTS, branches_of, factual_of, new_incidents
 from sim.frames import FloatArray, Tracks
@@ -112,6 +112,8 @@ def _zoom(plan: Axes) -> None:
     xy = np.concatenate([line.get_xydata() for line in plan.lines])  # type: ignore[list-item]
     low, high = xy.min(axis=0) - 6.0, xy.max(axis=0) + 6.0
     plan.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    sides = np.sort(high - low)
+    plan.set_aspect("auto" if sides[1] > LONG * sides[0] else "equal")
 
 
 def _separations(factual: Tracks, other: Tracks) -> dict[int, float]:

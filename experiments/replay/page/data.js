@@ -1,4 +1,4 @@
-// The data: read back from what packing.py wrote.
+// The data: read back from what page.py wrote.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const $ = (id) => document.getElementById(id);
