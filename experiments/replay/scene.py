@@ -135,7 +135,7 @@ def gather(
     *,
     model: str,
     labels: Path | None = None,
-    predictor: str | None = None,
+    predictor: str = DEFAULT_PREDICTOR,
     quiet: bool = True,
 ) -> ReplayScene:
     """Read an episode, and classify and predict in it what no file says.
@@ -145,7 +145,7 @@ def gather(
         entry: which episode.
         model: the classifier, a shipped one's name or a folder; not used where labels are given.
         labels: a labels file, as ``graphrqi classify`` writes it.
-        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one.
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions.
         quiet: whether to show no progress.
 
     Returns:
@@ -172,7 +172,6 @@ def gather(
             events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
         tracks = tracks.changed(events=_without_parked(tracks, events))
     forecasts: list[Forecast] = []
-    shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
@@ -184,8 +183,7 @@ def gather(
             beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()
         if predictor != "none":
-            shown = predictor or DEFAULT_PREDICTOR
-            forecasts = forecast(tracks, beliefs, road, shown)
+            forecasts = forecast(tracks, beliefs, road, predictor)
         told = sum(one.agent.size for one in forecasts)
         forecasts = likeliest(forecasts)
         progress.advance()
@@ -209,7 +207,7 @@ def gather(
         believer=believer,
         graph=graph,
         forecasts=tuple(forecasts),
-        predictor=shown if forecasts else "",
+        predictor=predictor if forecasts else "",
         notes=(*said, *_notes(episode, road, unit, stride), *_left_out(told, forecasts)),
         ghosts=ghosts,
     )

@@ -14,7 +14,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import in_parallel
 from experiments.replay.page import write_page
 from experiments.replay.pictures import Drawing, fullest_s
-from experiments.replay.scene import DEFAULT_PREDICTOR, ReplayScene, gather
+from experiments.replay.scene import ReplayScene, gather
 from experiments.report.pictures import Picture
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
@@ -92,7 +92,7 @@ def _looked_at(
 ) -> tuple[tuple[Picture, ...], str, list[Case]]:
     """Pictures of an episode if asked for, the link to its fullest moment, and all cases in it."""
     dataset = open_dataset(folder / "data")
-    scene = gather(dataset, entry, model=str(folder / "model"), predictor=DEFAULT_PREDICTOR)
+    scene = gather(dataset, entry, model=str(folder / "model"))
     page, moment = f"replays/{entry.id}.html", fullest_s(scene)
     write_page(scene, folder / page, "predicted")
     pictures = tuple(

@@ -17,7 +17,7 @@ from experiments.replay.graph_history import graph_history
 from experiments.replay.page import write_page
 from experiments.replay.pictures import write_picture
 from experiments.replay.scene import chosen_entry, gather
-from experiments.replay.write import ReplayOptions, write_replay
+from experiments.replay.write import write_replay
 from experiments.score.labels import LABELS
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
@@ -131,10 +131,10 @@ def test_an_mp4_plays_for_as_long_as_it_should(scene, tmp_path):
 
 def test_the_command_writes_page_and_film(dataset, tmp_path):
     labels_file(tmp_path / "labels.parquet", dataset, "mapped")
-    options = ReplayOptions(
-        "mapped", labels=tmp_path / "labels.parquet", predictor="constant-velocity",
-        picture=tmp_path / "v.gif", begin_s=4.0, end_s=4.5,
+    written = write_replay(
+        dataset, tmp_path / "r.html", episode="mapped", labels=tmp_path / "labels.parquet",
+        predictor="constant-velocity", picture=tmp_path / "v.gif", begin_s=4.0, end_s=4.5,
+        quiet=True,
     )  # fmt: skip
-    written = write_replay(dataset, tmp_path / "r.html", options, quiet=True)
     assert [path.name for path in written] == ["r.html", "v.gif"]
     assert all(path.stat().st_size > 5000 for path in written)
