@@ -109,7 +109,7 @@ def _draw(
 
 def _zoom(plan: Axes) -> None:
     """Show the paths, not the whole road."""
-    xy = np.concatenate([line.get_xydata() for line in plan.lines])  # type: ignore[list-item]
+    xy = np.concatenate([line.get_xydata() for line in plan.lines])
     low, high = xy.min(axis=0) - 6.0, xy.max(axis=0) + 6.0
     plan.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     sides = np.sort(high - low)
