@@ -43,7 +43,7 @@ from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.classify import make_classifier
 from graphrqi.features.observer import Observer
 from graphrqi.methods import METHODS
-from sim.formats import traf, traf_sheets
+from sim.formats import traf
 from sim.formats.common.recording import CAR_LENGTH_M
 from sim.frames import CodeArray, FloatArray, IntArray, Tracks
 
@@ -145,12 +145,12 @@ def read_video(
     path: Path, annotations: Path, views: Sequence[str], rule: Resolution = "lenient"
 ) -> Video | None:
     """Read one video with its labels."""
-    number = traf_sheets.video_number(path)
-    sheets = () if number is None else traf_sheets.sheets_of(annotations, number)
+    number = traf.video_number(path)
+    sheets = () if number is None else traf.sheets_of(annotations, number)
     if not sheets:
         return None
     tracks = next(iter(traf.read(path))).tracks
-    codes = traf_sheets.labels(tracks, sheets, rule)
+    codes = traf.labels(tracks, sheets, rule)
     known = codes >= 0
     features = {name: standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
     name = path.stem.removesuffix("_gt")

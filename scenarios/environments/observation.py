@@ -74,12 +74,11 @@ def observable_agents(road: TrafficRoad, ego: Any) -> list[Any]:
 def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[np.float32]:
     """The observation ``ego``: one value per entry of `EGO_FEATURES`."""
     network, lane = road.network_info, ego.lane_index
-    info = network.info[lane]
     s, lateral = ego.lane.local_coordinates(ego.position)
     facing = ego.lane.heading_at(s) - ego.heading
     facing = math.pi - (math.pi - facing) % (2.0 * math.pi)
     lanes = len(road.network.graph[lane[0]][lane[1]])
-    sides = (0, 0) if info.connector else (lane[2], lanes - 1 - lane[2])
+    sides = (0, 0) if lane in network.exit_of else (lane[2], lanes - 1 - lane[2])
     line, lit, crossing, used = _ahead(road, ego, s + ego.LENGTH / 2)
     return _unit(
         np.array(
@@ -103,24 +102,23 @@ def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[
 def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
     """Stop line and crossing ahead of a front bumper, which is at ``front`` m on its lane."""
     network, lane = road.network_info, ego.lane_index
-    info = network.info[lane]
     lit = np.zeros(3)
     line = crossing = RANGE_M
     used = 0.0
-    strips = [(strip, strip.near_s - front) for strip in info.strips]
-    path = None if info.connector else road.onward_lane(ego, lane)
+    strips = [(strip[0], strip[1] - front) for strip in network.strips.get(lane, ())]
+    path = None if lane in network.exit_of else road.onward_lane(ego, lane)
     if path is not None:
         line = ego.lane.length - front
-        group = network.info[path].signal
+        group = network.links[path].signal
         if group >= 0 and 0.0 <= line <= RANGE_M:
             state = int(road.signals[group])
             if state != Signal.OFF.code:
                 lit[state] = 1.0
-        strips += [(strip, strip.near_s + line) for strip in network.info[path].strips]
-    for strip, near in strips:
+        strips += [(strip[0], strip[1] + line) for strip in network.strips.get(path, ())]
+    for number, near in strips:
         if 0.0 <= near < crossing:
             crossing = near
-            used = float(strip.crossing in road.crossings_in_use())
+            used = float(number in road.crossings_in_use())
     return line, lit, crossing, used
 
 

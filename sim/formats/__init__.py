@@ -223,9 +223,9 @@ FORMATS: Final[Registry[Format]] = Registry(
         "scenarionet": Format(
             ("*.pkl",),
             re.compile(rb"(?s)^\x80[\x02-\x05].*(?:tracks|metadata|version|map_features)"),
-            "sim.formats.scenarionet.reader:read",
-            "sim.formats.scenarionet.writer:write",
-            index="sim.formats.scenarionet.writer:Index",
+            "sim.formats.scenarionet:read",
+            "sim.formats.scenarionet:write",
+            index="sim.formats.scenarionet:Index",
             beside=("dataset_summary.pkl", "dataset_mapping.pkl"),
         ),
         "table": Format(

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
+from sim.formats.common.columns import Columns
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
+from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
 from sim.formats.common.tables import read_table
 from sim.frames import Tracks
 from sim.input_files import beside, plain_name, stem
@@ -58,10 +59,8 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    table = read_table(path, ["frame", "x", "y"], ["id"])
-    agent, names = table.names("id")
-    xy = table.stacked("x", "y")
-    rows = Rows(agent, names, table.numbers("frame") / FRAME_RATE_HZ, xy)
+    columns = Columns(id=("id",), t="frame")
+    rows = columns.rows(columns.read(path), rate_hz=FRAME_RATE_HZ)
     notes = [
         "the recording vehicle's motion was estimated from those that stand, and taken out",
         CARS_ASSUMED,

@@ -17,9 +17,9 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.formats.common.motion import MOVING_MPS
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
-from sim.formats.common.tables import Table, read_table
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import Recording, recorded
+from sim.formats.common.tables import joined, read_table
 from sim.frames import AgentKind
 from sim.input_files import beside, plain_name, stem
 from sim.road.files import read_road_file
@@ -37,8 +37,13 @@ TYPES: Final[dict[str, AgentKind]] = {
 }
 """``agent_type``, in lower case."""
 
-_COMMON: Final = ("timestamp_ms", "x", "y", "vx", "vy")
 _BOX: Final = ("psi_rad", "length", "width")
+COLUMNS: Final = Columns(
+    id=("track_id", "agent_type"), t="timestamp_ms", heading="psi_rad", speed=("vx", "vy"),
+    size=("length", "width"), kind="agent_type", kinds=TYPES, units={"timestamp_ms": "ms"},
+    words=("case_id",), optional=(*_BOX, "case_id"), empty=_BOX,
+)  # fmt: skip
+"""Columns of both files; agents of one id and two types are two agents."""
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -46,7 +51,7 @@ def read(path: Path) -> Iterator[Recording]:
 
     Args:
         path: ``vehicle_tracks_NNN.csv`` (or pedestrians alone), or a file of the multi-agent
-            challenge, ``..._train.csv``, whose agents of one id and two types are two agents.
+            challenge, ``..._train.csv``.
 
     Yields:
         One recording, or one for each case.
@@ -55,11 +60,13 @@ def read(path: Path) -> Iterator[Recording]:
         InputError: if a file is broken; the message names file and column or row.
     """
     walkers = beside(path, plain_name(path).replace("vehicle_tracks", "pedestrian_tracks"))
-    tables = [_cases(path), *([] if walkers is None else [_cases(walkers)])]
+    table = COLUMNS.read(path)
+    if walkers is not None:
+        table = joined(table, COLUMNS.read(walkers))
     found, origin = map_beside(path), _origin(path)
     road = None if found is None else read_road_file(found, origin=origin)
-    for case in dict.fromkeys(case for table in tables for case in table):
-        rows = _joined([_rows(table[case]) for table in tables if case in table])
+    for case, part in table.by_word("case_id"):
+        rows = COLUMNS.rows(part)
         notes = []
         if walkers is not None or (rows.sizes is not None and np.isnan(rows.sizes).any()):
             notes.append("those without a size have the one usual for their kind")
@@ -107,49 +114,3 @@ def _origin(path: Path) -> tuple[float, float] | None:
     if abs(latitude) > 89 or abs(longitude) > 180:
         raise InputError(f"{facts}: found origin {latitude:g}, {longitude:g}, expected degrees")
     return latitude, longitude
-
-
-def _cases(path: Path) -> dict[str, Table]:
-    """The rows of each case, by its name; of a file without cases, under no name."""
-    table = read_table(
-        path, [*_COMMON, *_BOX], ["track_id", "agent_type", "case_id"], [*_BOX, "case_id"], _BOX
-    )
-    if "case_id" not in table:
-        return {"": table}
-    code, cases = table.codes("case_id")
-    return {case: table.part(np.flatnonzero(code == k)) for k, case in enumerate(cases)}
-
-
-def _rows(table: Table) -> Rows:
-    """The rows of one case."""
-    agent, names = table.names("track_id", "agent_type")
-    vx, vy = table.measured("vx"), table.measured("vy")
-    speed, heading = np.hypot(vx, vy), table.measured("psi_rad")
-    if np.isnan(heading).any():
-        moving = np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan)
-        heading = np.where(np.isnan(heading), moving, heading)
-    return Rows(
-        agent, names, table.numbers("timestamp_ms", "ms"), table.stacked("x", "y"), heading, speed,
-        table.kinds("agent_type", agent, TYPES),
-        first_sizes(agent, table.stacked("length", "width")),
-    )  # fmt: skip
-
-
-def _joined(parts: list[Rows]) -> Rows:
-    """Vehicles and pedestrians together; an id of both is two agents, named by their kinds."""
-    if len(parts) == 1:
-        return parts[0]
-    one, other = parts
-    shared = set(one.names) & set(other.names)
-    names = [
-        f"{name}-{kind}" if name in shared else name
-        for part in parts
-        for name, kind in zip(part.names, part.kinds or (), strict=True)
-    ]
-    agent = np.concatenate([one.agent, other.agent + len(one.names)])
-    time_s, xy, heading, speed, sizes = (
-        np.concatenate([getattr(part, key) for part in parts])
-        for key in ("time_s", "xy", "heading", "speed", "sizes")
-    )
-    kinds = [kind for part in parts for kind in part.kinds or ()]
-    return Rows(agent, names, time_s, xy, heading, speed, kinds, sizes)

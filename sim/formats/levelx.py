@@ -11,17 +11,17 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.motion import MOVING_MPS
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
-from sim.formats.common.tables import Table, read_table
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import Recording, recorded
+from sim.formats.common.tables import read_table
 from sim.frames import AgentKind
 from sim.input_files import beside, plain_name, stem
 
@@ -42,6 +42,64 @@ CLASSES: Final[dict[str, AgentKind]] = {
 """``class`` in ``XX_tracksMeta.csv``, in lower case."""
 
 
+IND: Final = Columns(
+    id=("trackid",), t="frame", xy=("xcenter", "ycenter"), heading="heading",
+    speed=("xvelocity", "yvelocity"), size=("length", "width"), units={"heading": "deg"},
+    words=("recordingid",), optional=("recordingid",), empty=("width", "length"),
+)  # fmt: skip
+HIGHD: Final = Columns(
+    id=("id",), t="frame", speed=("xvelocity", "yvelocity"), size=("width", "height")
+)
+"""Columns of the tracks."""
+
+
+def read_ind(path: Path) -> Iterator[Recording]:
+    """Read one ``XX_tracks.csv`` of inD or rounD.
+
+    Args:
+        path: the file; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` are used if there.
+
+    Yields:
+        One recording.
+
+    Raises:
+        InputError: if a file is broken; the message names file and column or row.
+    """
+    table = IND.read(path)
+    several = table.codes("recordingid")[1] if "recordingid" in table else []
+    if len(several) > 1:  # each recording counts frames and ids from its own start
+        raise InputError(
+            f"{path}: column recordingid: found {several[0]} and {several[1]}, expected one "
+            "recording in a file"
+        )
+    rows = IND.rows(table, rate_hz=_frame_rate(path))
+    kinds, notes = _kinds(path, "trackid", rows.names)
+    if rows.sizes is not None and (rows.sizes == 0).any():
+        notes.append("pedestrians and bicycles without a size have the usual one")
+    yield recorded(path, stem(path), replace(rows, kinds=kinds), notes)
+
+
+def read_highd(path: Path) -> Iterator[Recording]:
+    """Read one ``XX_tracks.csv`` of highD.
+
+    Args:
+        path: the file; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` are used if there.
+
+    Yields:
+        One recording; y is minus the image's, so that it points up.
+
+    Raises:
+        InputError: if a file is broken; the message names file and column or row.
+    """
+    table = HIGHD.read(path)
+    rows = HIGHD.rows(table, rate_hz=_frame_rate(path))
+    kinds, notes = _kinds(path, "id", rows.names)
+    centre = (rows.xy + 0.5 * table.stacked("width", "height")) * np.array([1.0, -1.0])
+    heading = None if rows.heading is None else -rows.heading
+    rows = replace(rows, xy=centre, heading=heading, kinds=kinds)
+    yield recorded(path, stem(path), rows, [*notes, "headings are taken from velocities"])
+
+
 def _beside(path: Path, what: str) -> Path | None:
     """The file of metadata beside the tracks."""
     return beside(path, plain_name(path).replace("_tracks.csv", f"_{what}.csv"))
@@ -59,94 +117,16 @@ def _frame_rate(path: Path) -> float:
     return float(rates[0])
 
 
-def _agents(
-    table: Table, id_column: str
-) -> tuple[NDArray[np.int64], tuple[str, ...], list[AgentKind], list[str]]:
-    """The agent of each row, the agents' names, their kinds from the metadata, and notes."""
-    agent, names = table.names(id_column)
-    facts = _beside(table.path, "tracksMeta")
+def _kinds(path: Path, id_column: str, names: Sequence[str]) -> tuple[list[AgentKind], list[str]]:
+    """The kinds of agents from the metadata, and notes."""
+    facts = _beside(path, "tracksMeta")
     if facts is None:
-        missing = plain_name(table.path).replace("_tracks.csv", "_tracksMeta.csv")
-        notes = [f"{missing} is not there: all are taken for cars"]
-        return agent, names, [AgentKind.CAR] * len(names), notes
+        missing = plain_name(path).replace("_tracks.csv", "_tracksMeta.csv")
+        return [AgentKind.CAR] * len(names), [f"{missing} is not there: all are taken for cars"]
     meta = read_table(facts, [], [id_column, "class"])
-    code, words = meta.names(id_column)
-    kinds = dict(zip(words, meta.kinds("class", code, CLASSES), strict=True))
+    agent, words = meta.names(id_column)
+    kinds = dict(zip(words, meta.kinds("class", agent, CLASSES), strict=True))
     missing = next((name for name in names if name not in kinds), "")
     if missing:
         raise InputError(f"{facts}: found no row of agent {missing}, expected one")
-    return agent, names, [kinds[name] for name in names], []
-
-
-def read_ind(path: Path) -> Iterator[Recording]:
-    """Read one ``XX_tracks.csv`` of inD or rounD.
-
-    Args:
-        path: the file; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` are used if there.
-
-    Yields:
-        One recording.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column or row.
-    """
-    numbers = ("frame", "xcenter", "ycenter", "heading", "width", "length", "xvelocity",
-               "yvelocity")  # fmt: skip
-    table = read_table(
-        path, numbers, ["trackid", "recordingid"], ["recordingid"], empty=["width", "length"]
-    )
-    if "recordingid" in table:
-        several = table.codes("recordingid")[1]
-        if len(several) > 1:  # each recording counts frames and ids from its own start
-            raise InputError(
-                f"{path}: column recordingid: found {several[0]} and {several[1]}, expected "
-                "one recording in a file"
-            )
-    agent, names, kinds, notes = _agents(table, "trackid")
-    sizes = first_sizes(agent, table.stacked("length", "width"))
-    if (sizes == 0).any():
-        notes.append("pedestrians and bicycles without a size have the usual one")
-    rows = Rows(
-        agent,
-        names,
-        table.numbers("frame") / _frame_rate(path),
-        table.stacked("xcenter", "ycenter"),
-        table.measured("heading", "deg"),
-        np.hypot(table.measured("xvelocity"), table.measured("yvelocity")),
-        kinds,
-        sizes,
-    )
-    yield recorded(path, stem(path), rows, notes)
-
-
-def read_highd(path: Path) -> Iterator[Recording]:
-    """Read one ``XX_tracks.csv`` of highD.
-
-    Args:
-        path: the file; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` are used if there.
-
-    Yields:
-        One recording; y is minus the image's, so that it points up.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column or row.
-    """
-    numbers = ("frame", "x", "y", "width", "height", "xvelocity", "yvelocity")
-    table = read_table(path, numbers, ["id"])
-    agent, names, kinds, notes = _agents(table, "id")
-    sides = table.stacked("width", "height")
-    corner, velocity = table.stacked("x", "y"), table.stacked("xvelocity", "yvelocity")
-    up = np.array([1.0, -1.0])
-    vx, vy = (velocity * up).T
-    speed = np.hypot(vx, vy)
-    rows = Rows(
-        agent,
-        names,
-        table.numbers("frame") / _frame_rate(path),
-        (corner + 0.5 * sides) * up,
-        np.where(speed >= MOVING_MPS, np.arctan2(vy, vx), np.nan),
-        speed,
-        kinds,
-        first_sizes(agent, sides),
-    )
-    yield recorded(path, stem(path), rows, [*notes, "headings are taken from velocities"])
+    return [kinds[name] for name in names], []

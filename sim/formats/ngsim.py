@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -20,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
-from sim.formats.common.tables import Table, column_names, read_table, read_text
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import Recording, recorded
+from sim.formats.common.tables import Table, column_names, read_text
 from sim.frames import AgentKind
 from sim.input_files import stem
-from sim.units import in_si
 
 CLASSES: Final[dict[int, AgentKind]] = {
     1: AgentKind.MOTORCYCLE,
@@ -37,10 +38,14 @@ BREAK_MS: Final = 60_000.0
 """After a break longer than this, in all rows or in those of an id, the id is another vehicle
 (vehicles are seen without a break, and periods of recording have 15 minutes), ms."""
 
-NUMBERS: Final = (
-    "vehicle_id", "total_frames", "global_time", "local_x", "local_y", "v_length", "v_width",
-    "v_class", "v_vel",
+_FEET: Final = ("local_x", "local_y", "v_length", "v_width")
+COLUMNS: Final = Columns(
+    id=("vehicle_id",), t="global_time", xy=("local_x", "local_y"), speed=("v_vel",),
+    size=("v_length", "v_width"), from_zero=True, numbers=("vehicle_id", "total_frames", "v_class"),
+    units=dict.fromkeys(_FEET, "ft") | {"v_vel": "ft/s", "global_time": "ms"},
+    words=("location",), optional=("location",),
 )  # fmt: skip
+"""Columns that are read."""
 
 TEXT_COLUMNS: Final = (
     "vehicle_id", "frame_id", "total_frames", "global_time", "local_x", "local_y", "global_x",
@@ -62,17 +67,12 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or line.
     """
-    if "vehicle_id" not in column_names(path):
-        yield from _recordings(stem(path), read_text(path, TEXT_COLUMNS, NUMBERS))
-        return
-    table = read_table(path, NUMBERS, ["location"], optional=["location"])
-    if "location" not in table:
-        yield from _recordings(stem(path), table)
-        return
-    codes, places = table.codes("location")
-    for place in sorted(places):
-        here = np.flatnonzero(codes == places.index(place))
-        yield from _recordings(f"{stem(path)}-{place}", table.part(here))
+    if "vehicle_id" in column_names(path):
+        table = COLUMNS.read(path)
+    else:
+        table = read_text(path, TEXT_COLUMNS, COLUMNS.measured)
+    for place, part in sorted(table.by_word("location")):
+        yield from _recordings(f"{stem(path)}-{place}" if place else stem(path), part)
 
 
 def _recordings(name: str, table: Table) -> Iterator[Recording]:
@@ -119,16 +119,10 @@ def _recording(name: str, table: Table) -> Recording:
     unknown = set(codes) - set(CLASSES)
     if unknown:
         raise InputError(f"{table.path}: column v_class: found {unknown.pop()}, expected 1, 2 or 3")
-    time_ms = table.numbers("global_time")
     # the heading follows from the motion of the front, the centre from the heading
-    rows = Rows(
-        agent,
-        names,
-        in_si(time_ms - time_ms.min(), "ms"),
-        table.stacked("local_x", "local_y", unit="ft"),
-        speed=table.measured("v_vel", "ft/s"),
+    rows = replace(
+        COLUMNS.rows(table, (agent, names)),
         kinds=[CLASSES[code] for code in codes],
-        sizes=first_sizes(agent, table.stacked("v_length", "v_width", unit="ft")),
         rest_heading=math.pi / 2,
         ahead_lengths=0.5,
     )

@@ -6,14 +6,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
-from sim.formats.common.tables import read_table
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import Recording, recorded
 from sim.frames import AgentKind
 from sim.input_files import stem
-from sim.units import PARTS, in_si
+from sim.units import PARTS
 
 NUMBERS: Final = ("t", "x", "y", "heading", "speed", "vx", "vy", "length", "width")
 WORDS: Final = ("id", "kind")
@@ -85,30 +83,17 @@ def read(
     units = {} if units is None else units
     check_columns(columns, units)
     lower = {key: name.strip().lower() for key, name in columns.items()}
-    numbers = [lower[key] for key in NUMBERS if key in lower]
-    words = [lower[key] for key in WORDS if key in lower]
-    optional = {lower[key] for key in (*NUMBERS, *WORDS) if key in lower} - {
-        lower[key] for key in NEEDED
-    }
-    table = read_table(path, numbers, words, empty=list(optional))
-
-    def column(key: str) -> np.ndarray:
-        """A column in SI units; NaN where the file does not have it."""
-        unit = UNITS[key][units.get(key, next(iter(UNITS[key])))]
-        return in_si(table.measured(lower.get(key, "")), unit)
-
-    agent, names = table.names(lower["id"])
-    speed = column("speed") if "speed" in lower else np.hypot(column("vx"), column("vy"))
-    time_s = column("t")
-    sides = np.nan_to_num(np.stack([column("length"), column("width")], axis=1))
-    kinds = None
-    if "kind" in lower:
-        kinds = table.kinds(lower["kind"], agent, KINDS)
-    rows = Rows(
-        agent, names, time_s - np.nanmin(time_s), np.stack([column("x"), column("y")], axis=1),
-        column("heading"), speed, kinds,
-        first_sizes(agent, sides) if {"length", "width"} <= set(lower) else None,
+    components = ("speed",) if "speed" in lower else ("vx", "vy")
+    sides = ("length", "width")
+    table = Columns(
+        id=(lower["id"],), t=lower["t"], xy=(lower["x"], lower["y"]),
+        heading=lower.get("heading", ""), kind=lower.get("kind", ""), kinds=KINDS, from_zero=True,
+        speed=tuple(lower[key] for key in components if set(components) <= lower.keys()),
+        size=tuple(lower[key] for key in sides if set(sides) <= lower.keys()),
+        units={lower[key]: UNITS[key][unit] for key, unit in units.items()},
+        empty=tuple(name for key, name in lower.items() if key not in NEEDED),
     )  # fmt: skip
+    rows = table.rows(table.read(path))
     missing = [key for key in ("heading", "speed", "kind", "length") if key not in lower]
     notes = [f"not in the table, taken from the motion or assumed: {', '.join(missing)}"]
     yield recorded(path, stem(path), rows, notes if missing else ())

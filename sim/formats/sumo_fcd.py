@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from array import array
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -25,7 +25,7 @@ from behaviors.labels import BEHAVIORS, Behavior
 from sim.files import write_whole
 from sim.formats.common.recording import Recording, Rows, default_size, recorded
 from sim.formats.common.tables import column_names, read_table
-from sim.frames import KINDS, PEDESTRIAN, AgentKind, FloatArray, IntArray, Tracks
+from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
 from sim.input_files import opened, stem
 from sim.xml_tree import refuse_declarations
 
@@ -48,15 +48,8 @@ CLASSES: Final[dict[str, AgentKind]] = {
 }
 """SUMO's vehicle classes; others are taken for cars."""
 
-WRITTEN_CLASSES: Final[dict[AgentKind, str]] = {
-    AgentKind.CAR: "passenger",
-    AgentKind.BUS: "bus",
-    AgentKind.TRUCK: "truck",
-    AgentKind.MOTORCYCLE: "motorcycle",
-    AgentKind.BICYCLE: "bicycle",
-    AgentKind.PEDESTRIAN: "pedestrian",
-}
-"""The vehicle class of each kind."""
+WRITTEN_CLASSES: Final = {AgentKind.CAR: "passenger"}
+"""The vehicle class of a kind, where it is called otherwise."""
 
 TYPES_SUFFIX: Final = ".types.xml"
 """Ending of the file of vTypes that is written beside a recording."""
@@ -86,19 +79,22 @@ def _elements(path: Path, tag: str) -> Iterator[ET.Element]:
             raise InputError(f"{path}: {error}, expected XML") from None
 
 
-def _numbers(where: str, element: ET.Element, names: tuple[str, ...]) -> tuple[float, ...]:
+def _numbers(where: str, element: Any, names: tuple[str, ...]) -> tuple[float, ...]:
     """Attributes as numbers."""
     found = []
     for name in names:
-        text = element.get(name, "")
+        text = element.get(name, math.nan)
         try:
             found.append(float(text))
         except ValueError:
-            raise InputError(f"{where}: {name}: found {text[:40]!r}, expected a number") from None
+            raise InputError(f"{where}: {name}: found {text!r:.40}, expected a number") from None
     return tuple(found)
 
 
-def read_types(path: Path) -> dict[str, tuple[AgentKind, tuple[float, float]]]:
+Type = tuple[AgentKind, tuple[float, float]]
+
+
+def read_types(path: Path) -> dict[str, Type]:
     """Kind, and length and width, m, of every vType in a SUMO file.
 
     Raises:
@@ -116,21 +112,14 @@ def read_types(path: Path) -> dict[str, tuple[AgentKind, tuple[float, float]]]:
     return types
 
 
-_COLUMNS: Final = ("x", "y", "angle", "speed")
+NUMBERS: Final = ("x", "y", "angle", "speed")
 TAGS: Final = ("vehicle", "person")
 LEFT_OUT: Final = ("container",)
+CLOCK: Final = "timestep_time"
+"""Attributes that are read, elements that are read and counted, and the times of tables."""
 
-
-@dataclass
-class _Found:
-    """What was read of a file: agents by element and id, times, and rows of `_COLUMNS`."""
-
-    agents: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
-    times: list[float] = field(default_factory=list)
-    time_s: list[float] | FloatArray = field(default_factory=list)
-    agent: list[int] | IntArray = field(default_factory=list)
-    values: list[float] | FloatArray = field(default_factory=list)
-    left_out: set[str] = field(default_factory=set)
+Step = tuple[float, Iterable[tuple[str, Any]]]
+"""A time, s, and what is there: the element of each agent, and its attributes."""
 
 
 def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
@@ -148,15 +137,11 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names the file, the time and the agent.
     """
-    name = stem(path)
-    beside = path.with_name(name + TYPES_SUFFIX)
+    beside = path.with_name(stem(path) + TYPES_SUFFIX)
     types = types or (beside if beside.is_file() else None)
     known = {} if types is None else read_types(types)
-    tabular = "timestep_time" in column_names(path)
-    found = _from_table(path) if tabular else _from_xml(path)
-    if not found.agents:
-        raise InputError(f"{path}: found no vehicle and no person in a timestep, expected some")
-    yield _recording(path, name, found, known)
+    tabular = CLOCK in column_names(path)
+    yield _recording(path, _steps_of_table(path) if tabular else _steps_of_xml(path), known)
 
 
 def seconds_of(where: str, text: str) -> float:
@@ -182,118 +167,100 @@ def seconds_of(where: str, text: str) -> float:
     return float(np.dot(parts[::-1], (1.0, 60.0, 3600.0, 86400.0)[: len(parts)]))
 
 
-def _from_xml(path: Path) -> _Found:
-    """The rows of an XML file."""
-    found = _Found()
-    index: dict[tuple[str, str], int] = {}
-    agent, values, times = array("q"), array("d"), array("d")
-    nan = math.nan
+def _steps_of_xml(path: Path) -> Iterator[Step]:
+    """The steps of an XML file."""
+    last_s = -math.inf
     for step in _elements(path, "timestep"):
-        now = seconds_of(f"{path}: timestep", step.get("time", ""))
-        if found.times and not now > found.times[-1]:
+        now_s = seconds_of(f"{path}: timestep", step.get("time", ""))
+        if not now_s > last_s:
             raise InputError(
-                f"{path}: timestep: found time {now:g}, expected one after {found.times[-1]:g}"
+                f"{path}: timestep: found time {now_s:g}, expected one after {last_s:g}"
             )
-        found.times.append(now)
-        for element in step:
+        last_s = now_s
+        yield now_s, ((element.tag, element) for element in step)
+
+
+def _steps_of_table(path: Path) -> Iterator[Step]:
+    """The steps of a CSV or Parquet file, whose columns are named ``vehicle_x`` and so on."""
+    tags = (*TAGS, *LEFT_OUT)
+    numbers = [f"{tag}_{name}" for tag in tags for name in NUMBERS]
+    words = [f"{tag}_{name}" for tag in tags for name in ("id", "type", "behavior")]
+    table = read_table(path, numbers, [CLOCK, *words], [*numbers, *words], [*numbers, *words])
+    code, texts = table.codes(CLOCK)
+    times_s = np.array([seconds_of(f"{path}: column {CLOCK}", text) for text in texts])[code]
+    for now_s in np.unique(times_s).tolist():
+        rows = table.part(np.flatnonzero(times_s == now_s)).columns.to_pylist()
+        yield now_s, [agent for row in rows for tag in tags if (agent := _in_row(row, tag))]
+
+
+def _in_row(row: Mapping[str, Any], tag: str) -> tuple[str, dict[str, Any]] | None:
+    """What a row of a table says of an agent of an element; None where there is none."""
+    begin = f"{tag}_"
+    found = {k.removeprefix(begin): v for k, v in row.items()
+             if k.startswith(begin) and v is not None}  # fmt: skip
+    if not found.get("id"):
+        return None
+    kind = found.get("type", "").lower()  # tables have containers and persons among vehicles
+    return "container" if "container" in kind else "person" if "pedtype" in kind else tag, found
+
+
+def _recording(path: Path, steps: Iterable[Step], types: Mapping[str, Type]) -> Recording:
+    """The recording of a file's steps."""
+    index: dict[tuple[str, str], int] = {}
+    stated: list[tuple[str, str]] = []
+    empty_s, containers = [], set[str]()
+    agent, values, times = array("q"), array("d"), array("d")
+    for now_s, elements in steps:
+        empty_s.append(now_s)
+        for tag, element in elements:
             get = element.get
-            key = element.tag, get("id", "")
-            if element.tag not in TAGS:
-                if element.tag in LEFT_OUT:
-                    found.left_out.add(key[1])
+            key = tag, get("id", "")
+            if tag not in TAGS:
+                if tag in LEFT_OUT:
+                    containers.add(key[1])
                 continue
             row = index.get(key)
             if row is None:
                 row = index[key] = len(index)
-                found.agents[key] = get("type", ""), get("behavior", "")
+                stated.append((get("type", ""), get("behavior", "")))
             agent.append(row)
-            times.append(now)
+            times.append(now_s)
             try:
-                values.extend([float(get(column, nan)) for column in _COLUMNS])
+                values.extend([float(get(name, math.nan)) for name in NUMBERS])
             except ValueError:
-                _numbers(f"{path}: time {now:g}, {key[0]} {key[1]:.60}", element, _COLUMNS)
-    found.time_s, found.agent = np.asarray(times), np.asarray(agent)
-    found.values = np.asarray(values).reshape(-1, 4)
-    return found
-
-
-def _from_table(path: Path) -> _Found:
-    """The rows of a CSV or Parquet file, whose columns are named ``vehicle_x`` and so on."""
-    names = column_names(path)
-    clock = "timestep_time"
-    numbers = [f"{tag}_{c}" for tag in TAGS for c in _COLUMNS]
-    words = [
-        clock,
-        *(f"{tag}_{c}" for tag in (*TAGS, *LEFT_OUT) for c in ("id", "type", "behavior")),
-    ]
-    table = read_table(path, numbers, words, [*numbers, *words[1:]], [*numbers, *words])
-    found, index = _Found(), dict[tuple[str, str], int]()
-    codes, texts = table.codes(clock)
-    clocks = np.array([seconds_of(f"{path}: column {clock}", text) for text in texts])
-    found.times = np.unique(clocks).tolist()
-    agent, rows, values = list[int](), list[int](), list[FloatArray]()
-    for tag in (*TAGS, *LEFT_OUT):
-        if f"{tag}_id" not in names:
-            continue
-        said = {c: table.words(f"{tag}_{c}") if f"{tag}_{c}" in names else [""] * len(table)
-                for c in ("id", "type", "behavior")}  # fmt: skip
-        columns = table.stacked(*(f"{tag}_{c}" for c in _COLUMNS))
-        for row, (identity, kind, behavior) in enumerate(zip(*said.values(), strict=True)):
-            if not identity:
-                continue
-            lower = (kind or "").lower()
-            if tag in LEFT_OUT or "container" in lower:
-                found.left_out.add(identity)
-                continue
-            key = "person" if "pedtype" in lower else tag, identity
-            if key not in index:
-                index[key] = len(index)
-                found.agents[key] = kind or "", behavior or ""
-            agent.append(index[key])
-            rows.append(row)
-        values.append(columns[[r for r in rows[sum(map(len, values)) :]]])
-    found.time_s, found.agent = clocks[codes[rows]], np.array(agent, dtype=np.int64)
-    found.values = np.concatenate(values) if values else np.empty((0, 4))
-    return found
-
-
-def _recording(
-    path: Path, name: str, found: _Found, types: dict[str, tuple[AgentKind, tuple[float, float]]]
-) -> Recording:
-    """The recording of what was gathered."""
+                _numbers(f"{path}: time {now_s:g}, {tag} {key[1]:.60}", element, NUMBERS)
+    if not index:
+        raise InputError(f"{path}: found no vehicle and no person in a timestep, expected some")
     names: dict[str, None] = {}
     kinds, sizes, codes, assumed = [], [], [], 0
-    for (element, identity), (kind_name, behavior) in found.agents.items():
-        own = identity
+    for (tag, name), (kind_name, behavior) in zip(index, stated, strict=True):
+        own = name
         while own in names:
-            own = f"{element}-{own}"
+            own = f"{tag}-{own}"
         names[own] = None
-        if kind_name in types:
-            kind, size = types[kind_name]
-        else:
-            kind = AgentKind.PEDESTRIAN if element == "person" else _kind_in(kind_name)
-            size, assumed = default_size(kind), assumed + 1
+        if kind_name not in types:
+            kind = AgentKind.PEDESTRIAN if tag == "person" else _kind_in(kind_name)
+            assumed += 1
+        kind, size = types.get(kind_name) or (kind, default_size(kind))
         kinds.append(kind)
         sizes.append(size)
         if behavior and behavior not in set(Behavior):
             raise InputError(
-                f"{path}: {element} {identity:.60}: behavior: found {behavior[:40]!r}, expected "
-                f"one of {', '.join(BEHAVIORS)}"
+                f"{path}: {tag} {name:.60}: behavior: found {behavior[:40]!r}, expected one of "
+                f"{', '.join(BEHAVIORS)}"
             )
         codes.append(Behavior(behavior).code if behavior else -1)
-    values, labelled = np.asarray(found.values), np.array(codes, dtype=np.int8)
-    heading = np.radians(90.0 - values[:, 2])
+    table, labelled = np.asarray(values).reshape(-1, len(NUMBERS)), np.array(codes, dtype=np.int8)
     rows = Rows(
-        np.asarray(found.agent), tuple(names), np.asarray(found.time_s), values[:, :2], heading,
-        values[:, 3], kinds, np.array(sizes),
-        behavior=labelled if (labelled >= 0).any() else None, empty_s=found.times,
-        ahead_lengths=0.5,
+        np.asarray(agent), tuple(names), np.asarray(times), table[:, :2],
+        np.radians(90.0 - table[:, 2]), table[:, 3], kinds, np.array(sizes),
+        behavior=labelled if (labelled >= 0).any() else None, empty_s=empty_s, ahead_lengths=0.5,
     )  # fmt: skip
     notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
-    recording = recorded(path, name, rows, notes if assumed else ())
-    if not found.left_out:
+    recording = recorded(path, stem(path), rows, notes if assumed else ())
+    if not containers:
         return recording
-    doubt = f"{len(found.left_out)} containers are left out: they are no road-agents"
+    doubt = f"{len(containers)} containers are left out: they are no road-agents"
     return replace(recording, doubts=(doubt, *recording.doubts))
 
 
@@ -322,10 +289,8 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
         if not label.isprintable():
             raise InputError(f"{name}: found agent {label!r}, expected a name that can be printed")
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<fcd-export>"]
-    labels = [
-        "" if tracks.behavior is None or code < 0 else f' behavior="{BEHAVIORS[code].value}"'
-        for code in (np.full(len(tracks.names), -1) if tracks.behavior is None else tracks.behavior)
-    ]
+    codes = [-1] * len(tracks.names) if tracks.behavior is None else tracks.behavior
+    labels = [f' behavior="{BEHAVIORS[code].value}"' if code >= 0 else "" for code in codes]
     ids = [quoteattr(label) for label in tracks.names]
     types = [quoteattr(f"type-{label}") for label in tracks.names]
     element = ["person" if kind == PEDESTRIAN else "vehicle" for kind in tracks.kind]
@@ -345,9 +310,11 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
             )
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")
+    kinds = [KINDS[code] for code in tracks.kind]
+    classes = [WRITTEN_CLASSES.get(kind, kind.value) for kind in kinds]
     known = ['<?xml version="1.0" encoding="UTF-8"?>', "<additional>"]
     known += [
-        f'    <vType id={types[i]} vClass="{WRITTEN_CLASSES[KINDS[tracks.kind[i]]]}" '
+        f'    <vType id={types[i]} vClass="{classes[i]}" '
         f'length="{float(tracks.length[i])!r}" width="{float(tracks.width[i])!r}"/>'
         for i in range(len(tracks.names))
     ]

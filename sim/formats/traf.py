@@ -3,8 +3,11 @@
 x and y are the top-left corner of a box in a 640 x 480 image with y down, seen by a camera that
 stands still. Neither the frame rate nor a scale is part of the format: positions stay in pixels,
 and the frame rate is assumed. Some ids name two boxes in one frame: the box that continues
-the track keeps the name, the other gets a name of its own. Labels come from the annotators' sheets
-that lie beside the tracks (`sim.formats.traf_sheets`), if any.
+the track keeps the name, the other gets a name of its own.
+
+Labels come from the annotators' sheets beside the tracks, ``c8.xlsx``: the annotator's letter and
+the video's number. Columns, without a header: agent id, agent type, an aggressive flag, the number
+of traits, then their codes. Rows without a number of traits are agents that nobody annotated.
 
 References:
     Chandra et al. (2019), TraPHic, CVPR.
@@ -13,17 +16,21 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from behaviors.labelling import Resolution, resolve
+from behaviors.labels import Trait
 from sim.formats.common.recording import Recording, Rows, recorded
-from sim.formats.traf_sheets import labels, sheets_beside
-from sim.input_files import opened, stem
+from sim.frames import IntArray, Tracks
+from sim.input_files import broken_as_one_line, opened, stem
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second that are assumed (the usual rate of such video; not stated anywhere)."""
@@ -35,65 +42,24 @@ MAX_TWINS: Final = 32
 """Most boxes of one id in a frame (the data have up to two): each is compared with each of the
 frame before."""
 
-
-@dataclass(frozen=True, slots=True)
-class _Box:
-    frame: int
-    x: int
-    y: int
-    width: int
-    height: int
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        return self.x + 0.5 * self.width, HEIGHT_PX - (self.y + 0.5 * self.height)
-
-
-def _frames(path: Path) -> Iterator[dict[int, list[_Box]]]:
-    """The boxes of each id, frame by frame."""
-    last = -1
-    with opened(path) as file:
-        for number, line in enumerate(file, 1):
-            if not line.strip():
-                continue
-            where = f"{path}: line {number}"
-            try:
-                frame, count, *fields = map(int, line.split(b","))
-            except ValueError:
-                raise InputError(f"{where}: found {line[:40]!r}, expected whole numbers") from None
-            if len(fields) != 5 * count:
-                raise InputError(
-                    f"{where}: found {len(fields)} fields of {count} boxes, expected 5 for each"
-                )
-            if frame <= last:
-                raise InputError(f"{where}: found frame {frame}, expected one after {last}")
-            last = frame
-            boxes: dict[int, list[_Box]] = {}
-            for at in range(0, len(fields), 5):
-                x, y, width, height, identity = fields[at : at + 5]
-                named = boxes.setdefault(identity, [])
-                named.append(_Box(frame, x, y, width, height))
-                if len(named) > MAX_TWINS:
-                    raise InputError(
-                        f"{where}: found more than {MAX_TWINS} boxes of id {identity}, expected one"
-                    )
-            yield boxes
-
-
-def _continue(own: list[list[_Box]], boxes: list[_Box]) -> None:
-    """Append each box to the nearest track of its id; a box without a track begins a new one."""
-    pairs = sorted(
-        (math.dist(track[-1].centre, box.centre), i, j)
-        for i, track in enumerate(own)
-        for j, box in enumerate(boxes)
-    )
-    tracks, placed = set[int](), set[int]()
-    for _, i, j in pairs:
-        if i not in tracks and j not in placed:
-            own[i].append(boxes[j])
-            tracks.add(i)
-            placed.add(j)
-    own.extend([box] for j, box in enumerate(boxes) if j not in placed)
+TRAIT_CODES: Final[dict[int, Trait]] = {
+    100: Trait.OVERTAKING,
+    101: Trait.OVER_SPEEDING,
+    102: Trait.TAILGATING,
+    103: Trait.WEAVING,
+    104: Trait.CUTTING_IN,
+    105: Trait.DRIVING_CLOSE,
+    106: Trait.WRONG_DIRECTION,
+    107: Trait.JAYWALKING,
+    108: Trait.BREAKING_RULES,
+    0: Trait.KEEPING_NEIGHBORS,
+    1: Trait.UNIFORM_SPEED,
+    2: Trait.FOLLOWING_RULES,
+    3: Trait.NOT_MOVING,
+    4: Trait.SLOWING,
+    5: Trait.WAITING,
+}
+"""The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 
 def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording]:
@@ -110,33 +76,26 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     Raises:
         InputError: if the file is broken; the message names file and line.
     """
-    tracks: dict[int, list[list[_Box]]] = {}
-    for boxes in _frames(path):
-        for identity, found in boxes.items():
-            _continue(tracks.setdefault(identity, []), found)
-    if not tracks:
-        raise InputError(f"{path}: found no boxes, expected some")
-    named = {
-        (str(identity) if i == 0 else f"{identity}-{i + 1}"): boxes
-        for identity, own in sorted(tracks.items())
-        for i, boxes in enumerate(own)
-    }
-    every = [box for boxes in named.values() for box in boxes]
+    boxes = _boxes(path)
+    names, tracks = list[str](), list[IntArray]()
+    for identity in np.unique(boxes[:, 5]).tolist():
+        own = _tracks_of(boxes[boxes[:, 5] == identity])
+        names += [f"{identity}-{k}" if k > 1 else str(identity) for k in range(1, len(own) + 1)]
+        tracks += own
+    table = np.concatenate(tracks)
     rows = Rows(
-        np.repeat(np.arange(len(named)), [len(boxes) for boxes in named.values()]),
-        tuple(named),
-        np.array([box.frame for box in every]) / frame_rate_hz,
-        np.array([box.centre for box in every]),
-        sizes=np.array(
-            [np.median([[b.width, b.height] for b in boxes], axis=0) for boxes in named.values()]
-        ),
+        np.repeat(np.arange(len(names)), [len(track) for track in tracks]),
+        tuple(names),
+        table[:, 0] / frame_rate_hz,
+        _centres(table),
+        sizes=np.array([np.median(track[:, 3:5], axis=0) for track in tracks]),
         in_metres=False,
     )
-    twins = sum(len(own) - 1 for own in tracks.values())
     notes = [
         "lengths are pixels and speeds pixels per second: the format has no scale",
         f"{frame_rate_hz:g} frames per second are assumed; kinds are not in this format",
     ]
+    twins = len(names) - np.unique(boxes[:, 5]).size
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
     recording = recorded(path, stem(path), rows)
@@ -148,3 +107,193 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
         notes.append(f"{known} labels are resolved from the traits in {files}")
         recording = replace(recording, tracks=recording.tracks.with_behavior(codes))
     yield replace(recording, notes=tuple(notes))
+
+
+def _boxes(path: Path) -> IntArray:
+    """(k, 6) frame, x, y, width, height and id of every box, in order of the frames."""
+    parts: list[IntArray] = []
+    with opened(path) as file:
+        for number, line in enumerate(file, 1):
+            if not line.strip():
+                continue
+            where = f"{path}: line {number}"
+            try:
+                frame, count, *fields = map(int, line.split(b","))
+                found = np.array(fields, dtype=np.int64)
+            except (ValueError, OverflowError):
+                raise InputError(f"{where}: found {line[:40]!r}, expected whole numbers") from None
+            if found.size != 5 * count:
+                raise InputError(
+                    f"{where}: found {found.size} fields of {count} boxes, expected 5 for each"
+                )
+            if parts and frame <= parts[-1][0, 0]:
+                raise InputError(
+                    f"{where}: found frame {frame}, expected one after {parts[-1][0, 0]}"
+                )
+            if count:
+                parts.append(np.insert(found.reshape(-1, 5), 0, frame, axis=1))
+    if not parts:
+        raise InputError(f"{path}: found no boxes, expected some")
+    return np.concatenate(parts)
+
+
+def _centres(boxes: IntArray) -> NDArray[np.float64]:
+    """(k, 2) centres of boxes, pixels, y up."""
+    corner, sides = boxes[:, 1:3], boxes[:, 3:5]
+    return (corner + 0.5 * sides) * (1, -1) + (0, HEIGHT_PX)
+
+
+def _tracks_of(boxes: IntArray) -> list[IntArray]:
+    """The boxes of one id as tracks with one box in a frame.
+
+    Each box continues the nearest track; a box without a track begins a new one.
+    """
+    frames, counts = np.unique(boxes[:, 0], return_counts=True)
+    if counts.max() == 1:
+        return [boxes]
+    if counts.max() > MAX_TWINS:
+        raise InputError(
+            f"frame {frames[counts.argmax()]}: found more than {MAX_TWINS} boxes of id "
+            f"{boxes[0, 5]}, expected one"
+        )
+    centres = _centres(boxes)
+    tracks: list[list[int]] = []
+    for here in np.split(np.arange(len(boxes)), np.cumsum(counts)[:-1]):
+        pairs = sorted(
+            (math.dist(centres[track[-1]], centres[box]), i, box)
+            for i, track in enumerate(tracks)
+            for box in here.tolist()
+        )
+        placed: dict[int, int] = {}
+        for _, i, box in pairs:
+            if box not in placed and i not in placed.values():
+                placed[box] = i
+        for box in here.tolist():
+            if box in placed:
+                tracks[placed[box]].append(box)
+            else:
+                tracks.append([box])
+    return [boxes[track] for track in tracks]
+
+
+# --- annotators' sheets -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """What one annotator noted on one video.
+
+    Attributes:
+        annotator: the letter of the sheet's name.
+        video: the number of the sheet's name.
+        traits: by agent id, in the annotator's order; annotated agents only.
+    """
+
+    annotator: str
+    video: int
+    traits: Mapping[int, tuple[Trait, ...]]
+
+
+def read_sheet(path: Path) -> Sheet:
+    """Read one annotator's sheet.
+
+    Args:
+        path: ``<letter><video>.xlsx``.
+
+    Returns:
+        What it says.
+
+    Raises:
+        InputError: naming file and row, if the sheet is broken.
+    """
+    import pandas
+
+    name = re.fullmatch(r"([a-z])(\d+)", path.stem)
+    if name is None or not path.is_file():
+        raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")
+    with broken_as_one_line(path, "an .xlsx sheet"):
+        table = pandas.read_excel(path, header=None, engine="openpyxl")
+    traits: dict[int, tuple[Trait, ...]] = {}
+    for number, row in enumerate(table.itertuples(index=False), 1):
+        cells = ["" if pandas.isna(cell) else str(cell).strip() for cell in row]
+        if not any(cells):
+            continue
+        where = f"{path}: row {number}"
+        agent = _whole(where, "A", cells)
+        if agent in traits:
+            raise InputError(f"{where}: found agent {agent} a second time, expected it once")
+        count = _whole(where, "D", cells) if len(cells) > 3 and cells[3] else 0
+        most = max(len(cells) - 4, 0)
+        if not 0 <= count <= most:
+            raise InputError(f"{where}, column D: found {count} traits, expected 0 to {most}")
+        codes = [_whole(where, chr(ord("E") + i), cells) for i in range(count)]
+        unknown = [code for code in codes if code not in TRAIT_CODES]
+        if unknown:
+            raise InputError(f"{where}: found trait code {unknown[0]}, expected one of the table")
+        traits[agent] = tuple(TRAIT_CODES[code] for code in codes)
+    return Sheet(name[1], int(name[2]), {agent: noted for agent, noted in traits.items() if noted})
+
+
+def _whole(where: str, column: str, cells: list[str]) -> int:
+    """A cell of a row as a whole number."""
+    text = cells[ord(column) - ord("A")]
+    if not re.fullmatch(r"-?[0-9]{1,9}(\.0+)?", text):
+        raise InputError(f"{where}, column {column}: found {text!r:.60}, expected a number")
+    return int(float(text))
+
+
+def sheets_of(folder: Path, video: int) -> tuple[Sheet, ...]:
+    """All annotators' sheets on one video, in alphabetical order; empty if there are none."""
+    return tuple(read_sheet(path) for path in sorted(folder.glob(f"[a-z]{video}.xlsx")))
+
+
+def video_number(path: Path) -> int | None:
+    """The number by which sheets name a video: the last one in the file's name.
+
+    Examples:
+        >>> video_number(Path("TRAF53_8_gt.txt"))
+        8
+    """
+    found = re.search(r"(\d+)_gt$", stem(path))
+    return int(found[1]) if found else None
+
+
+def sheets_beside(path: Path) -> tuple[Sheet, ...]:
+    """The sheets that lie beside a video's tracks.
+
+    Args:
+        path: its tracks, ``..._gt.txt``.
+
+    Returns:
+        All annotators' sheets on it in the tracks' folder, or else in a folder ``annotations``
+        there or beside that folder; empty if there are none.
+
+    Raises:
+        InputError: if a sheet is broken.
+    """
+    number = video_number(path)
+    folder = path.resolve().parent
+    if number is None:
+        return ()
+    places = (folder, folder / "annotations", folder.parent / "annotations")
+    return next((found for place in places if (found := sheets_of(place, number))), ())
+
+
+def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:
+    """The resolved label of each agent of a video.
+
+    Args:
+        tracks: of the video; agents are found by their names.
+        sheets: of the same video.
+        rule: how conflicts are resolved.
+
+    Returns:
+        (N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
+    """
+    out = np.full(tracks.ids.size, -1, dtype=np.int8)
+    for row, name in enumerate(tracks.names):
+        noted = [s.traits[int(name)] for s in sheets if name.isdecimal() and int(name) in s.traits]
+        behavior = resolve(noted, rule) if noted else None
+        if behavior is not None:
+            out[row] = behavior.code
+    return out

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.compiled import in_place
-from sim.highway.lanes import LaneIndex, PolylineLane
+from sim.frames import FloatArray
+from sim.highway.lanes import PolylineLane
+from sim.highway.tables import IntArray
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import CELL_M
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SAMPLE_M: Final = 0.5
 """Junction paths are compared at points this far apart to find where they conflict."""
@@ -30,57 +28,33 @@ WIDEST_M: Final = 3.0
 """Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
 
 
-class Conflict(NamedTuple):
-    """Where a junction path runs too close to another one: from where to where on either, m.
-
-    ``yields`` is 1 if its traffic gives way to the other's, -1 if the other's does, else 0.
-    """
-
-    other: LaneIndex
-    begin_s: float
-    end_s: float
-    other_begin_s: float
-    other_end_s: float
-    yields: int = 0
-
-
 def find_conflicts(
-    paths: Mapping[LaneIndex, PolylineLane], begins: Mapping[LaneIndex, LaneIndex]
-) -> dict[LaneIndex, list[Conflict]]:
+    paths: Sequence[PolylineLane], begins: IntArray
+) -> Iterator[tuple[int, int, float, float, float, float]]:
     """Where junction paths come too close, other than those that begin on the same lane.
 
     Args:
         paths: the junction paths.
-        begins: the lane on which each begins.
+        begins: (n,) number of the lane on which each begins.
 
-    Returns:
-        The conflicts of each path that has some, in the order of the other paths.
+    Yields:
+        A path, another one, and from where to where on either of them, m; ascending by both.
     """
-    keys = list(paths)
-    at = [
-        np.linspace(0.0, lane.length, max(int(lane.length / SAMPLE_M), 1) + 1)
-        for lane in paths.values()
-    ]
-    xy = [lane.positions(s) for lane, s in zip(paths.values(), at, strict=True)]
+    at = [np.linspace(0.0, p.length, max(int(p.length / SAMPLE_M), 1) + 1) for p in paths]
+    xy = [path.positions(s) for path, s in zip(paths, at, strict=True)]
     boxes = boxes_of(xy, WIDEST_M / 2)
     pairs = near_pairs(boxes, boxes, CELL_M)
-    numbers: dict[LaneIndex, int] = {}
-    begin = np.array([numbers.setdefault(begins[key], len(numbers)) for key in keys], np.int64)
-    pairs = pairs[begin[pairs[:, 0]] != begin[pairs[:, 1]]] if len(pairs) else pairs
+    pairs = pairs[begins[pairs[:, 0]] != begins[pairs[:, 1]]]
+    if not len(pairs):
+        return
     first = np.cumsum([0, *(len(line) for line in xy)], dtype=np.int64)
     ends = np.full((len(pairs), 2), -1, np.int64)
-    if len(pairs):
-        swing = np.concatenate([_swing(line) for line in xy])
-        _first_and_last_close(np.concatenate(xy), swing, first, pairs, ends)
+    swing = np.concatenate([_swing(line) for line in xy])
+    _first_and_last_close(np.concatenate(xy), swing, first, pairs, ends)
     meet = ends[:, 0] >= 0
     spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
-    found: dict[LaneIndex, list[Conflict]] = {}
-    for (one, other), (begins_at, ends_at) in spans.items():
-        begin_s, end_s = at[one][[begins_at, ends_at]].tolist()
-        other_begin_s, other_end_s = at[other][spans[other, one]].tolist()
-        conflict = Conflict(keys[other], begin_s, end_s, other_begin_s, other_end_s)
-        found.setdefault(keys[one], []).append(conflict)
-    return found
+    for (one, other), span in spans.items():
+        yield (one, other, *at[one][span].tolist(), *at[other][spans[other, one]].tolist())
 
 
 def _swing(xy: FloatArray) -> FloatArray:

@@ -162,10 +162,8 @@ def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> 
             at = slot
     if at >= 0:
         me.met[at] = crossing
-        if near:
-            me.met_near[at] = 1
-        if yields:
-            me.yielded[at] = 1
+        me.met_near[at] |= near
+        me.yielded[at] |= yields
 
 
 @in_place(inner=True)
@@ -247,65 +245,46 @@ def _may_walk(w: int, at: int, dt: float, scene: Scene) -> bool:
     nearest = np.inf
     if begins and lit:  # the first lane only
         for spot in range(crossing.spot, crossing.spot_end):
-            nearest = min(nearest, _middle(spot, at, scene) - _half(spot, scene))
+            nearest = min(nearest, _strip_of(spot, at, scene)[0])
     for spot in range(crossing.spot, crossing.spot_end):
-        strip_begin = _middle(spot, at, scene) - _half(spot, scene)
-        if not begins and not person.s <= strip_begin < person.s + stride:
+        begin, end = _strip_of(spot, at, scene)
+        if not begins and not person.s <= begin < person.s + stride:
             continue
-        if strip_begin <= nearest and not _is_safe(w, spot, at, scene):
+        if begin <= nearest and not _is_safe(w, spot, begin, end, scene):
             return False
     return True
 
 
 @in_place(inner=True)
-def _middle(spot: int, at: int, scene: Scene) -> float:
-    """The middle of a lane that a way crosses, m along the way."""
-    return float(scene.footways.crossovers[at].begin_s + _along(scene.net.spots[spot].u, at, scene))
+def _strip_of(spot: int, at: int, scene: Scene) -> tuple[float, float]:
+    """Where a lane's strip of a crossing begins and ends along a way over it, m."""
+    middle = scene.footways.crossovers[at].begin_s + _along(scene.net.spots[spot].u, at, scene)
+    half = scene.net.spots[spot].half - STRIP_M
+    return middle - half, middle + half
 
 
 @in_place(inner=True)
-def _half(spot: int, scene: Scene) -> float:
-    """Half the width of a lane's strip of a crossing, m."""
-    return float(scene.net.spots[spot].half - STRIP_M)
-
-
-@in_place(inner=True)
-def _is_safe(w: int, spot: int, at: int, scene: Scene) -> bool:
-    """Whether a pedestrian can cross a lane before any vehicle reaches it.
+def _is_safe(w: int, spot: int, begin: float, end: float, scene: Scene) -> bool:
+    """Whether a pedestrian can cross a lane's strip before any vehicle reaches it.
 
     A vehicle that waits before the crossing holds those behind it back.
     """
-    person, middle, half = scene.walkers[w], _middle(spot, at, scene), _half(spot, scene)
-    enter_s = max((middle - half) - person.s, 0.0) / person.free_speed
-    leave_s = ((middle + half) - person.s) / person.free_speed
-    looked = -1
-    last_near, last = -np.inf, -1
-    while looked < scene.arrivals.size:  # in order of their distance, then of their number
-        looked += 1
-        nearest, found = np.inf, -1
-        a = scene.spot_head[spot]
-        while a >= 0:
-            near = scene.arrivals[a].near
-            beyond = near > last_near or (near == last_near and a > last)
-            if beyond and (near < nearest or (near == nearest and a < found)):
-                nearest, found = near, a
-            a = scene.arrivals[a].link
-        if found < 0:
-            return True
-        last_near, last = nearest, found
-        arrival = scene.arrivals[found]
+    person = scene.walkers[w]
+    enter_s = max(begin - person.s, 0.0) / person.free_speed
+    leave_s = (end - person.s) / person.free_speed
+    safe, nearest, a = True, np.inf, scene.spot_head[spot]
+    while a >= 0:
+        arrival = scene.arrivals[a]
+        a = arrival.link
         vehicle = scene.vehicles[arrival.vehicle]
         speed, middle_m = vehicle.speed, (arrival.far - arrival.near) / 2
         near, far = arrival.near + middle_m - WALKED_M, arrival.far - middle_m + WALKED_M
         clear_s = (far + vehicle.length) / max(speed, 0.5)
-        if clear_s < 0.0 or (speed > 0.5 and clear_s < enter_s - 0.2):
-            continue  # past it before the pedestrian comes
-        if near <= 0.1:
-            return False
+        if arrival.near > nearest or clear_s < 0.0 or (speed > 0.5 and clear_s < enter_s - 0.2):
+            continue  # behind another one, or past it before the pedestrian comes
         yields = arrival.yields or vehicle.held
-        if (yields and speed * speed <= 2.0 * 5.0 * near) or arrival.stood_s > STOOD_S:
-            return True
+        waits = (yields and speed * speed <= 2.0 * 5.0 * near) or arrival.stood_s > STOOD_S
         comes_s = near / speed if speed >= 2.0 else -speed + math.sqrt(speed * speed + 2.0 * near)
-        if comes_s <= leave_s + SPARE_S:
-            return False
-    return True
+        if near <= 0.1 or waits or comes_s <= leave_s + SPARE_S:
+            nearest, safe = arrival.near, near > 0.1 and waits
+    return safe

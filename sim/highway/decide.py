@@ -98,7 +98,6 @@ def act(scene: Scene) -> int:
     """
     scene.now[0].astray = 0
     junctions.look_ahead(scene)
-    junctions.obey_lines(scene)
     crossings.note_walkers(scene)
     crossings.obey_crossings(scene)
     junctions.obey_junctions(scene)
@@ -119,7 +118,10 @@ def act(scene: Scene) -> int:
 @in_place()
 def decide(scene: Scene) -> None:
     """Decide for every driver, after `act` said what the rules demand."""
-    _count_changes(scene)
+    for i in range(scene.vehicles.size):  # who is changing to each lane
+        me = scene.vehicles[i]
+        if me.profiled and me.target != me.lane:
+            scene.lane_link[i], scene.lane_head[me.target] = scene.lane_head[me.target], i
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         if me.profiled and not me.crashed:
@@ -162,15 +164,6 @@ def _steer(i: int, scene: Scene) -> None:
 
 
 # Choosing a lane -------------------------------------------------------------------------------
-
-
-@in_place(inner=True)
-def _count_changes(scene: Scene) -> None:
-    """List those who are changing to each lane."""
-    for i in range(scene.vehicles.size):
-        me = scene.vehicles[i]
-        if me.profiled and me.target != me.lane:
-            scene.lane_link[i], scene.lane_head[me.target] = scene.lane_head[me.target], i
 
 
 @in_place(inner=True)
@@ -369,9 +362,8 @@ def _stops_for_no_reason(me: Any) -> bool:
     """Whether a driver stops for no reason now; schedules such stops."""
     if me.clock >= me.stop_at:
         least, most = STOP_LASTS_S
-        me.stop_until = me.clock + (
-            least + (most - least) * chance(me.key, STOP_LASTS, me.stops - 1)
-        )
+        lasts_s = least + (most - least) * chance(me.key, STOP_LASTS, me.stops - 1)
+        me.stop_until = me.clock + lasts_s
         me.stop_at = me.stop_until + wait_s(me.key, STOPS, me.stops, me.stop_rate_per_min)
         me.stops += 1
     return bool(me.clock < me.stop_until)

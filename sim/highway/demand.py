@@ -15,11 +15,11 @@ from behaviors.profiles import Profile
 from sim.frames import AgentKind
 from sim.highway.driving import idm
 from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR
-from sim.highway.lanes import LaneIndex
+from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
 from sim.highway.state import IntArray
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle, Stretch
+from sim.highway.vehicle import ProfileVehicle
 from sim.highway.walkers import Walker
 from sim.scenario import AgentSpec, CarFollowing
 
@@ -42,14 +42,14 @@ class _Queue(NamedTuple):
     @classmethod
     def on(cls, network: HighwayNetwork, way: tuple[Stretch, ...]) -> _Queue:
         """Nobody yet; for each lane its length, the limit of the path after it, and who waits."""
-        then, number = way[1] if len(way) > 1 else None, network.tables.number
+        then, number = way[1] if len(way) > 1 else None, network.number
         lanes, bends = network.lanes_towards(way[0], then), []
         for lane in lanes:
             path = None if then is None else network.onward.get((lane, then))
             limit, waits = math.inf, False
             if path is not None:
-                info, limit = network.info[path], float(network.lanes[path].speed_limit)
-                waits = info.signal >= 0 or info.must_yield or info.must_stop
+                link, limit = network.links[path], float(network.lanes[path].speed_limit)
+                waits = link.signal >= 0 or link.must_yield or link.must_stop
             bends.append((float(network.lanes[lane].length), limit, waits))
         return cls(deque(), lanes, np.array([number[lane] for lane in lanes]), bends)
 

@@ -299,7 +299,7 @@ def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
 def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
     """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
     network, lane = road.network_info, ego.lane_index
-    if network.info[lane].connector or (lane[:2] == ego.stretches[-1] and s > 0.0):
+    if lane in network.exit_of or (lane[:2] == ego.stretches[-1] and s > 0.0):
         return False
     own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # on the wrong side, too
     if s < -ego.LENGTH / 2:

@@ -27,10 +27,8 @@ _gap_accepted = shared(driver_models.gap_accepted)
 _braking_speed = shared(driver_models.braking_speed)
 
 RED, YELLOW = Signal.RED.code, Signal.YELLOW.code
-RED_RUN, STOP_ROLLED = (
-    EVENT_KINDS.index(EventKind.RED_RUN),
-    EVENT_KINDS.index(EventKind.STOP_ROLLED),
-)
+RED_RUN = EVENT_KINDS.index(EventKind.RED_RUN)
+STOP_ROLLED = EVENT_KINDS.index(EventKind.STOP_ROLLED)
 
 ENTERED_M: Final = 0.5
 """A vehicle whose front is this far over the stop line has entered the junction."""
@@ -83,7 +81,10 @@ BLOCKED_MPS: Final = 2.0
 
 @in_place(inner=True)
 def look_ahead(scene: Scene) -> None:
-    """Find where each vehicle is on its way, and record who has just broken a rule at a line."""
+    """Find where each vehicle is on its way, and which drivers stop for a light or a sign.
+
+    Those who have just broken a rule at a line are recorded.
+    """
     lanes, now_s = scene.net.lanes, scene.now[0].time_s
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
@@ -109,6 +110,9 @@ def look_ahead(scene: Scene) -> None:
                 record(STOP_ROLLED, me.agent, scene)
         me.path_before, me.line_before = me.path, me.to_line
         me.was_held, me.held, me.stop_gap, me.forced = me.held, False, np.inf, -1
+        obeys = me.profiled and me.path >= 0 and not lane.wrong
+        if obeys and -ENTERED_M < me.to_line < attention_m(me):
+            me.held = _stops_at_light(i, scene) or _stops_at_sign(i, scene)
 
 
 @in_place(inner=True)
@@ -116,35 +120,6 @@ def _shows(path: int, state: int, scene: Scene) -> bool:
     """Whether the light of a path shows a state."""
     group = scene.net.lanes[path].signal
     return bool(group >= 0 and scene.signals[group] == state)
-
-
-@in_place(inner=True)
-def _may_go_on(i: int, scene: Scene) -> bool:
-    """Whether a driver's lane leads where it wants to go, or it is getting over already."""
-    me = scene.vehicles[i]
-    lane = scene.net.lanes[me.lane]
-    return bool(me.path >= 0 or me.then < 0 or (me.target != me.lane and lane.way == lane.way_end))
-
-
-# Lines ----------------------------------------------------------------------------------------
-
-
-@in_place(inner=True)
-def obey_lines(scene: Scene) -> None:
-    """Note which drivers stop at the line for a light or a sign."""
-    for i in range(scene.vehicles.size):
-        me = scene.vehicles[i]
-        if (
-            not me.profiled
-            or me.path < 0
-            or scene.net.lanes[me.lane].wrong
-            or not -ENTERED_M < me.to_line < attention_m(me)
-        ):
-            continue
-        if scene.net.lanes[me.path].signal >= 0:
-            me.held = _stops_at_light(i, scene)
-        if scene.net.lanes[me.path].must_stop and not me.held:
-            me.held = _stops_at_sign(i, scene)
 
 
 @in_place(inner=True)
@@ -156,16 +131,17 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
             return False
         return can_stop(me.speed, me.to_line, me.emergency_decel)
     if _shows(me.path, YELLOW, scene):
-        group = scene.net.lanes[me.path].signal
-        if scene.now[0].time_s - scene.signal_since[group] < me.yellow_run_s:
-            return False
-        return can_stop(me.speed, me.to_line, me.comfort_decel_mps2)
+        shown_s = scene.now[0].time_s - scene.signal_since[scene.net.lanes[me.path].signal]
+        stops = can_stop(me.speed, me.to_line, me.comfort_decel_mps2)
+        return bool(stops and shown_s >= me.yellow_run_s)
     return False
 
 
 @in_place(inner=True)
 def _stops_at_sign(i: int, scene: Scene) -> bool:
     me = scene.vehicles[i]
+    if not scene.net.lanes[me.path].must_stop:
+        return False
     if me.to_line < STOPPED_M and me.speed < STANDING_MPS and me.stood_at != me.path:
         me.stood_at, me.stopped_s = me.path, scene.now[0].time_s
     rolls = chance(me.key, ROLLS, me.path) < me.stop_roll_probability
@@ -208,7 +184,9 @@ def _obey_junction(i: int, scene: Scene) -> None:
         cap, changes = factor * lane.limit, False
     elif net.has_paths or me.then >= 0:
         changes = me.s > NO_CHANGE_M[0] and (me.then < 0 or to_line > NO_CHANGE_M[1])
-        if near and not lane.wrong and not _may_go_on(i, scene):
+        gets_over = me.target != me.lane and lane.way == lane.way_end
+        leads_on = me.path >= 0 or me.then < 0 or gets_over
+        if near and not lane.wrong and not leads_on:
             gap, me.held, changes = min(gap, to_line), True, True
     me.changes = changes
     if lane.wrong:
@@ -291,12 +269,6 @@ def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
 
 
 @in_place(inner=True)
-def _is_open(conflict: Any, scene: Scene) -> bool:
-    """Whether neither of two paths gives way to the other, and they have no stop signs."""
-    return bool(conflict.yields == 0 and not scene.net.lanes[conflict.other].must_stop)
-
-
-@in_place(inner=True)
 def _goes_first(
     i: int, j: int, rank: int, foe_rank: int, foe_line: float, conflict: Any, scene: Scene
 ) -> bool:
@@ -347,7 +319,8 @@ def _must_wait(
     after_green = entered and me.lane == me.path and _shows(me.path, RED, scene)
     goes_first = _goes_first(i, j, rank, foe_rank, foe_line, conflict, scene)
     if foe.stood_s > WAITING_S:
-        lets_go = goes_first or me.stood_s > foe.stood_s or _is_open(conflict, scene)
+        unruled = conflict.yields == 0 and not scene.net.lanes[conflict.other].must_stop
+        lets_go = goes_first or me.stood_s > foe.stood_s or unruled
         if foe_entered or after_green or (foe_rank >= rank and lets_go):
             return False  # it waits itself, for this vehicle or for another
     foe_enters_s = reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))

@@ -8,21 +8,21 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import RoadNetwork
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sim.frames import FloatArray
+from sim.highway.tables import BLEND_M, PIECE, TURN, project_on
+
 LaneIndex: TypeAlias = tuple[str, str, int]
 """A lane in highway-env: the nodes that it leads from and to, and its place from the left."""
+
+Stretch: TypeAlias = tuple[str, str]
+"""Lanes side by side: the nodes that they lead from and to."""
 
 STRAIGHT_TOLERANCE_M: Final = 1e-6
 """A line whose points are all this close to its chord is straight."""
 
 LEAST_LENGTH_M: Final = 0.01
 """A line whose points are all this close together is drawn out to this length along +x, m."""
-
-BLEND_M: Final = 2.0
-"""The heading turns from one piece's to the next's within this distance of the corner (half a
-wheelbase)."""
 
 UNPAINTED: Final = (LineType.NONE, LineType.NONE)
 """What is painted on the left and on the right of a lane without lines."""
@@ -61,47 +61,38 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
     ) -> None:
         self.points = _simplest(np.asarray(points, dtype=np.float64))
         step = np.diff(self.points, axis=0)
-        self.sizes = np.hypot(step[:, 0], step[:, 1])
-        self.directions = step / self.sizes[:, None]
-        self.begins = np.cumsum(self.sizes) - self.sizes
-        before, after = self.directions[:-1], self.directions[1:]
+        size = np.hypot(step[:, 0], step[:, 1])
+        ahead = step / size[:, None]
+        begin = np.cumsum(size) - size
+        before, after = ahead[:-1], ahead[1:]
         turn = before[:, 1] * after[:, 0] - before[:, 0] * after[:, 1]
         sharp = (before * after).sum(axis=1) < 0.0
-        outsides = np.where(sharp, np.copysign(1.0, turn), 0.0)
-        self.outsides = np.concatenate([[0.0], outsides, [0.0]])  # of corners sharper than 90
-        # degrees: the side on which the far side of the corner lies
-        self.length = float(self.sizes.sum())
+        pieces = self.pieces = np.zeros(len(size), PIECE)
+        pieces["x"], pieces["y"] = self.points[:-1].T
+        pieces["dx"], pieces["dy"] = ahead.T
+        pieces["size"], pieces["begin"] = size, begin
+        pieces["outside"][1:] = np.where(sharp, np.copysign(1.0, turn), 0.0)
+        pieces["outside_end"][:-1] = pieces["outside"][1:]
+        self.length = float(size.sum())
         self.width, self.line_types, self.speed_limit = width, line_types, speed_limit
         self.forbidden, self.priority = forbidden, priority
         heading = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
-        blend = np.minimum(np.minimum(self.sizes[:-1], self.sizes[1:]) / 2, BLEND_M)
-        corner = self.begins[1:]
-        inside = np.column_stack([corner - blend, corner + blend]).ravel()
-        self.turn_at = np.concatenate([[0.0], inside, [self.length]])
-        self.turn_heading = np.repeat(heading, 2)
-        self.turned = float(heading[-1] - heading[0])
+        blend = np.minimum(np.minimum(size[:-1], size[1:]) / 2, BLEND_M)
+        inside = np.column_stack([begin[1:] - blend, begin[1:] + blend]).ravel()
+        self.turns = np.zeros(2 * len(size), TURN)
+        self.turns["at"] = np.concatenate([[0.0], inside, [self.length]])
+        self.turns["heading"] = np.repeat(heading, 2)
 
     def local_coordinates(self, position: FloatArray) -> tuple[float, float]:
         """Distance along the lane and to the right of it, m."""
-        away = np.asarray(position) - self.points[:-1]
-        ahead = self.directions
-        along = away[:, 0] * ahead[:, 0] + away[:, 1] * ahead[:, 1]
-        side = away[:, 1] * ahead[:, 0] - away[:, 0] * ahead[:, 1]
-        clipped = along.copy()
-        clipped[1:] = np.maximum(clipped[1:], 0.0)
-        clipped[:-1] = np.minimum(clipped[:-1], self.sizes[:-1])
-        distance = np.hypot(side, along - clipped)
-        i = int(np.argmin(distance))
-        if clipped[i] != along[i]:
-            side[i] = self.outsides[i if clipped[i] > along[i] else i + 1] or side[i]
-        return float(self.begins[i] + clipped[i]), math.copysign(distance[i], side[i])
+        x, y = position
+        return project_on(float(x), float(y), 0, len(self.pieces), self.pieces)[:2]
 
     def positions(self, along: FloatArray, lateral: float = 0.0) -> FloatArray:
         """(n, 2) the places at (n,) distances along the lane and so far to the right of it, m."""
-        i = np.maximum(np.searchsorted(self.begins, along, side="right") - 1, 0)
-        dx, dy = self.directions[i].T
-        beyond = along - self.begins[i]
-        x, y = self.points[i].T
+        i = np.maximum(np.searchsorted(self.pieces["begin"], along, side="right") - 1, 0)
+        x, y, dx, dy, begin = (self.pieces[name][i] for name in ("x", "y", "dx", "dy", "begin"))
+        beyond = along - begin
         return np.stack([x + beyond * dx - lateral * dy, y + beyond * dy + lateral * dx], axis=-1)
 
     def position(self, longitudinal: float, lateral: float) -> FloatArray:
@@ -111,7 +102,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
 
     def heading_at(self, longitudinal: float) -> float:
         """The lane's heading, rad, clockwise from +x as seen from above."""
-        return float(np.interp(longitudinal, self.turn_at, self.turn_heading))
+        return float(np.interp(longitudinal, self.turns["at"], self.turns["heading"]))
 
     def width_at(self, longitudinal: float) -> float:
         """The lane's width, m."""

@@ -66,25 +66,24 @@ def move(dt: float, scene: Scene) -> bool:
     Returns:
         Whether somebody has to go; ``leaves`` says who and why.
     """
-    somebody = False
+    now_s = scene.now[0].time_s + dt
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         if me.profiled:
             _drive(me, dt)
             _update_lane(i, scene)
-        me.at_end = me.profiled and _is_at_end(me, scene)
         lane = scene.net.lanes[me.lane]
-        somebody = somebody or me.at_end or me.crashed or me.wrong_way or lane.wrong
+        front = project(me.x, me.y, me.lane, scene.net)[0] + me.length / 2
+        at_end = me.profiled and not lane.connector and front >= lane.length
+        me.arrives = at_end and next_stretch(i, me.lane, scene) < 0
+        if abs(me.speed) > STANDING_MPS:
+            me.standing_since = np.inf
+        elif me.standing_since == np.inf:
+            me.standing_since = me.clock if me.profiled else now_s
     walk(dt, scene)
-    for w in range(scene.walkers.size):
-        somebody = somebody or scene.walkers[w].crashed or _has_arrived(w, scene)
-    scene.now[0].time_s += dt
-    for i in range(scene.vehicles.size):
-        me = scene.vehicles[i]
-        if not me.profiled:
-            _note_standing(me, scene.now[0].time_s)
+    scene.now[0].time_s = now_s
     _find_touching(scene)
-    return bool(somebody and _leave(scene))
+    return _leave(scene)
 
 
 @in_place(inner=True)
@@ -104,16 +103,6 @@ def _drive(me: Any, dt: float) -> None:
     me.timer += dt
     me.clock += dt
     me.target = me.wanted
-    _note_standing(me, me.clock)
-
-
-@in_place(inner=True)
-def _note_standing(me: Any, time_s: float) -> None:
-    """Note since when a vehicle has stood."""
-    if abs(me.speed) > STANDING_MPS:
-        me.standing_since = np.inf
-    elif me.standing_since == np.inf:
-        me.standing_since = time_s
 
 
 @in_place(inner=True)
@@ -133,27 +122,6 @@ def _update_lane(i: int, scene: Scene) -> None:
 
 
 @in_place(inner=True)
-def _is_at_end(me: Any, scene: Scene) -> bool:
-    """Whether a vehicle's front is at the end of a lane outside of junctions."""
-    lane = scene.net.lanes[me.lane]
-    s = project(me.x, me.y, me.lane, scene.net)[0]
-    return bool(not lane.connector and s + me.length / 2 >= lane.length)
-
-
-@in_place(inner=True)
-def _arrives(i: int, scene: Scene) -> bool:
-    """Whether a vehicle has come to the end of its way, where it leaves the road."""
-    me = scene.vehicles[i]
-    return bool(me.at_end and next_stretch(i, me.lane, scene) < 0)
-
-
-@in_place(inner=True)
-def _has_arrived(w: int, scene: Scene) -> bool:
-    person = scene.walkers[w]
-    return bool(person.s >= scene.footways.ways[person.way].length - 1e-6)
-
-
-@in_place(inner=True)
 def _leave(scene: Scene) -> bool:
     """Note why each one goes, if it does, and who has come onto the wrong side."""
     somebody, now_s = False, scene.now[0].time_s
@@ -170,7 +138,7 @@ def _leave(scene: Scene) -> bool:
             me.leaves = STUCK
         elif now_s - me.crashed_at > CLEAR_AFTER_S:
             me.leaves = CLEARED
-        elif _arrives(i, scene):
+        elif me.arrives:
             me.leaves = ARRIVED
         somebody = somebody or me.leaves != STAYS
     for w in range(scene.walkers.size):
@@ -178,7 +146,7 @@ def _leave(scene: Scene) -> bool:
         person.leaves = STAYS
         if now_s - person.crashed_at > CLEAR_AFTER_S:
             person.leaves = CLEARED
-        elif _has_arrived(w, scene):
+        elif person.s >= scene.footways.ways[person.way].length - 1e-6:
             person.leaves = ARRIVED
         somebody = somebody or person.leaves != STAYS
     return bool(somebody)
@@ -222,17 +190,15 @@ def _find_touching(scene: Scene) -> None:
         cell = row * cells.columns + column
         scene.cell_link[i], scene.cell_head[cell] = scene.cell_head[cell], i
     for i in range(n):
+        if scene.vehicles[i].arrives:
+            continue
         column, row = _cell(scene.vehicles[i].x, scene.vehicles[i].y, scene)
         for r in range(max(row - 1, 0), min(row + 2, cells.rows)):
             for c in range(max(column - 1, 0), min(column + 2, cells.columns)):
                 j = scene.cell_head[r * cells.columns + c]
                 while j >= 0:
-                    if (
-                        j > i
-                        and _overlap(i, j, scene)
-                        and not _arrives(i, scene)
-                        and (j >= n or not _arrives(j, scene))
-                    ):
+                    stays = j >= n or not scene.vehicles[j].arrives
+                    if j > i and stays and _overlap(i, j, scene):
                         _add_pair(i, j, scene)
                     j = scene.cell_link[j]
     for i in range(many):

@@ -9,25 +9,41 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
-from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 from behaviors.errors import InputError
-from sim.highway.conflicts import Conflict, find_conflicts
-from sim.highway.lanes import LaneIndex, NearLanesNetwork, PolylineLane
-from sim.highway.tables import LaneTables
+from sim.frames import FloatArray
+from sim.highway.conflicts import find_conflicts
+from sim.highway.lanes import LaneIndex, NearLanesNetwork, PolylineLane, Stretch, is_wrong_side
+from sim.highway.tables import (
+    BEHIND_M,
+    CONFLICT,
+    CROSSING,
+    LANE,
+    LONGEST_M,
+    PATH_MARGIN_M,
+    PIECE,
+    SPOT,
+    STRETCH_MARGIN_M,
+    STRIP,
+    TURN,
+    WAY,
+    Net,
+    Records,
+    listed,
+)  # fmt: skip
 from sim.road import Connection, Lane, Road
-from sim.road.cells import boxes_of, near_pairs
+from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
 from sim.xml_tree import without_collection
-
-FloatArray = NDArray[np.float64]
 
 STUB_M: Final = 0.1
 """A junction path between lanes that touch is this long, m."""
@@ -36,41 +52,16 @@ OPPOSITE_M: Final = 1.2
 """An opposite lane is a neighbour if its centre line is within this many lane widths."""
 
 CELL_M: Final = 50.0
-"""Width of the cells in which opposite lanes are looked for, m (half a block)."""
+"""Width of the cells in which lanes are looked for, m (`BEHIND_M` and a lane)."""
 
+TIGHT_M: Final = 5.0
+"""A junction path of a smaller mean radius is tight, m (a car's turning circle)."""
 
-class Strip(NamedTuple):
-    """Where a lane runs over a crossing: its number, from where to where, m, and how far along it.
+SAME_SPOT_M: Final = 0.5
+"""Lanes that run over a crossing nearer to each other than this do so at the same spot, m."""
 
-    ``near_s`` and ``far_s`` are distances along the lane, ``u`` is the lane's along the crossing.
-    """
-
-    crossing: int
-    near_s: float
-    far_s: float
-    u: float
-
-
-class LaneInfo(NamedTuple):
-    """The facts about a lane that highway-env's network cannot hold.
-
-    Attributes:
-        connector: whether it crosses a junction.
-        signal: signal group that guards its entry, -1 if none.
-        must_yield: whether other vehicles have priority over those that enter it.
-        must_stop: whether there is a stop sign before it.
-        strips: where it runs over crossings, in order.
-        conflicts: with other junction paths, in order of their beginning.
-        way: which of the road's connections it is, -1 if none.
-    """
-
-    connector: bool = False
-    signal: int = -1
-    must_yield: bool = False
-    must_stop: bool = False
-    strips: tuple[Strip, ...] = ()
-    conflicts: tuple[Conflict, ...] = ()
-    way: int = -1
+ROUNDING_M: Final = 1e-3
+"""Lanes are searched this much farther from vehicles than they can be, m."""
 
 
 @dataclass(frozen=True)
@@ -80,39 +71,133 @@ class HighwayNetwork:
     Attributes:
         road: where it came from.
         net: the highway-env network.
-        info: further facts about each lane.
         lanes: every lane by its index (the same objects as in ``net``).
-        stretch_of: the stretch, as (from, to), of each edge of ``road``.
+        links: the connection of the road that each junction path is.
         onward: the junction path from a lane to each next stretch.
         exit_of: the lane on which each junction path ends.
         wrong_side: for each leftmost lane beside one of the opposite direction, a lane that runs
             over that one in this direction, for those that overtake on the wrong side.
         edge_at: the edges of each stretch with the distance at which each begins, m.
+        strips: for each lane that runs over crossings the number of each, from where to where
+            along the lane, and how far along the crossing, m.
     """
 
     road: Road
     net: RoadNetwork
-    info: dict[LaneIndex, LaneInfo]
     lanes: dict[LaneIndex, PolylineLane]
-    stretch_of: dict[str, tuple[str, str]]
-    onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex]
+    links: dict[LaneIndex, Connection]
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]
     exit_of: dict[LaneIndex, LaneIndex]
     wrong_side: dict[LaneIndex, LaneIndex]
-    edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    edge_at: dict[Stretch, tuple[tuple[str, float], ...]]
+    strips: dict[LaneIndex, list[tuple[int, float, float, float]]]
 
     @cached_property
-    def tables(self) -> LaneTables:
-        """The lanes as arrays, in that order."""
-        return LaneTables(self)
+    def keys(self) -> list[LaneIndex]:
+        """The lanes in the order of their numbers."""
+        return list(self.lanes)
 
-    def stretches(self, route: Sequence[str]) -> list[tuple[str, str]]:
+    @cached_property
+    def number(self) -> dict[LaneIndex, int]:
+        """The number of each lane."""
+        return {key: k for k, key in enumerate(self.lanes)}
+
+    @cached_property
+    def stretch_number(self) -> dict[Stretch, int]:
+        """The number of each stretch and of the junction paths between any two of them."""
+        return {one: i for i, one in enumerate(dict.fromkeys(key[:2] for key in self.lanes))}
+
+    @cached_property
+    def stretch_of(self) -> dict[str, Stretch]:
+        """The stretch of each edge of the road."""
+        return {edge: one for one, edges in self.edge_at.items() for edge, _ in edges}
+
+    @cached_property
+    def arrays(self) -> Net:
+        """The lanes as arrays, by their numbers."""
+        keys, number, objects = self.keys, self.number, list(self.lanes.values())
+        lanes = np.zeros(len(keys), LANE)
+        for name, of in (("length", "length"), ("limit", "speed_limit"), ("width", "width")):
+            lanes[name] = [getattr(lane, of) for lane in objects]
+        lanes["signal"] = -1
+        for path, link in self.links.items():
+            row = lanes[number[path]]
+            row.connector, row.signal = True, link.signal
+            row.must_yield, row.must_stop = link.must_yield, link.must_stop
+        turned = [lane.turns["heading"][-1] - lane.turns["heading"][0] for lane in objects]
+        lanes["tight"] = lanes["length"] < TIGHT_M * np.abs(turned)
+        lanes["wrong"] = [is_wrong_side(key) for key in keys]
+        margin = np.where(lanes["connector"], PATH_MARGIN_M, STRETCH_MARGIN_M)
+        lanes["margin"] = lanes["width"] / 2 + margin
+        lanes["behind"] = np.where(lanes["connector"], 0.0, BEHIND_M)
+        found = {
+            "entry": {path: lane for (lane, _), path in self.onward.items()},
+            "exit": self.exit_of,
+            "opposite": self.wrong_side,
+            "own": {wrong: lane for lane, wrong in self.wrong_side.items()},
+        }
+        for name, of_lane in found.items():
+            lanes[name] = [number[of_lane[key]] if key in of_lane else -1 for key in keys]
+        fixed = lanes["connector"] | lanes["wrong"]
+        for name, step in (("left", -1), ("right", 1)):
+            beside = [number.get((*key[:2], key[2] + step), -1) for key in keys]
+            lanes[name] = np.where(fixed, -1, beside)
+        lanes["stretch"] = [self.stretch_number[key[:2]] for key in keys]
+        ways: list[list[tuple[int, int]]] = [[] for _ in keys]
+        for (lane, then), path in self.onward.items():
+            ways[number[lane]].append((self.stretch_number[then], number[path]))
+        crossings, spots = self._crossings()
+        strips = [
+            [(z, _spot(crossings[z], spots, u), near, far, u) for z, near, far, u in rows]
+            for rows in (self.strips.get(key, []) for key in keys)
+        ]
+        return Net(
+            lanes=lanes,
+            pieces=listed(lanes, "piece", [lane.pieces for lane in objects], PIECE),
+            turns=listed(lanes, "turn", [lane.turns for lane in objects], TURN),
+            ways=listed(lanes, "way", ways, WAY),
+            conflicts=listed(lanes, "conflict", self._conflicts(), CONFLICT),
+            strips=listed(lanes, "strip", strips, STRIP),
+            crossings=crossings,
+            spots=spots,
+            cells=_cells([lane.points for lane in objects], lanes),
+            has_paths=bool(self.links),
+            has_wrong=bool(self.wrong_side),
+        )
+
+    def _conflicts(self) -> list[list[tuple[Any, ...]]]:
+        """The rows of `CONFLICT` of each lane, by their beginning."""
+        ways, paths = self.road.connections, list(self.links)
+        place = {id(way): i for i, way in enumerate(ways)}
+        begin = {path: lane for (lane, _), path in self.onward.items()}
+        begins = np.array([self.number[begin[path]] for path in paths], np.int64)
+        rows: list[list[tuple[Any, ...]]] = [[] for _ in self.lanes]
+        for a, b, *span in find_conflicts([self.lanes[path] for path in paths], begins):
+            one, other = self.links[paths[a]], self.links[paths[b]]
+            yields = (place[id(other)] in one.yields_to) - (place[id(one)] in other.yields_to)
+            rows[self.number[paths[a]]].append((self.number[paths[b]], *span, yields))
+        return [sorted(each, key=lambda row: row[1]) for each in rows]
+
+    def _crossings(self) -> tuple[Records, Records]:
+        """The crossings, and where lanes run over each of them."""
+        found: list[list[tuple[float, float]]] = [[] for _ in self.road.crossings]
+        for key in self.lanes:
+            for crossing, _, _, u in self.strips.get(key, []):
+                if all(abs(u - other) >= SAME_SPOT_M for other, _ in found[crossing]):
+                    found[crossing].append((u, self.lanes[key].width / 2))
+        crossings = np.zeros(len(found), CROSSING)
+        crossings["signal"] = [one.signal for one in self.road.crossings]
+        crossings["priority"] = [one.priority for one in self.road.crossings]
+        return crossings, listed(crossings, "spot", [sorted(places) for places in found], SPOT)
+
+    def stretches(self, route: Sequence[str]) -> list[Stretch]:
         """The stretches that a route of edges runs over.
 
         Raises:
             InputError: if an edge is not of this road, two stretches are not connected, or an
                 edge follows itself.
         """
-        found: list[tuple[str, str]] = []
+        found: list[Stretch] = []
         reached_m = 0.0
         for edge in route:
             if edge not in self.stretch_of:
@@ -137,9 +222,45 @@ class HighwayNetwork:
                 )
         return found
 
-    def lanes_towards(
-        self, stretch: tuple[str, str], then: tuple[str, str] | None
-    ) -> list[LaneIndex]:
+    def way_to(self, goal: Stretch, lane: int) -> tuple[Stretch, ...] | None:
+        """The shortest way from a lane to a stretch, or else to the nearest where the road ends.
+
+        Args:
+            goal: where it is to lead.
+            lane: number of the lane on which it begins; other lanes of its stretch are not used,
+                nor is the stretch again.
+
+        Returns:
+            The stretches after that of ``lane``; None if the lane leads nowhere. On a road that
+            never ends it is the way to the farthest stretch.
+        """
+        names, lanes, ways = list(self.stretch_number), self.arrays.lanes, self.arrays.ways
+        n, here = len(names), int(lanes["stretch"][lane])
+        begin = np.repeat(np.arange(lanes.size), lanes["way_end"] - lanes["way"])
+        one, other = lanes["stretch"][begin], ways["stretch"]
+        length = np.ones(n)
+        length[lanes["stretch"][::-1]] = lanes["length"][::-1]  # of each one's first lane
+        used = (other != here) & ((one != here) | (begin == lane))
+        pairs = np.unique(np.stack([one[used], other[used]], axis=1), axis=0)
+        graph = coo_array((length[pairs[:, 1]], (pairs[:, 0], pairs[:, 1])), shape=(n, n)).tocsr()
+        away, before = dijkstra(graph, indices=[here], return_predecessors=True)
+        away, before = away[0], before[0]
+        away[here] = np.inf
+        reached = np.isfinite(away)
+        if not reached.any():
+            return None
+        end = self.stretch_number[goal]
+        if not reached[end]:
+            ends = reached & ~np.isin(np.arange(n), one)
+            away[~(ends if ends.any() else reached)] = np.nan
+            end = int(np.nanargmin(away) if ends.any() else np.nanargmax(away))
+        way = []
+        while end != here:
+            way.append(names[end])
+            end = int(before[end])
+        return tuple(way[::-1])
+
+    def lanes_towards(self, stretch: Stretch, then: Stretch | None) -> list[LaneIndex]:
         """The lanes of a stretch from which the next stretch can be reached; all if None."""
         every = [(*stretch, i) for i in range(len(self.net.graph[stretch[0]][stretch[1]]))]
         if then is None:
@@ -179,7 +300,6 @@ def build_network(road: Road) -> HighwayNetwork:
         raise InputError(f"road {road.name!r}: found no drivable lane, expected at least one")
     for lanes in driving.values():
         lanes.sort(key=lambda lane: -lane.index)  # from the left
-    numbers = {id(way): i for i, way in enumerate(road.connections)}
     connections = sorted(  # from the left, as lanes are counted
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
@@ -190,39 +310,13 @@ def build_network(road: Road) -> HighwayNetwork:
     joins = [
         c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
     ]
-    paths, onward, exit_of = _add_junction_paths(net, joins, numbers, by_id, placed.lanes)
-    geometry: dict[LaneIndex, PolylineLane] = dict(net.lanes_dict())
-    strips = _strips(road, placed.lanes)
-    begins = {path: lane for (lane, _), path in onward.items()}
-    conflicts = find_conflicts({i: geometry[i] for i in exit_of}, begins)
-    info = {
-        index: paths.get(index, LaneInfo())._replace(
-            strips=tuple(sorted(strips.get(index, ()), key=lambda s: s.near_s)),
-            conflicts=tuple(
-                conflict._replace(yields=_yields(paths[index].way, paths[conflict.other].way, road))
-                for conflict in sorted(conflicts.get(index, ()), key=lambda c: c.begin_s)
-            ),
-        )
-        for index in geometry
-    }
-    wrong_side = _add_wrong_side_lanes(net, geometry, info, set(placed.stretch_of.values()))
+    links, onward, exit_of = _add_junction_paths(net, joins, by_id, placed.lanes)
+    made: dict[LaneIndex, PolylineLane] = dict(net.lanes_dict())
+    wrong_side = _add_wrong_side_lanes(net, made, sorted(placed.edge_at))
     return HighwayNetwork(
-        road=road,
-        net=net,
-        info=info,
-        lanes=geometry,
-        stretch_of=placed.stretch_of,
-        onward=onward,
-        exit_of=exit_of,
-        wrong_side=wrong_side,
-        edge_at=placed.edge_at,
-    )
-
-
-def _yields(one: int, other: int, road: Road) -> int:
-    """1 if a connection gives way to another one, -1 if the other does, 0 if both or neither do."""
-    ways = road.connections
-    return int(other in ways[one].yields_to) - int(one in ways[other].yields_to)
+        road, net, made, links, onward, exit_of, wrong_side, placed.edge_at,
+        _strips(road, placed.lanes),
+    )  # fmt: skip
 
 
 class _Placed(NamedTuple):
@@ -231,13 +325,11 @@ class _Placed(NamedTuple):
     Attributes:
         lanes: the lanes of the network that run over each lane of the road, by its id, with the
             distance at which they begin to, m.
-        stretch_of: see `HighwayNetwork`.
         edge_at: see `HighwayNetwork`.
     """
 
     lanes: dict[str, list[tuple[LaneIndex, float]]]
-    stretch_of: dict[str, tuple[str, str]]
-    edge_at: dict[tuple[str, str], tuple[tuple[str, float], ...]]
+    edge_at: dict[Stretch, tuple[tuple[str, float], ...]]
 
 
 def _add_stretches(
@@ -248,7 +340,7 @@ def _add_stretches(
     by_id: dict[str, Lane],
 ) -> _Placed:
     """Add the lanes of every chain of edges that follow one another."""
-    placed = _Placed({}, {}, {})
+    placed = _Placed({}, {})
     begun = set(follows.values())
     leaving: dict[str, list[Connection]] = {}
     for link in connections:
@@ -280,24 +372,21 @@ def _add_stretches(
                 *key, PolylineLane(points, lane.width_m, (left, right), lane.speed_limit_mps)
             )
         placed.edge_at[key] = tuple(starts)
-        for one in chain:
-            placed.stretch_of[one] = key
     return placed
 
 
 def _add_junction_paths(
     net: RoadNetwork,
     connections: list[Connection],
-    numbers: dict[int, int],
     by_id: dict[str, Lane],
     places: dict[str, list[tuple[LaneIndex, float]]],
 ) -> tuple[
-    dict[LaneIndex, LaneInfo], dict[tuple[LaneIndex, tuple[str, str]], LaneIndex],
+    dict[LaneIndex, Connection], dict[tuple[LaneIndex, Stretch], LaneIndex],
     dict[LaneIndex, LaneIndex],
 ]:  # fmt: skip
-    """Add a lane for every connection; returns their info, ``onward`` and ``exit_of``."""
-    info: dict[LaneIndex, LaneInfo] = {}
-    onward: dict[tuple[LaneIndex, tuple[str, str]], LaneIndex] = {}
+    """Add a lane for every connection; returns ``links``, ``onward`` and ``exit_of``."""
+    links: dict[LaneIndex, Connection] = {}
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex] = {}
     exit_of: dict[LaneIndex, LaneIndex] = {}
     for link in connections:
         if link.from_lane not in places or link.to_lane not in places:
@@ -324,14 +413,8 @@ def _add_junction_paths(
             at += piece.length_m
         onward[from_index, to_index[:2]] = index
         exit_of[index] = to_index
-        info[index] = LaneInfo(
-            connector=True,
-            signal=link.signal,
-            must_yield=link.must_yield,
-            must_stop=link.must_stop,
-            way=numbers[id(link)],
-        )
-    return info, onward, exit_of
+        links[index] = link
+    return links, onward, exit_of
 
 
 def _stub(at: FloatArray, before: FloatArray) -> FloatArray:
@@ -373,31 +456,44 @@ def _continuations(
 
 def _strips(
     road: Road, places: dict[str, list[tuple[LaneIndex, float]]]
-) -> dict[LaneIndex, list[Strip]]:
+) -> dict[LaneIndex, list[tuple[int, float, float, float]]]:
+    """The crossings that each lane runs over, in order; see `HighwayNetwork`."""
     graph = LaneGraph.of(road)
-    found: dict[LaneIndex, list[Strip]] = {}
-    for z in range(graph.cross_lane.size):
-        for index, at in places.get(road.lanes[int(graph.cross_lane[z])].id, ()):
-            found.setdefault(index, []).append(
-                Strip(
-                    crossing=int(graph.cross_id[z]),
-                    near_s=at + float(graph.cross_s[z]),
-                    far_s=at + float(graph.cross_exit_s[z]),
-                    u=float(graph.cross_u[z]),
-                )
-            )
-    return found
+    found: dict[LaneIndex, list[tuple[int, float, float, float]]] = {}
+    spans = (graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.cross_u)
+    for lane, crossing, near, far, u in zip(*(each.tolist() for each in spans), strict=True):
+        for index, at in places.get(road.lanes[lane].id, ()):
+            found.setdefault(index, []).append((crossing, at + near, at + far, u))
+    return {index: sorted(strips, key=lambda strip: strip[1]) for index, strips in found.items()}
+
+
+def _spot(crossing: Any, spots: Records, u: float) -> int:
+    """Which spot of a crossing lies at a distance along it."""
+    near = np.abs(spots["u"][crossing.spot : crossing.spot_end] - u) < SAME_SPOT_M
+    return int(crossing.spot + np.argmax(near))
+
+
+def _cells(lines: list[FloatArray], lanes: Records) -> Cells:
+    """The lanes by the places at which a vehicle may be on them."""
+    reached = []
+    for line, behind in zip(lines, lanes["behind"], strict=True):
+        first, last = line[1] - line[0], line[-1] - line[-2]
+        back = line[0] - behind * first / np.hypot(*first)
+        ahead = line[-1] + LONGEST_M / 2 * last / np.hypot(*last)
+        reached.append(np.concatenate([line, [back, ahead]]))
+    boxes = boxes_of(reached, ROUNDING_M)
+    boxes[:, :2] -= lanes["margin"][:, None]
+    boxes[:, 2:] += lanes["margin"][:, None]
+    return cells_of(boxes, np.arange(len(lines)), CELL_M)
 
 
 def _add_wrong_side_lanes(
     net: RoadNetwork,
     lanes: dict[LaneIndex, PolylineLane],
-    info: dict[LaneIndex, LaneInfo],
-    stretches: set[tuple[str, str]],
+    ordered: list[Stretch],
 ) -> dict[LaneIndex, LaneIndex]:
     """Add a lane over the nearest lane of the opposite direction beside each stretch."""
     wrong_side: dict[LaneIndex, LaneIndex] = {}
-    ordered = sorted(stretches)
     leftmost = [lanes[(*stretch, 0)] for stretch in ordered]
     middles = [lane.position(lane.length / 2, 0.0) for lane in leftmost]
     reach_m = OPPOSITE_M * max(lane.width for lane in leftmost)
@@ -423,6 +519,6 @@ def _add_wrong_side_lanes(
                 )  # fmt: skip
                 net.add_lane(*key, made)
                 index = (*key, 0)
-                lanes[index], info[index], wrong_side[left] = made, LaneInfo(), index
+                lanes[index], wrong_side[left] = made, index
                 break
     return wrong_side

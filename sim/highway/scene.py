@@ -10,7 +10,7 @@ import numpy as np
 from sim.compiled import in_place
 from sim.highway.driving import Beside
 from sim.highway.state import FloatArray, IntArray, Scene
-from sim.highway.tables import LONGEST_M, Net, Records, heading_at, project
+from sim.highway.tables import LONGEST_M, Net, heading_at, project
 
 ALIGNED: Final = 0.5
 """A vehicle turned by more than 60 degrees from a lane crosses it and is not on it. On stretches,
@@ -88,7 +88,7 @@ def locate(scene: Scene) -> bool:
         Whether there was room for all entries; ``now.entries`` says how many there are.
     """
     net, cells, found = scene.net, scene.net.cells, 0
-    vehicles, first, room = scene.vehicles, scene.on_first, scene.unsorted_lane.size
+    vehicles, first, room = scene.vehicles, scene.on_first, scene.unsorted.size
     first[:] = 0
     for i in range(vehicles.size):
         me = vehicles[i]
@@ -117,8 +117,7 @@ def locate(scene: Scene) -> bool:
                 s = rear + half  # it turns off, with its rear still in the way
             if found < room:
                 one = scene.unsorted[found]
-                one.row, one.s, one.along = i, s, me.speed * facing
-                scene.unsorted_lane[found] = k
+                one.row, one.lane, one.s, one.along = i, k, s, me.speed * facing
                 first[k + 1] += 1
             found += 1
     scene.now[0].entries = found
@@ -127,21 +126,17 @@ def locate(scene: Scene) -> bool:
     for k in range(first.size - 1):
         first[k + 1] += first[k]
     for e in range(found):  # `lane_head` counts how many are in place already
-        k, one = scene.unsorted_lane[e], scene.unsorted[e]
+        one = scene.unsorted[e]
+        k = one.lane
         scene.lane_head[k] += 1
         at = first[k] + scene.lane_head[k]
         while at > first[k] and scene.on[at - 1].s > one.s:
-            _copy(scene.on, at, scene.on, at - 1)
+            scene.on[at] = scene.on[at - 1]
             at -= 1
-        _copy(scene.on, at, scene.unsorted, e)
+        scene.on[at] = one
     for e in range(found):
-        scene.lane_head[scene.unsorted_lane[e]] = -1
+        scene.lane_head[scene.unsorted[e].lane] = -1
     return True
-
-
-@in_place(inner=True)
-def _copy(to: Records, at: int, source: Records, e: int) -> None:
-    to[at].row, to[at].s, to[at].along = source[e].row, source[e].s, source[e].along
 
 
 @in_place(inner=True)

@@ -47,7 +47,7 @@ VEHICLE: Final = record_type(
     s="f8", then="i8", path="i8", to_line="f8", stood_s="f8",
     # what the rules demand in this step
     stop_gap="f8", speed_cap="f8", held="?", was_held="?", changes="?", forced="i8", astray="?",
-    at_end="?", leaves="i8",
+    arrives="?", leaves="i8",
 )  # fmt: skip
 """A vehicle; lengths in m, times in s, angles in rad, highway-env's axes, -1 for none.
 
@@ -65,8 +65,8 @@ front bumper to the beginning of that path, or to the end of a lane without one,
 ``stood_s``: for how long it has stood; ``stop_gap``: front bumper to the line at which to stop;
 ``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it stop at the line,
 and ``was_held`` a step ago; ``changes``: whether lane changes are allowed; ``forced``: the lane
-that it has to head for; ``astray``: whether it needs another route; ``at_end``: whether it may have
-arrived; ``leaves``: why it goes.
+that it has to head for; ``astray``: whether it needs another route; ``arrives``: whether it is at
+the end of its way; ``leaves``: why it goes.
 """
 
 WALKER: Final = record_type(
@@ -100,7 +100,7 @@ route; ``entries``: vehicles on lanes."""
 EVENT: Final = record_type(kind="i8", agent="i8", time_s="f8")
 """Something that a rule recorded, by the code of its `EventKind`."""
 
-ON: Final = record_type(row="i8", s="f8", along="f8")
+ON: Final = record_type(row="i8", lane="i8", s="f8", along="f8")
 """A vehicle on a lane: its distance along it, m, and its speed along it, m/s."""
 
 ARRIVAL: Final = record_type(
@@ -139,7 +139,6 @@ class Scene(NamedTuple):
         on_first: (K + 1,) where each lane's entries of ``on`` begin.
         on: of `ON`, by lane, then by distance along it.
         unsorted: as ``on``, in the order in which they are found.
-        unsorted_lane: the lane of each.
         lane_head: (K,) first vehicle on its way over each junction path, or changing to a lane.
         lane_link: (2n,) the next; those who have not quite left a path are counted from n.
         spot_head: first arrival at each spot of a crossing.
@@ -162,7 +161,6 @@ class Scene(NamedTuple):
     on_first: IntArray
     on: Records
     unsorted: Records
-    unsorted_lane: IntArray
     lane_head: IntArray
     lane_link: IntArray
     spot_head: IntArray
@@ -177,20 +175,11 @@ class Scene(NamedTuple):
 def blank_vehicle() -> Any:
     """The row of a vehicle that stands nowhere and has no driver."""
     row = np.zeros(1, VEHICLE)[0]
-    for name in ("go_at", "standing_since", "crashed_at", "stop_gap", "speed_cap", "cut_in_at",
-                 "stop_at", "wrong_way_at"):  # fmt: skip
+    times = ("go_at", "standing_since", "crashed_at", "cut_in_at", "stop_at", "wrong_way_at")
+    for name in (*times, "stop_gap", "speed_cap"):
         row[name] = np.inf
-    for name in (
-        "agent",
-        "route",
-        "last_path",
-        "path_before",
-        "stood_at",
-        "then",
-        "path",
-        "forced",
-    ):
+    ways = ("route", "last_path", "path_before", "stood_at", "then", "path", "forced")
+    for name in ("agent", "met", *ways):
         row[name] = -1
-    row["met"] = -1
     row["stop_until"], row["changes"] = -np.inf, True
     return row

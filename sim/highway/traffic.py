@@ -19,7 +19,7 @@ from sim.frames import Event, EventKind, Frame, Signal
 from sim.geometry import Outlines
 from sim.highway.decide import act, decide
 from sim.highway.driving import STOCK_DRIVER, Beside, profile_fields
-from sim.highway.lanes import LaneIndex
+from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.motion import (
     ARRIVED,
     ASTRAY,
@@ -31,7 +31,6 @@ from sim.highway.motion import (
     move,
 )
 from sim.highway.network import HighwayNetwork
-from sim.highway.reroute import find_way
 from sim.highway.scene import beside, locate, read_motion, room_at_entry
 from sim.highway.state import (
     ARRIVAL,
@@ -46,8 +45,8 @@ from sim.highway.state import (
     Scene,
     blank_vehicle,
 )
-from sim.highway.tables import LaneTables, Records
-from sim.highway.vehicle import FIELDS, ProfileVehicle, RowView, Stretch
+from sim.highway.tables import Records
+from sim.highway.vehicle import FIELDS, ProfileVehicle, RowView
 from sim.highway.walkers import Footway, Walker, find_footway, footways_of
 
 PHASE_ROUNDING_S: Final = 1e-6
@@ -122,7 +121,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def __init__(self, network: HighwayNetwork) -> None:
         super().__init__(network.net, np_random=np.random.RandomState(0))
         self.network_info = network
-        self.tables: LaneTables = network.tables
         self._cars, self._people = Crowd(VEHICLE), Crowd(WALKER)
         self.vehicles: list[Any] = self._cars.objects
         self.walkers: list[Walker] = self._people.objects
@@ -204,7 +202,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _read_others(self) -> None:
         """Read the vehicles that are no views of their rows into them."""
-        cars, number = self._cars.array, self.tables.number
+        cars, number = self._cars.array, self.network_info.number
         for i, one in self._others:
             cars["x"][i], cars["y"][i] = one.position
             cars["heading"][i], cars["speed"][i] = one.heading, one.speed
@@ -231,7 +229,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _new_work(self) -> Scene:
         """Arrays with room for twice as many as are there now."""
-        net, n, m = self.tables.net, 2 * len(self.vehicles) + 8, 2 * len(self.walkers) + 8
+        n, m = 2 * len(self.vehicles) + 8, 2 * len(self.walkers) + 8
+        net = self.network_info.arrays
         entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
         return Scene(
@@ -246,7 +245,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
             on_first=np.zeros(net.lanes.size + 1, np.int64),
             on=np.zeros(entries, ON),
             unsorted=np.zeros(entries, ON),
-            unsorted_lane=np.zeros(entries, np.int64),
             lane_head=np.full(net.lanes.size, -1),
             lane_link=np.full(2 * (n + m), -1),
             spot_head=np.full(net.spots.size, -1),
@@ -261,9 +259,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
         longest = max((len(route) for route in self._routes), default=0)
+        numbers = self.network_info.stretch_number
         table = np.full((len(self._routes) + 1, longest + 1), -1, dtype=np.int64)
         for route, number in self._routes.items():
-            table[number, : len(route)] = [self.tables.stretch(one) for one in route]
+            table[number, : len(route)] = [numbers[one] for one in route]
         return table
 
     def frame(self, events: tuple[Event, ...]) -> Frame:
@@ -326,14 +325,14 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
         Rows are indices into ``vehicles``, as of the last `locate`.
         """
-        scene, k = self.scene(), self.tables.number[lane]
+        scene, k = self.scene(), self.network_info.number[lane]
         here = scene.on[scene.on_first[k] : scene.on_first[k + 1]]
         return here["s"].tolist(), here["row"].tolist(), here["along"].tolist()
 
     def beside(self, vehicle: Any) -> Beside:
         """The vehicles ahead of and behind a vehicle on its lane, ahead also along its way."""
         row = next(row for row, one in enumerate(self.vehicles) if one is vehicle)
-        return Beside(*beside(row, self.tables.number[vehicle.lane_index], self.scene()))
+        return Beside(*beside(row, self.network_info.number[vehicle.lane_index], self.scene()))
 
     def room_at_entry(self, lanes: IntArray, length: float) -> tuple[list[float], list[float]]:
         """Bumper gap to the first vehicle on lanes or changing to them, m, and its speed, m/s."""
@@ -380,7 +379,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         rows = self._cars.rows
         for row in np.flatnonzero(rows["astray"]).tolist():
             driver = self.vehicles[row]
-            route = find_way(self.tables, int(rows["lane"][row]), driver.stretches[-1])
+            route = self.network_info.way_to(driver.stretches[-1], int(rows["lane"][row]))
             if route is not None:
                 driver.stretches = (driver.lane_index[:2], *route)
         decide(self.scene())
@@ -431,7 +430,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         Roads have no heights; but lanes meet at junctions only, so where two of them cross far from
         the ends of both, one lies above the other.
         """
-        network, keys = self.network_info, self.tables.keys
+        network, keys = self.network_info, self.network_info.keys
         if keys[one.lane][:2] == keys[other.lane][:2]:
             return False
         if abs(math.sin(one.heading - other.heading)) < CROSSWISE:
@@ -439,7 +438,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         for vehicle in (one, other):
             lane = network.lanes[keys[vehicle.lane]]
             s = lane.local_coordinates(np.array([vehicle.x, vehicle.y]))[0]
-            inside = network.info[keys[vehicle.lane]].connector
+            inside = keys[vehicle.lane] in network.exit_of
             if inside or min(s, lane.length - s) < FROM_JUNCTION_M:
                 return False
         return True

@@ -17,19 +17,17 @@ from typing import Any, Final, Protocol
 import numpy as np
 from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.controller import ControlledVehicle
-from numpy.typing import NDArray
 
 from behaviors.labels import Behavior
 from behaviors.profiles import Profile
+from sim.frames import FloatArray
 from sim.highway.draws import CUTS_IN, STOPS, WRONG_WAY, driver_key, wait_s
 from sim.highway.driving import profile_fields
-from sim.highway.lanes import LaneIndex
+from sim.highway.lanes import LaneIndex, Stretch
+from sim.highway.network import HighwayNetwork
 from sim.highway.state import VEHICLE, blank_vehicle
-from sim.highway.tables import LaneTables, Records
+from sim.highway.tables import Records
 from sim.scenario import AgentSpec, CarFollowing
-
-FloatArray = NDArray[np.float64]
-Stretch = tuple[str, str]
 
 FIELDS: Final = frozenset(VEHICLE.names or ())
 
@@ -37,7 +35,7 @@ FIELDS: Final = frozenset(VEHICLE.names or ())
 class OnRoad(Protocol):
     """What a vehicle needs of its road."""
 
-    tables: LaneTables
+    network_info: HighwayNetwork
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
@@ -59,11 +57,11 @@ def lane_column(name: str) -> Any:
     """A property that shows the number of a lane as highway-env's index of it."""
 
     def show(self: Any) -> LaneIndex:
-        index: LaneIndex = self.road.tables.keys[int(self.table[name][self.row])]
+        index: LaneIndex = self.road.network_info.keys[int(self.table[name][self.row])]
         return index
 
     def change(self: Any, lane: LaneIndex) -> None:
-        self.table[name][self.row] = self.road.tables.number[lane]
+        self.table[name][self.row] = self.road.network_info.number[lane]
 
     return property(show, change)
 
@@ -140,7 +138,7 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
 
     def put(self, lane: LaneIndex, s: float, speed: float) -> ProfileVehicle:
         """Place it in the middle of a lane, ``s`` m along it, at a speed in m/s."""
-        geometry = self.road.tables.network.lanes[lane]
+        geometry = self.road.network_info.lanes[lane]
         self.position, self.heading = geometry.position(s, 0.0), geometry.heading_at(s)
         self.speed = self.target_speed = speed
         self.lane_index = self.target_lane_index = self.wanted_lane_index = lane
@@ -156,7 +154,7 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     @property
     def lane(self) -> AbstractLane:
         """The lane it is on."""
-        return self.road.tables.network.lanes[self.lane_index]
+        return self.road.network_info.lanes[self.lane_index]
 
     @property
     def behavior(self) -> Behavior | None:

@@ -15,7 +15,7 @@ from experiments.benchmarks.real_data import measure, read_traf
 from experiments.benchmarks.unit_free import unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo import remove_ego_motion
-from sim.formats.traf_sheets import labels, read_sheet, sheets_of
+from sim.formats.traf import labels, read_sheet, sheets_of
 
 
 def write_sheet(path: Path, rows: list[list[object]]) -> Path:

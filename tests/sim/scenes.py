@@ -113,7 +113,7 @@ def waymo_message() -> bytes:
 
 def waymo_record() -> bytes:
     """The same as a TFRecord file."""
-    from sim.formats.waymo.tfrecord import write_record
+    from sim.formats.waymo.messages import write_record
 
     return write_record(waymo_message())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 from pathlib import Path
@@ -192,6 +193,25 @@ def test_an_imported_log_has_its_road_and_every_digit(tmp_path: Path) -> None:
     tracks = dataset.read(entry).tracks
     np.testing.assert_array_equal(tracks.xy[tracks.valid], expected.xy[expected.valid])
     np.testing.assert_array_equal(tracks.time_s, expected.time_s)
+
+
+@pytest.mark.parametrize("packed", ["", ".gz"])
+@pytest.mark.parametrize("both", [True, False])
+def test_annotations_with_the_recording_car(tmp_path: Path, packed: str, both: bool) -> None:
+    """Copies of a log that list the recording car too are read as the log is, once."""
+    path = put(tmp_path / "log")
+    expected = only(path).tracks
+    car = table("annotations.feather").slice(0, 1).to_pylist()[0]
+    car |= {"track_uuid": "ego", "category": "EGO_VEHICLE"}
+    rows = pa.Table.from_pylist([*table("annotations.feather").to_pylist(), car])
+    data = feather_bytes(rows)
+    copy = path.with_name(f"annotations_with_ego.feather{packed}")
+    copy.write_bytes(gzip.compress(data) if packed else data)
+    if not both:
+        path.unlink()
+    (recording,) = read_recordings(path.parent)
+    assert recording.tracks.names == expected.names
+    np.testing.assert_array_equal(recording.tracks.xy, expected.xy)
 
 
 # --- what is refused ----------------------------------------------------------------------------

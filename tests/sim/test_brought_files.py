@@ -200,6 +200,15 @@ def test_one_bad_agent_among_many(tmp_path: Path, bad: str) -> None:
     assert "left out" in found.doubts[0]
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet", "feather"])
+def test_numbers_of_rows_are_no_ids(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"own.{ending}"
+    frame = own(6).assign(id=range(240))
+    frame.to_csv(path, index=False) if ending == "csv" else getattr(frame, f"to_{ending}")(path)
+    with pytest.raises(InputError, match="240 agents that are seen once each"):
+        one(path)
+
+
 @pytest.mark.parametrize("length", [-4.5, 5000.0, 0.0])
 def test_a_size_that_no_agent_has(tmp_path: Path, length: float) -> None:
     frame = interaction()
@@ -371,7 +380,7 @@ def test_states_of_scenarionet(tmp_path: Path, layout: str) -> None:
     assert (tracks.length[0], tracks.width[0]) == (4.0, 1.7)
 
 
-@pytest.mark.parametrize("name", ["ScenarioDescription"])
+@pytest.mark.parametrize("name", ["ScenarioDescription", "EasyDict", "Config"])
 def test_dictionaries_of_scenarionets_class(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -420,10 +429,10 @@ def test_other_tables_say_their_columns(tmp_path: Path, columns: list[str]) -> N
         list(read_recordings(path))
 
 
-def test_features_of_tf_examples(tmp_path: Path) -> None:
-    from sim.formats.waymo.tfrecord import write_record
+@pytest.mark.parametrize("name", [b"state/current/x", b"roadgraph_samples/xyz", b"image/encoded"])
+def test_features_of_tf_examples(tmp_path: Path, name: bytes) -> None:
+    from sim.formats.waymo.messages import write_record
 
-    name = b"state/current/x"
     entry = b"\n" + bytes([len(name)]) + name + b"\x12\x04\x12\x02\n\x00"
     feature = b"\n" + bytes([len(entry)]) + entry
     path = tmp_path / "a.tfrecord"

@@ -135,3 +135,17 @@ def test_real_scenarios(place: str, shared_data: Path) -> None:
         at = LaneGraph.of(road).project(tracks.xy[tracks.valid], tracks.heading[tracks.valid])
         width = np.array([lane.width_m for lane in road.lanes])[at.lane]
         assert np.mean(np.abs(at.offset) < width / 2) > 0.9
+
+
+@pytest.mark.parametrize("bad", ["<rightBound/>", "<x>1</x>", "<speedLimit>-5</speedLimit>"])
+def test_one_bad_lanelet_is_left_out(tmp_path: Path, bad: str) -> None:
+    good = COMMONROAD[COMMONROAD.index('<lanelet id="1"') :].split("</lanelet>")[0] + "</lanelet>"
+    one = good.replace('id="1"', 'id="3"').replace("</lanelet>", f"{bad}</lanelet>")
+    if bad == "<rightBound/>":
+        one = one[: one.index("<rightBound>")] + bad + one[one.index("</rightBound>") + 13 :]
+    elif bad == "<x>1</x>":
+        one = one.replace("<y>2<", "<y>two<", 1)
+    road = read(tmp_path, COMMONROAD.replace(good, good + one, 1)).road
+    assert isinstance(road, Road)
+    assert [lane.id for lane in road.lanes] == ["1", "2"]
+    assert "1 lanelets are left out, first" in road.doubts[0]

@@ -443,7 +443,7 @@ def test_the_official_argoverse2_package_takes_what_is_written(tmp_path: Path) -
 
 
 def test_scenarionet_is_a_plain_dictionary(tmp_path: Path) -> None:
-    from sim.formats.scenarionet.writer import description
+    from sim.formats.scenarionet import description
 
     told = description("episode", episode(), SCENARIOS["straight_road"]().road)
     agent = told["tracks"]["2"]

@@ -21,6 +21,11 @@ def network(name: str):
     return network_of(SCENARIOS[name]().road)
 
 
+def conflicts_of(made, lane: int):
+    row = made.arrays.lanes[lane]
+    return made.arrays.conflicts[row.conflict : row.conflict_end]
+
+
 # The network ---------------------------------------------------------------------------------
 
 
@@ -33,13 +38,13 @@ def test_a_straight_road_is_one_stretch_with_lanes_counted_from_the_left():
     assert leftmost.points[0, 1] == -max(
         lane.centerline[0, 1] for lane in road.lanes if lane.edge == "east_in"
     )
-    strips = made.info["east_in<", "east_out>", 0].strips
-    assert [(strip.near_s, strip.far_s) for strip in strips] == [(398.0, 402.0)]
+    strips = made.strips["east_in<", "east_out>", 0]
+    assert [strip[1:3] for strip in strips] == [(398.0, 402.0)]
 
 
 def test_junction_paths_join_lanes_and_know_their_light_and_their_foes():
     made = network("four_way_intersection")
-    paths = [lane for lane, info in made.info.items() if info.connector]
+    paths = list(made.links)
     assert len(paths) == len(made.road.connections) == 16
     for (lane, stretch), path in made.onward.items():
         begin, end = made.lanes[lane], made.lanes[made.exit_of[path]]
@@ -47,15 +52,13 @@ def test_junction_paths_join_lanes_and_know_their_light_and_their_foes():
         np.testing.assert_allclose(way.position(0, 0), begin.position(begin.length, 0), atol=0.1)
         np.testing.assert_allclose(way.position(way.length, 0), end.position(0, 0), atol=0.1)
         assert made.exit_of[path][:2] == stretch
-    assert all(made.info[path].signal >= 0 for path in paths)
-    straight = made.info[(*FOUR_WAY, 0)]
-    assert not straight.must_yield
-    for conflict in straight.conflicts:
-        back = [c for c in made.info[conflict.other].conflicts if c.other == (*FOUR_WAY, 0)]
-        assert back, conflict
-        assert back[0].begin_s == conflict.other_begin_s
-    parallel = (*FOUR_WAY, 1)
-    assert parallel not in [c.other for c in straight.conflicts]
+    assert all(made.links[path].signal >= 0 for path in paths)
+    straight, parallel = (made.number[(*FOUR_WAY, i)] for i in range(2))
+    assert not made.arrays.lanes[straight].must_yield
+    for conflict in conflicts_of(made, straight):
+        back = [c for c in conflicts_of(made, conflict.other) if c.other == straight]
+        assert back[0].begin == conflict.other_begin
+        assert conflict.other != parallel
 
 
 @pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "city"])
@@ -69,8 +72,8 @@ def test_conflicts_are_those_that_a_comparison_of_all_paths_finds(name):
     }
     for one in list(begins)[:40]:
         spans = {
-            c.other: ((c.begin_s, c.end_s), (c.other_begin_s, c.other_end_s))
-            for c in made.info[one].conflicts
+            made.keys[c.other]: ((c.begin, c.end), (c.other_begin, c.other_end))
+            for c in conflicts_of(made, made.number[one])
         }
         for other in begins:
             distance = np.linalg.norm(points[one][:, None] - points[other], axis=2)

@@ -109,3 +109,21 @@ def test_the_map_is_found_by_the_folders_name(tmp_path: Path) -> None:
     (recording,) = read_recordings(tmp_path / "place")
     assert isinstance(recording.road, Road)
     assert recording.road.name == "place"
+
+
+@pytest.mark.parametrize(
+    ("found", "instead"),
+    [
+        ('<nd ref="9"/><nd ref="7"/>', '<nd ref="9"/><nd ref="99"/>'),  # a node that is not there
+        ('<nd ref="9"/><nd ref="7"/>', '<nd ref="9"/>'),
+        ('ref="16" role="right"', 'ref="77" role="right"'),
+        ('ref="16" role="right"', 'ref="16" role="rihgt"'),
+        ('k="subtype" v="walkway"', 'k="speed_limit" v="fast"'),
+    ],
+)
+def test_one_bad_lanelet_is_left_out(tmp_path: Path, found: str, instead: str) -> None:
+    text = osm()
+    assert found in text
+    road = read(tmp_path, text.replace(found, instead))
+    assert [lane.id for lane in road.lanes] == ["21", "22", "23"]
+    assert "1 lanelets are left out, first" in road.doubts[0]

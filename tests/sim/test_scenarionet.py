@@ -15,7 +15,7 @@ from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.formats import get_writer, read_recordings, recognise
 from sim.formats.common.recording import Recording
-from sim.formats.scenarionet.reader import PlainUnpickler, Unknown
+from sim.formats.scenarionet import PlainUnpickler, Unknown
 from sim.frames import KINDS, AgentKind, Signal, Tracks
 from sim.road import Road
 from sim.scenario import sample_agents

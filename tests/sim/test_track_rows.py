@@ -96,13 +96,14 @@ def test_agents_seen_once_each_cost_what_was_seen(
     monkeypatch.setattr(TrackRows, "dense", dense)
     path = tmp_path / "a.csv"
     lines = [f"{1000 + k / 10:.1f},t{k},OTHERS,{k % 97}.5,{k % 89},PIT" for k in range(ONCE)]
+    lines.append("1000.1,t0,OTHERS,1.5,0,PIT")  # files without an agent seen twice are refused
     path.write_text("\n".join(["TIMESTAMP,TRACK_ID,OBJECT_TYPE,X,Y,CITY_NAME", *lines, ""]))
     import_recordings(path, tmp_path / "data", "argoverse1", quiet=True)
     dataset = open_dataset(tmp_path / "data")
     (entry,) = dataset.episodes()
     tracks = dataset.read(entry).tracks
     export_dataset(tmp_path / "data", tmp_path / "out", "sumo-fcd", quiet=True)
-    assert (entry.agents, entry.frames, entry.agent_steps) == (ONCE, ONCE, ONCE)
+    assert (entry.agents, entry.frames, entry.agent_steps) == (ONCE, ONCE, ONCE + 1)
     (back,) = read_recordings(next((tmp_path / "out").rglob(f"{entry.id}.xml")), "sumo-fcd")
-    assert back.tracks.as_rows().speed.size == ONCE
+    assert back.tracks.as_rows().speed.size == ONCE + 1
     np.testing.assert_allclose(back.tracks.as_rows().xy, tracks.as_rows().xy, atol=1e-9)

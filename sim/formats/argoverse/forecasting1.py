@@ -10,6 +10,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -19,11 +20,13 @@ import pandas
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.recording import CARS_ASSUMED, Recording, Rows, recorded
-from sim.formats.common.tables import read_table
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
 from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
 from sim.frames import KINDS, Tracks
 from sim.input_files import stem
+
+COLUMNS: Final = Columns(id=("track_id",), t="timestamp", words=("object_type",), from_zero=True)
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""
@@ -51,12 +54,8 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if the file is broken; the message names file and column or row.
     """
-    table = read_table(path, ["timestamp", "x", "y"], ["track_id", "object_type"])
-    agent, names = table.names("track_id")
-    time_s = table.numbers("timestamp")
-    labels = labels_beside(path.with_suffix(LABELS_SUFFIX), names)
-    xy = table.stacked("x", "y")
-    rows = Rows(agent, names, time_s - time_s.min(), xy, behavior=labels)
+    rows = COLUMNS.rows(COLUMNS.read(path))
+    rows = replace(rows, behavior=labels_beside(path.with_suffix(LABELS_SUFFIX), rows.names))
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
     yield recorded(path, stem(path), rows, notes)
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,8 +24,8 @@ import pyarrow.parquet as pq
 
 from behaviors.labels import BEHAVIORS
 from sim.files import whole_folder
-from sim.formats.common.recording import Recording, Rows, left_out, recorded
-from sim.formats.common.tables import read_table
+from sim.formats.common.columns import Columns
+from sim.formats.common.recording import Recording, left_out, recorded
 from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.input_files import stem
@@ -92,9 +93,11 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
 """Columns of the file beside the official ones that holds the behaviours, which the format cannot
 hold."""
 
-_NUMBERS: Final = (
-    "timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y",
+COLUMNS: Final = Columns(
+    id=("track_id",), t="timestep", xy=("position_x", "position_y"), heading="heading",
+    speed=("velocity_x", "velocity_y"), kind="object_type", kinds=OBJECT_TYPES,
 )  # fmt: skip
+"""Columns that are read."""
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -109,27 +112,18 @@ def read(path: Path) -> Iterator[Recording]:
     Raises:
         InputError: if a file is broken; the message names file and column.
     """
-    table = read_table(path, _NUMBERS, ("track_id", "object_type"))
+    table = COLUMNS.read(path)
     road_agents, others = table.among("object_type", OBJECT_TYPES)
-    agents = table.part(road_agents)
-    agent, names = agents.names("track_id")
+    rows = COLUMNS.rows(table.part(road_agents), rate_hz=10.0)
     name = stem(path).removeprefix("scenario_")
-    rows = Rows(
-        agent,
-        names,
-        agents.numbers("timestep") / 10.0,
-        agents.stacked("position_x", "position_y"),
-        agents.measured("heading"),
-        np.hypot(agents.measured("velocity_x"), agents.measured("velocity_y")),
-        agents.kinds("object_type", agent, OBJECT_TYPES),
-        behavior=labels_beside(path.with_name(f"behavior_{name}.parquet"), names),
-    )
+    labels = labels_beside(path.with_name(f"behavior_{name}.parquet"), rows.names)
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
     notes += left_out(others)
     archive = path.with_name(f"log_map_archive_{name}.json")
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
+    rows = replace(rows, behavior=labels)
     yield recorded(path, name, rows, notes, road, own_road=True)
 
 

@@ -42,6 +42,9 @@ MAX_REPEATED: Final = 0.02
 """Share of rows that may repeat an agent at one time with other numbers (a tracker that splits
 vehicles makes some .5 %): the first counts. With more, ids or times are wrong."""
 
+MOST_SEEN_ONCE: Final = 100
+"""More agents than this that are all seen once have the numbers of rows for their ids."""
+
 MAX_BROKEN: Final = 0.5
 """Share of agents or rows that may be left out because their numbers are broken."""
 
@@ -255,6 +258,11 @@ def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tup
     rank = np.full(len(rows.names), -1)
     rank[present[order]] = np.arange(present.size)
     n, t = present.size, time_s.size
+    if n == rows.agent.size > MOST_SEEN_ONCE and t > 1:
+        raise InputError(
+            f"{path}: found {n} agents that are seen once each, expected several times of an agent "
+            "(is the column of ids that of row numbers?)"
+        )
     cell = rank[rows.agent] * t + np.searchsorted(time_s, rows.time_s)
     sorting = np.argsort(cell, kind="stable")
     heading, speed = (

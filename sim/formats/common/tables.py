@@ -315,6 +315,19 @@ class Table:
         """Some of the rows, by their indices."""
         return Table(self.path, self.columns.take(pa.array(rows)))
 
+    def by_word(self, name: str) -> list[tuple[str, Table]]:
+        """The rows of each word of a column; all, under no word, where the file lacks it."""
+        if name not in self:
+            return [("", self)]
+        code, words = self.codes(name)
+        return [(word, self.part(np.flatnonzero(code == k))) for k, word in enumerate(words)]
+
+
+def joined(one: Table, other: Table) -> Table:
+    """Rows of two tables; fields of columns that one of them lacks are empty."""
+    both = pa.concat_tables([one.columns, other.columns], promote_options="default")
+    return Table(one.path, both)
+
 
 def read_table(
     path: Path,

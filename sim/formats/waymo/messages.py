@@ -1,18 +1,27 @@
-"""The messages of Waymo Open Motion scenarios, as protobuf classes without generated code.
+"""Waymo's records without TensorFlow, and their messages without generated code.
 
-Only what is read has a field; everything else in a record is skipped by its tag.
+A TFRecord file is length, checksum, data, checksum; again and again. Of a message only what is read
+has a field; everything else is skipped by its tag.
 
 References:
     Ettinger et al. (2021), Large scale interactive motion forecasting for autonomous driving: the
-    Waymo Open Motion Dataset, ICCV; ``scenario.proto`` and ``map.proto`` of the open dataset.
+    Waymo Open Motion Dataset, ICCV; ``scenario.proto`` and ``map.proto`` of the open dataset;
+    tensorflow/core/lib/io/record_writer.h: the checksums are CRC-32C, rotated and offset.
 """
 
 from __future__ import annotations
 
 import functools
+import struct
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Final
 
+import google_crc32c
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+from behaviors.errors import InputError
+from sim.input_files import opened
 
 PACKAGE: Final = "waymo.open_dataset"
 
@@ -108,3 +117,56 @@ def scenario_class() -> Any:
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{PACKAGE}.Scenario"))
+
+
+_HEAD: Final = struct.Struct("<QI")
+_TAIL: Final = struct.Struct("<I")
+_OFFSET: Final = 0xA282EAD8
+
+
+def masked_checksum(data: bytes) -> int:
+    """The checksum of data as such files have it.
+
+    Examples:
+        >>> hex(masked_checksum(b"123456789"))
+        '0xc78ab0e5'
+    """
+    crc = int(google_crc32c.value(data))
+    return (((crc >> 15) | (crc << 17)) + _OFFSET) & 0xFFFFFFFF
+
+
+def read_records(path: Path) -> Iterator[bytes]:
+    """The records of a file, each checked.
+
+    Args:
+        path: the file, gzipped where its name ends in ``.gz``.
+
+    Yields:
+        Each record's data.
+
+    Raises:
+        InputError: naming the file and the record that is broken.
+    """
+    number = 0
+    with opened(path) as file:
+        while head := file.read(_HEAD.size):
+            number += 1
+            whole = len(head) == _HEAD.size and masked_checksum(head[:8]) == _HEAD.unpack(head)[1]
+            data = file.read(_HEAD.unpack(head)[0]) if whole else b""
+            tail = file.read(_TAIL.size)
+            if not whole or tail != _TAIL.pack(masked_checksum(data)):
+                raise InputError(
+                    f"{path}: record {number}: found other bytes than its checksums say, expected "
+                    "a whole TFRecord"
+                )
+            yield data
+    if not number:
+        raise InputError(f"{path}: found no record, expected at least one")
+
+
+def write_record(data: bytes) -> bytes:
+    """A record as it is in a file."""
+    size = _HEAD.pack(len(data), 0)[:8]
+    return b"".join(
+        [size, _TAIL.pack(masked_checksum(size)), data, _TAIL.pack(masked_checksum(data))]
+    )

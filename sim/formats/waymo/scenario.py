@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,16 +23,13 @@ import numpy as np
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
 
 from behaviors.errors import InputError
 from sim.formats.common.driving_scene import DrivingScene, SceneAgent, recording_of
 from sim.formats.common.recording import Recording
-from sim.formats.waymo.messages import ENUMS, scenario_class
-from sim.formats.waymo.tfrecord import read_records
+from sim.formats.waymo.messages import ENUMS, read_records, scenario_class
 from sim.frames import AgentKind
 from sim.input_files import plain_name, read_bytes, stem
-from sim.invalid_fields import first_wrong_field
 from sim.road.maps.waymo import WaymoLane
 
 FloatArray = NDArray[np.float64]
@@ -146,47 +143,6 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
 # --- JSON ---------------------------------------------------------------------------------------
 
 
-class _Part(BaseModel):
-    """A part of Nocturne's JSON; what else is in it is not read."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class _Point(_Part):
-    x: float
-    y: float
-
-
-class _Object(_Part):
-    id: int | None = None
-    type: str
-    position: list[_Point]
-    heading: list[float]
-    velocity: list[_Point]
-    valid: list[bool]
-    length: float | list[float]
-    width: float | list[float]
-
-
-class _Line(_Part):
-    id: int | None = None
-    type: str
-    geometry: list[_Point] | _Point = []
-
-
-class _Light(_Part):
-    state: list[Any]
-    time_index: list[int]
-
-
-class _Nocturne(_Part):
-    name: str | None = None
-    scenario_id: str | None = None
-    objects: list[_Object]
-    roads: list[_Line] | None = None
-    tl_states: dict[int, _Light] | None = None
-
-
 def _from_json(path: Path) -> DrivingScene:
     """A scenario in either kind of JSON."""
     try:
@@ -201,10 +157,7 @@ def _from_json(path: Path) -> DrivingScene:
             "objects or tracks"
         )
     if "objects" in found:
-        try:
-            return _from_nocturne(path, _Nocturne.model_validate(found))
-        except ValidationError as error:
-            raise InputError(f"{path}: {first_wrong_field(error)}") from None
+        return _from_nocturne(path, found)
     try:
         message = json_format.ParseDict(found, scenario_class()(), ignore_unknown_fields=True)
     except json_format.ParseError as error:
@@ -214,44 +167,54 @@ def _from_json(path: Path) -> DrivingScene:
     return _from_message(path, message, 1)
 
 
-def _xy(points: Sequence[_Point]) -> FloatArray:
+def _xy(points: Sequence[Mapping[str, float]]) -> FloatArray:
     """(P, 2) the points of a line, m."""
-    return np.array([(p.x, p.y) for p in points], dtype=np.float64).reshape(-1, 2)
+    return np.array([(p["x"], p["y"]) for p in points], dtype=np.float64).reshape(-1, 2)
 
 
-def _from_nocturne(path: Path, found: _Nocturne) -> DrivingScene:
+def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     """A scenario of Nocturne or GPUDrive."""
-    steps = max((len(one.position) for one in found.objects), default=0)
-    name = (found.scenario_id or found.name or stem(path))[:100].removesuffix(".json")
-    scene = DrivingScene(path, name, np.arange(steps, dtype=np.float64) * PERIOD_S)
-    tables = []
-    for index, one in enumerate(found.objects):
-        kind = WORDS.get(one.type.lower().removeprefix("type_"))
+    steps = max((len(one["position"]) for one in found["objects"]), default=0)
+    name = str(found.get("scenario_id") or found.get("name") or stem(path))[:100]
+    time_s = np.arange(steps, dtype=np.float64) * PERIOD_S
+    scene = DrivingScene(path, name.removesuffix(".json"), time_s)
+    tables = [np.empty((0, 3))]
+    for index, one in enumerate(found["objects"]):
+        kind = WORDS.get(one["type"].lower().removeprefix("type_"))
         if kind is None:
             scene.left_out += 1
             continue
-        count = len(one.position)
-        sides = [np.resize(np.atleast_1d(side), count) for side in (one.length, one.width)]
-        velocity = _xy(one.velocity)
-        if not count == len(velocity) == len(one.heading) == len(one.valid):
+        parts = [_xy(one["position"]), _xy(one["velocity"]), one["heading"], one["valid"]]
+        counts = [len(part) for part in parts]
+        if len(set(counts)) > 1:
             raise InputError(
-                f"{path}: objects.{index}: found {count} positions, {len(velocity)} velocities, "
-                f"{len(one.heading)} headings and {len(one.valid)} valid, expected as many of each"
+                f"{path}: objects.{index}: found {counts[0]} positions, {counts[1]} velocities, "
+                f"{counts[2]} headings and {counts[3]} valid, expected as many of each"
             )
-        table = np.column_stack(
-            [_xy(one.position), one.heading, np.hypot(*velocity.T), *sides]
-        ).reshape(-1, 6)
-        seen = np.flatnonzero(one.valid)
-        identity = index if one.id is None else one.id
+        sides = [np.resize(np.atleast_1d(one[side]), counts[0]) for side in ("length", "width")]
+        vx, vy = parts[1].T
+        table = np.column_stack([parts[0], one["heading"], np.hypot(vx, vy), *sides])
+        table = table.astype(np.float64).reshape(-1, 6)
+        seen = np.flatnonzero(one["valid"])
+        identity = one.get("id", index)
         scene.agents.append(SceneAgent(str(identity), kind, seen, table[seen]))
-        tables.append(
-            np.column_stack([table[:, 2:4], np.arctan2(velocity[:, 1], velocity[:, 0])])[seen]
-        )
-    heading, speed, course = np.concatenate([np.empty((0, 3)), *tables]).T
+        tables.append(np.column_stack([table[:, 2:4], np.arctan2(vy, vx)])[seen])
+    heading, speed, course = np.concatenate(tables).T
     if _in_degrees(heading, np.where((speed > 1.0) & (speed < 1e9), course, np.nan)):
         for agent in scene.agents:
             agent.values[:, 2] = np.radians(agent.values[:, 2])
-    _nocturne_map(scene, found)
+    for index, road in enumerate(found.get("roads") or []):
+        identity, line = road.get("id", index), road.get("geometry")
+        if isinstance(line, list) and road["type"] == "lane":
+            scene.lanes.append(WaymoLane(id=int(identity), line=_xy(line)))
+        elif isinstance(line, list) and road["type"] == "crosswalk":
+            scene.crosswalks[str(identity)] = _xy(line)
+    known = {lane.id for lane in scene.lanes}
+    scene.lights = [{} for _ in time_s]
+    for lane, shown in (found.get("tl_states") or {}).items():
+        for t, state in zip(shown["time_index"], shown["state"], strict=False):
+            if int(lane) in known and 0 <= t < steps:
+                scene.lights[t][int(lane)] = _light(state)
     return scene
 
 
@@ -264,22 +227,6 @@ def _in_degrees(heading: FloatArray, course: FloatArray) -> bool:
         np.cos(angle[known] - course[known]).sum() for angle in (heading, np.radians(heading))
     )
     return bool(as_degrees > as_radians)
-
-
-def _nocturne_map(scene: DrivingScene, found: _Nocturne) -> None:
-    """The lanes and lights of such a JSON: of lanes it has lines only."""
-    for index, road in enumerate(found.roads or []):
-        identity = index if road.id is None else road.id
-        if isinstance(road.geometry, list) and road.type == "lane":
-            scene.lanes.append(WaymoLane(id=identity, line=_xy(road.geometry)))
-        elif isinstance(road.geometry, list) and road.type == "crosswalk":
-            scene.crosswalks[str(identity)] = _xy(road.geometry)
-    known = {lane.id for lane in scene.lanes}
-    scene.lights = [{} for _ in range(scene.time_s.size)]
-    for lane, shown in (found.tl_states or {}).items():
-        for t, state in zip(shown.time_index, shown.state, strict=False):
-            if lane in known and 0 <= t < len(scene.lights):
-                scene.lights[t][lane] = _light(state)
 
 
 def _light(word: Any) -> int:

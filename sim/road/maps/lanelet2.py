@@ -85,31 +85,15 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
         if identity in borders:
             raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
         try:
-            left, right = borders[identity] = _borders(path, relation, ways)
+            borders[identity] = _borders(path, relation, ways)
+            lanelet = _lanelet(path, relation, borders[identity], rules)
         except InputError as error:
             broken.append(str(error))
             continue
-        centerline, width_m = between(left.line, right.line)
-        tags = _tags(relation)
-        subtype = tags.get("subtype", "road")
-        if subtype in CROSSING:
-            crossings.append(Crossing(str(identity), centerline, width_m, ()))
-            continue
-        walking = subtype in WALKING or _only_people(tags)
-        found[identity] = Lanelet(
-            id=identity,
-            centerline=centerline,
-            width_m=width_m,
-            successors=(),
-            internal=tags.get("turn_direction") in ("left", "right", "straight"),
-            use=subtype if subtype in NOT_FOR_CARS or walking else "",
-            limit_mps=_limit(path, tags, rules.limits.get(identity)),
-            walking=walking,
-            cars=not walking and subtype not in NOT_FOR_CARS,
-            must_yield=identity in rules.yields,
-            must_stop=identity in rules.stops,
-            yields_to=rules.yields.get(identity, ()),
-        )
+        if _tags(relation).get("subtype") in CROSSING:
+            crossings.append(Crossing(str(identity), lanelet.centerline, lanelet.width_m, ()))
+        else:
+            found[identity] = lanelet
     found = _related(found, borders)
     if not any(one.internal for one in found.values()):
         found = with_junctions(found)
@@ -117,6 +101,30 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     left_hand = _oncoming(driven, 1) > _oncoming(driven, 0)
     return road_of_lanelets(
         path, name, found, crossings, bool(rules.yields), left_hand=left_hand, broken=broken
+    )
+
+
+def _lanelet(
+    path: Path, relation: Element, borders: tuple[_Border, _Border], rules: _Rules
+) -> Lanelet:
+    """A lanelet without its successors and neighbours."""
+    identity, tags = whole_number(path, relation, "id"), _tags(relation)
+    centerline, width_m = between(*(border.line for border in borders))
+    subtype = tags.get("subtype", "road")
+    walking = subtype in WALKING or _only_people(tags)
+    return Lanelet(
+        id=identity,
+        centerline=centerline,
+        width_m=width_m,
+        successors=(),
+        internal=tags.get("turn_direction") in ("left", "right", "straight"),
+        use=subtype if subtype in NOT_FOR_CARS or walking else "",
+        limit_mps=_limit(path, tags, rules.limits.get(identity)),
+        walking=walking,
+        cars=not walking and subtype not in NOT_FOR_CARS,
+        must_yield=identity in rules.yields,
+        must_stop=identity in rules.stops,
+        yields_to=rules.yields.get(identity, ()),
     )
 
 
@@ -188,14 +196,11 @@ class _Border:
 def _ways(
     path: Path, root: Element, places: Mapping[int, tuple[float, float]]
 ) -> dict[int, _Border]:
-    """Every way of two nodes and more."""
+    """Every way of two nodes and more, all of which are in the file."""
     found = {}
     for way in root.iterfind("way"):
         nodes = tuple(whole_number(path, nd, "ref") for nd in way.iterfind("nd"))
-        missing = next((node for node in nodes if node not in places), None)
-        if missing is not None:
-            raise InputError(f"{path}: way: found node {missing}, expected one of the file")
-        if len(nodes) >= 2:
+        if len(nodes) >= 2 and all(node in places for node in nodes):
             line = np.array([places[node] for node in nodes])
             found[whole_number(path, way, "id")] = _Border(nodes, line)
     return found
