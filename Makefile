@@ -15,6 +15,9 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check 
 # Many processes with one thread each are faster than a few that compete for the cores.
 export OMP_NUM_THREADS ?= 1
 
+# The kernels of a first use are compiled while the package is installed.
+FIRST := --duration-s 20 --stream --predict --quiet > /dev/null
+
 .PHONY: install demo test test-slow docs model release
 
 install: $(VENV)/.installed
@@ -50,12 +53,14 @@ $(BIN)/python:
 
 $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable .
-	$(BIN)/python -m experiments.cli.compile_kernels
+	$(BIN)/python -m experiments.cli run four_way_intersection $(FIRST)
+	$(BIN)/python -m experiments.cli run four_way_intersection --engine highway $(FIRST)
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[dev]'
-	$(BIN)/python -m experiments.cli.compile_kernels
+	$(BIN)/python -m experiments.cli run four_way_intersection $(FIRST)
+	$(BIN)/python -m experiments.cli run four_way_intersection --engine highway $(FIRST)
 	@touch $(VENV)/.installed $@
 
 # The release tools live in an environment of their own, so that what they need is not locked.

@@ -46,7 +46,7 @@ def _show(
     name: str, parts: Iterable[Sequence[Row]], json: Path | None,
     table: Callable[[Sequence[Row]], Sequence[Row]] | None = None,
 ) -> None:  # fmt: skip
-    from experiments.score.parts import show_parts
+    from experiments.score.rows import show_parts
 
     show_parts(f"bench {name}", parts, json, table)
 

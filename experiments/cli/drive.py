@@ -42,7 +42,7 @@ def drive(
 ) -> None:  # fmt: skip
     """Test how driving policies do in every scenario among drivers of every kind."""
     from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
-    from experiments.score.parts import show_parts
+    from experiments.score.rows import show_parts
 
     given: dict[str, Any] = {
         "policies": tuple(policy or ()), "scenarios": tuple(scenario or ()),

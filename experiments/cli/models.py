@@ -21,8 +21,10 @@ from experiments.cli.options import (
     Source,
     TableFile,
     TrafficKind,
+    file_option,
     option,
     refuse_to_overwrite,
+    table_to_write,
 )
 
 if TYPE_CHECKING:
@@ -101,18 +103,26 @@ def classify(
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     labels: GivenLabels = None,
+    conflicts: Annotated[
+        Path | None,
+        file_option("File for the conflicts of any two road users: .parquet or .csv.",
+                    "--conflicts", callback=table_to_write),
+    ] = None,
     traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Name each driver's behaviour as it drives."""
     from experiments.console.tables import show_table
     from experiments.score.labels import classify_dataset, domain_notice, named_table
     from experiments.score.rows import stamped
+    from experiments.score.tables import write_conflicts
 
-    refuse_to_overwrite([source, net, labels], [out, json])
+    refuse_to_overwrite([source, net, labels], [out, conflicts, json])
     with _named_dataset(source, format, net) as (dataset, known):
+        if conflicts is not None:
+            write_conflicts(dataset, conflicts)
         found = classify_dataset(
             dataset, model, out, labels, traffic=traffic, jobs=jobs, quiet=quiet
         )
@@ -130,18 +140,29 @@ def evaluate(
     format: FormatName = None,
     net: Net = None,
     labels: GivenLabels = None,
+    answers: Annotated[
+        Path | None,
+        file_option("Answers of your own model about the test split, to compare: columns episode, "
+                    "agent, time_s, label.", "--answers"),
+    ] = None,
     traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Score a model where drivers are known; report makes a page of the JSON."""
+    from experiments.score.compare import compare
     from experiments.score.labels import evaluate, trained_here
     from experiments.score.rows import stamped
 
-    refuse_to_overwrite([source, net, labels], [json])
+    refuse_to_overwrite([source, net, labels, answers], [json])
     with _named_dataset(source, format, net) as (dataset, known):
-        found = evaluate(model, dataset, labels, traffic=traffic, jobs=jobs, quiet=quiet)
+        if answers is None:
+            found = evaluate(model, dataset, labels, traffic=traffic, jobs=jobs, quiet=quiet)
+        else:
+            found = compare(
+                model, dataset, answers, labels, traffic=traffic, jobs=jobs, quiet=quiet
+            )
         trained = trained_here(model, dataset)
     _show_scores(stamped(found, "evaluate", dataset=known), json)
     if trained and str(json) != "-":
@@ -232,8 +253,16 @@ def _show_scores(rows: Sequence[Row], json: Path | None) -> None:
     totals = [row for row in rows if row.get("name") is None]
     if not is_scored(totals) and json is None:
         return
+    paired = [row for row in totals if row.get("against")]
+    down = ["model", "scenario", "split"] if paired else ["scenario", "split"]
     title = "every driver once, by its last answer; 95 % intervals over episodes"
-    show_table(rows, json, title, scores_table(totals))
+    show_table(rows, json, title, scores_table([row for row in totals if row not in paired], down))
+    if str(json) == "-":
+        return
+    if paired:
+        keys = ("model", "against", "metric", "value", "low", "high")
+        lines = [{key: row[key] for key in keys} for row in paired]
+        show_table(lines, title="differences on the same drivers")
     confusions = confusion_table(totals)
-    if confusions and str(json) != "-":
+    if confusions:
         show_table(confusions, title="how often each behaviour gets each answer")

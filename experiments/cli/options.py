@@ -30,7 +30,7 @@ def in_a_folder(path: Path | None) -> Path | None:
     raise InputError(f"{path}: found no folder {path.parent}, expected one")
 
 
-def _table_to_write(path: Path | None) -> Path | None:
+def table_to_write(path: Path | None) -> Path | None:
     """Refuse a table of another ending than those written, or whose folder is missing."""
     if path is not None:
         from experiments.score.tables import check_ending
@@ -120,7 +120,7 @@ ScenarioName = Annotated[
 TableFile = Annotated[
     Path | None,
     file_option("File for the answers themselves: .parquet or .csv.", "--out",
-                callback=_table_to_write),
+                callback=table_to_write),
 ]  # fmt: skip
 
 

@@ -34,11 +34,14 @@ def summary(
     ] = None,
 ) -> None:
     """Count conflicts, events and traits per kilometre and hour, with speeds and headways."""
+    import pandas as pd
+
     from behaviors.errors import lookup
     from experiments.console.tables import show_table
     from experiments.data.exchange import as_dataset
-    from experiments.score.rows import dataset_id, stamped, write_csv
+    from experiments.score.rows import dataset_id, stamped
     from experiments.summary import BY, summary, table
+    from sim.files import write_whole
     from sim.store.dataset import open_dataset
 
     if by is not None:
@@ -48,7 +51,7 @@ def summary(
         found = summary(dataset, by)
         rows = stamped(found, "summary", dataset=dataset_id(dataset))
     if out is not None:
-        write_csv(rows, out)
+        write_whole(out, pd.DataFrame(rows, dtype=object).to_csv(index=False).encode())
     show_table(rows, json, lines=table(found, by))
 
 

@@ -41,7 +41,7 @@ def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
             recording, tracks=in_metres(recording.tracks, scale), notes=(*kept, said)
         )
     found = check_scene(recording.tracks, outlines=unit == "m")
-    if found.is_scene:
+    if not found.doubts:
         return recording, None
-    doubt = f"no scene that can be believed: {'; '.join(found.findings)}"
+    doubt = f"no scene that can be believed: {'; '.join((*found.doubts, *found.remarks))}"
     return replace(recording, notes=(*recording.notes, doubt)), doubt

@@ -2,15 +2,14 @@
 
 Some recordings overlay actors of several scenes, have invented times, or reuse ids. Their drivers
 cannot be classified. A finding counts only with enough evidence against sensor noise (up to half a
-metre) and dense traffic.
+metre) and dense traffic. All limits are our choice.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,85 +20,41 @@ from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
 LOOK_S: Final = 0.5
 """Time between looks at overlaps and speeds, s."""
 
-CORE: Final = 0.5
-"""Vehicles overlap where outlines of this share of their sizes do."""
+LOOKS, SIZED = 10, 3
+"""Fewest looks that say that a speed is wrong, and fewest vehicles that say that a unit is."""
 
-LONGEST_CORE_M, LEAST_CORE_M = 2.5, 0.25
-"""Longest core, m, less than a lane's width as headings may be wrong; and least core, m, for
-sources without sizes."""
+CORE, LONGEST_CORE_M, LEAST_CORE_M = 0.5, 2.5, 0.25
+"""Vehicles overlap where outlines of this share of their sizes do; longest core, less than a lane's
+width as headings may be wrong, and least core, for sources without sizes, m."""
 
-OVERLAPPING, OVERLAPPING_BOXES = 0.02, 0.2
-"""A recording is not plausible if more than this share of its vehicles overlaps; the second value
-holds where outlines are unknown."""
+OVERLAPPING, OVERLAPPING_BOXES, OVERLAPPING_IDS = 0.02, 0.2, 6
+"""Largest share of overlapping vehicles, also where outlines are unknown, and the fewest that count
+(a tracker may see one truck as two)."""
 
 NEAREST_M: Final = 1.0
 """No scene, whatever the outlines, if half of the vehicles have another centre nearer than this."""
 
-OVERLAPPING_IDS: Final = 6
-"""Least number of different vehicles that overlap; a tracker may see one truck as two."""
+MOVING_MPS, STILL_M = 3.0, 2.0
+"""Faster vehicles count for speeds, m/s; those that stay nearer than this never moved, m."""
 
-MOVING_MPS: Final = 3.0
-"""Only faster vehicles count for speeds."""
+PACE, FAST_MPS = 1.3, 70.0
+"""Largest ratio of displacements to what stated speeds make them, and largest median speed, m/s."""
 
-LOOKS: Final = 10
-"""Fewest looks that say that a speed or a size is wrong."""
-
-PACE: Final = 1.3
-"""No scene if displacements are this many times longer or shorter than stated speeds make them."""
-
-FAST_MPS: Final = 70.0
-"""No traffic has a median speed above this, m/s."""
-
-FASTEST_MPS, JUMP_M = 90.0, 5.0
-"""Vehicles jump that go faster than this, m/s, and farther than this, m."""
-
-JUMPING, JUMPING_IDS = 0.1, 3
-"""A recording is not plausible if more than this share of the ids jumps, and this many different
-ones."""
-
-SIZED: Final = 3
-"""Fewest vehicles whose sizes say that a unit is wrong."""
-
-STILL_M: Final = 2.0
-"""Vehicles that stay nearer to where they were first seen never moved, m."""
+FASTEST_MPS, JUMP_M, JUMPING, JUMPING_IDS = 90.0, 5.0, 0.1, 3
+"""Vehicles jump that go faster and farther than this, m/s and m; largest share of such ids, and the
+fewest that count."""
 
 
-@dataclass(frozen=True, slots=True)
-class SceneCheck:
-    """Findings of the check.
+class SceneCheck(NamedTuple):
+    """Findings of the check, a sentence each.
 
     Attributes:
-        is_scene: whether the recording is plausible.
-        findings: what was found amiss, a sentence each; also what is not enough to doubt a scene.
-        overlapping: share of the vehicles that overlap another, over all looks.
-        nearest_m: median distance from a vehicle to the next centre, m; NaN of lone vehicles.
-        pace: displacement over what stated speeds make it; NaN if not known.
-        jumping: share of the ids that jump.
-        still: share of the vehicles that never moved.
+        doubts: reasons not to believe the scene.
+        remarks: what was found amiss, but is not enough to doubt it.
     """
 
-    is_scene: bool
-    findings: tuple[str, ...]
-    overlapping: float
-    nearest_m: float
-    pace: float
-    jumping: float
-    still: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Overlaps:
-    """Findings of looks at a recording.
-
-    Attributes:
-        nearest_m: of every vehicle at every look, to the next centre.
-        hits: how often a vehicle overlapped another.
-        who: (N,) which did.
-    """
-
-    nearest_m: FloatArray
-    hits: int
-    who: BoolArray
+    doubts: tuple[str, ...]
+    remarks: tuple[str, ...]
 
 
 def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
@@ -111,7 +66,7 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
             overlap without touching.
 
     Returns:
-        The verdict, with what was found amiss.
+        What was found amiss.
 
     Examples:
         Sixteen cars that drive on top of each other in pairs:
@@ -122,58 +77,52 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         >>> ones = np.ones_like(x)
         >>> tracks = Tracks(n, tuple(map(str, n)), np.zeros(16, np.int8), 4.5 * ones[:, 0],
         ...     1.8 * ones[:, 0], time_s, xy, 0 * ones, 15 * ones, ones > 0, np.empty((0, 50)))
-        >>> check_scene(tracks).is_scene, check_scene(tracks.part(n[:8], slice(None))).is_scene
-        (False, True)
+        >>> half = tracks.part(n[:8], slice(None))
+        >>> len(check_scene(tracks).doubts), len(check_scene(half).doubts)
+        (1, 0)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
     rows = tracks.as_rows()
     seen: BoolArray = np.diff(rows.index.first) > 0
     count = int(seen.sum())
     if not count:
-        return SceneCheck(True, (), 0.0, math.nan, math.nan, 0.0, math.nan)
+        return SceneCheck((), ())
     looks = _looks(tracks.time_s)
-    overlaps = _overlaps(tracks, looks)
+    nearest_m, hits, overlapping = _overlaps(tracks, looks)
     looked = max(int(np.isin(rows.index.step, looks).sum()), 1)
-    jumps = int(_jumps(tracks).sum())
+    share, jumps = hits / looked, int(_jumps(tracks).sum())
     paces, speeds = _speeds(tracks, looks)
-    pace = math.exp(float(np.mean(paces))) if paces.size else math.nan
+    pace = float(np.median(paces)) if paces.size >= LOOKS else 0.0
+    far = math.exp(paces.mean()) if paces.size else math.nan
+    speed = float(np.median(speeds)) if speeds.size >= LOOKS else 0.0
     agent = rows.index.agent
     away = np.hypot(*(rows.xy - rows.xy[np.searchsorted(agent, agent)]).T)
     still = (count - np.unique(agent[away > STILL_M]).size) / count
-    doubts, remarks = [], []
-    of_overlap = overlaps.hits / looked
-    nearest_m = float(np.median(overlaps.nearest_m)) if overlaps.nearest_m.size else math.nan
-    overlapping = int(overlaps.who.sum())
-    limit = OVERLAPPING if outlines else OVERLAPPING_BOXES
-    near = 2 * int((overlaps.nearest_m < NEAREST_M).sum()) > max(looked, 2 * OVERLAPPING_IDS)
-    if count >= OVERLAPPING_IDS and (
-        near or (overlapping >= OVERLAPPING_IDS and of_overlap > limit)
-    ):
-        doubts.append(
-            f"{of_overlap:.0%} of the vehicles lie within another one (median distance to the next "
-            f"centre {nearest_m:.1f} m): actors are superimposed"
-        )
-    elif overlapping:
-        remarks.append(f"{overlapping} of {count} vehicles overlap another")
-    if paces.size >= LOOKS and abs(float(np.median(paces))) > math.log(PACE):
-        doubts.append(
-            f"vehicles go {pace:.2f} times as far as their stated speeds: the frame step or a unit "
-            "is wrong"
-        )
-    doubts += _sizes(tracks, seen, outlines and len(looks) >= LOOKS)
-    if speeds.size >= LOOKS and float(np.median(speeds)) > FAST_MPS:
-        doubts.append(
-            f"the median speed is {np.median(speeds):.0f} m/s: a unit or the clock is wrong"
-        )
-    if jumps:
-        jumped = f"{jumps} of {count} ids jump from place to place"
-        many = jumps >= JUMPING_IDS and jumps > JUMPING * count
-        (doubts if many else remarks).append(jumped)
-    if still > 0.5:
-        remarks.append(f"{still:.0%} of the vehicles never move")
-    return SceneCheck(
-        not doubts, (*doubts, *remarks), of_overlap, nearest_m, pace, jumps / count, still
-    )
+    near = 2 * int((nearest_m < NEAREST_M).sum()) > max(looked, 2 * OVERLAPPING_IDS)
+    most = OVERLAPPING if outlines else OVERLAPPING_BOXES
+    many = near or (overlapping >= OVERLAPPING_IDS and share > most)
+    superimposed = count >= OVERLAPPING_IDS and many
+    jumping = jumps >= JUMPING_IDS and jumps > JUMPING * count
+    ratio = size_ratio(tracks.length[seen], tracks.width[seen], tracks.kind[seen])
+    unit = unit_of(ratio) if outlines and len(looks) >= LOOKS and count >= SIZED else None
+    apart = float(np.median(nearest_m)) if nearest_m.size else math.nan
+    jumped = f"{jumps} of {count} ids jump from place to place"
+    doubts = {
+        f"{share:.0%} of the vehicles lie within another one (median distance to the next centre "
+        f"{apart:.1f} m): actors are superimposed": superimposed,
+        f"vehicles go {far:.2f} times as far as their stated speeds: "
+        "the frame step or a unit is wrong": abs(pace) > math.log(PACE),
+        f"vehicles are {ratio:.3g} times as large as usual: {unit} seem to be metres": unit,
+        f"the median speed is {speed:.0f} m/s: a unit or the clock is wrong": speed > FAST_MPS,
+        jumped: jumping,
+    }
+    remarks = {
+        f"{overlapping} of {count} vehicles overlap another": overlapping and not superimposed,
+        jumped: jumps and not jumping,
+        f"{still:.0%} of the vehicles never move": still > 0.5,
+    }
+    said = (tuple(text for text, holds in each.items() if holds) for each in (doubts, remarks))
+    return SceneCheck(*said)
 
 
 def _looks(time_s: FloatArray) -> list[int]:
@@ -185,8 +134,8 @@ def _looks(time_s: FloatArray) -> list[int]:
     return looks
 
 
-def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
-    """Find which vehicles lie within others, and how near centres are."""
+def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
+    """Distances to the next centre, m, how often vehicles lie within others, and how many do."""
     nearest: list[FloatArray] = []
     hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
     sides = np.stack([tracks.length, tracks.width], axis=1)
@@ -209,7 +158,7 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> _Overlaps:
         found = np.unique(one[(along < core[:, 0]) & (across < core[:, 1])])
         hits += found.size
         who[rows[found]] = True
-    return _Overlaps(np.concatenate([np.empty(0), *nearest]), hits, who)
+    return np.concatenate([np.empty(0), *nearest]), hits, int(who.sum())
 
 
 def _jumps(tracks: Tracks) -> BoolArray:
@@ -242,14 +191,3 @@ def _speeds(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, FloatArray]:
         if fast.any():
             speeds.append(float(np.median(travelled[fast])) / passed_s)
     return np.array(paces), np.array(speeds)
-
-
-def _sizes(tracks: Tracks, seen: BoolArray, known: bool) -> list[str]:
-    """Whether vehicles are as large as if feet or millimetres were metres."""
-    if not known or seen.sum() < SIZED:
-        return []
-    ratio = size_ratio(tracks.length[seen], tracks.width[seen], tracks.kind[seen])
-    unit = unit_of(ratio)
-    if unit is None:
-        return []
-    return [f"vehicles are {ratio:.3g} times as large as usual: {unit} seem to be metres"]

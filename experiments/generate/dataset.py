@@ -8,10 +8,11 @@ is written last.
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,10 +27,9 @@ from experiments.data.parallel import checked_jobs
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.configuration import GenerateConfig, scenario_name
 from experiments.generate.episode import Task
-from experiments.generate.lock import sole_writer
 from experiments.generate.workers import in_workers
 from scenarios.own.scenario_file import is_path
-from sim.files import PARTIAL_PREFIX, Place, place_of
+from sim.files import PARTIAL_PREFIX, Place, place_of, user_cache
 from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
 from sim.store.dataset import open_dataset
 from sim.store.schema import TABLES, EpisodeEntry, FileEntry, Manifest, block_of, split_of
@@ -152,109 +152,137 @@ def generate(
     configuration = _configuration_of(config)
     wanted = config.episodes * len(config.scenarios)
     with sole_writer(place), Progress("generating episodes", wanted, quiet) as shown:
-        run = _Run(place, configuration, wanted, shown)
-        missing = run.look(config)
-        with run.stoppable():
+        found = _Found(shown)
+        missing = _missing(config, place, configuration, found)
+        try:
             make = partial(_make_shard, place.url, configuration)
             for task, made in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
-                run.add(made or Made((), {}, (f"{task}: killed their worker twice",)))
-        run.finish({**configuration, "episodes": config.episodes}, out, bool(missing))
+                found.add(made or Made((), {}, (f"{task}: killed their worker twice",)))
+        except KeyboardInterrupt:
+            _remove_partial(place)
+            raise Interrupted(
+                f"stopped: {found.count} of {wanted} episodes are in {place.url}; run the same "
+                "command again to go on"
+            ) from None
+        asked = {**configuration, "episodes": config.episodes}
+        complete = is_dataset(out) and open_dataset(out).header.configuration == asked
+        if found.count and (missing or not complete):
+            write_catalogue(place, asked, found.rows, found.files)
+            write_data_card(out)
+        if not found.count and not place.remote:
+            for name in (*TABLES, "roads"):
+                shutil.rmtree(place.path / name, ignore_errors=True)
+        if found.failed:
+            raise InputError(
+                f"{wanted - found.count} of {wanted} episodes could not be made: "
+                f"{'; '.join(found.failed)}"
+            )
     return open_dataset(out).manifest
 
 
-class _Run:
-    """One run of `generate`: what there is of its dataset."""
+@dataclass
+class _Found:
+    """What there is of a dataset: rows of its catalogue, files, and what could not be made."""
 
-    def __init__(
-        self, place: Place, configuration: Mapping[str, Any], wanted: int, shown: Progress
-    ) -> None:
-        self._place, self._configuration, self._wanted = place, configuration, wanted
-        self._shown = shown
-        self._rows: list[pa.Table] = []
-        self._files: dict[str, FileEntry] = {}
-        self._failed: list[str] = []
-        self._there = 0
-
-    def look(self, config: GenerateConfig) -> list[ShardTask]:
-        """The shards that are missing."""
-        if is_dataset(self._place.path):
-            self._check_same(config)
-        _remove_partial(self._place)
-        listed = self._place.files()
-        if DATA_CARD in listed and not self._place.read(DATA_CARD).decode().startswith(CARD_HEAD):
-            raise InputError(f"{self._place.url}: found {DATA_CARD} in it, expected a new folder")
-        tasks = list(planned(config))
-        ours = {task.name.file(table) for task in tasks for table in TABLES}
-        for name in listed:
-            top = name.partition("/")[0]
-            if top not in _OURS and name not in ours:
-                what = "unfinished episodes of another configuration" if top in TABLES else name
-                raise InputError(f"{self._place.url}: found {what} in it, expected a new folder")
-        missing = []
-        for task in tasks:
-            shard = _read_shard(self._place, task.name, listed)
-            if shard is not None and shard.configuration != self._configuration:
-                raise InputError(
-                    f"{self._place.url}: found unfinished episodes of another configuration in "
-                    "it, expected a new folder"
-                )
-            if shard is None or tuple(entry.index for entry in shard.entries) != task.indices:
-                missing.append(task)
-            else:
-                self.add(Made(shard.entries, shard.files))
-        return missing
+    shown: Progress
+    rows: list[pa.Table] = field(default_factory=list)
+    files: dict[str, FileEntry] = field(default_factory=dict)
+    failed: list[str] = field(default_factory=list)
+    count: int = 0
 
     def add(self, made: Made) -> None:
         """Take a shard into the catalogue."""
         for entry in made.entries:
-            self._shown.advance(entry.agents, entry.agent_steps)
-        self._rows.append(catalogue_table(made.entries))
-        self._files |= made.files
-        self._failed += made.failed
-        self._there += len(made.entries)
+            self.shown.advance(entry.agents, entry.agent_steps)
+        self.rows.append(catalogue_table(made.entries))
+        self.files |= made.files
+        self.failed += made.failed
+        self.count += len(made.entries)
 
-    def finish(self, configuration: Mapping[str, Any], out: Path, new: bool) -> None:
-        """Write the catalogue, if there is something new."""
-        complete = is_dataset(out) and open_dataset(out).header.configuration == configuration
-        if self._there and (new or not complete):
-            write_catalogue(self._place, configuration, self._rows, self._files)
-            write_data_card(out)
-        if not self._there and not self._place.remote:
-            for name in (*TABLES, "roads"):
-                shutil.rmtree(self._place.path / name, ignore_errors=True)
-        if self._failed:
+
+def _missing(
+    config: GenerateConfig, place: Place, configuration: Mapping[str, Any], found: _Found
+) -> list[ShardTask]:
+    """The shards that are to be made; those that are there are taken into the catalogue."""
+    if is_dataset(place.path):
+        _check_same(config, place, configuration)
+    _remove_partial(place)
+    listed = place.files()
+    if DATA_CARD in listed and not place.read(DATA_CARD).decode().startswith(CARD_HEAD):
+        raise InputError(f"{place.url}: found {DATA_CARD} in it, expected a new folder")
+    tasks = list(planned(config))
+    ours = {task.name.file(table) for task in tasks for table in TABLES}
+    unfinished = "unfinished episodes of another configuration"
+    for name in listed:
+        top = name.partition("/")[0]
+        if top not in _OURS and name not in ours:
+            what = unfinished if top in TABLES else name
+            raise InputError(f"{place.url}: found {what} in it, expected a new folder")
+    missing = []
+    for task in tasks:
+        shard = _read_shard(place, task.name, listed)
+        if shard is not None and shard.configuration != configuration:
+            raise InputError(f"{place.url}: found {unfinished} in it, expected a new folder")
+        if shard is None or tuple(entry.index for entry in shard.entries) != task.indices:
+            missing.append(task)
+        else:
+            found.add(Made(shard.entries, shard.files))
+    return missing
+
+
+def _check_same(config: GenerateConfig, place: Place, configuration: Mapping[str, Any]) -> None:
+    """Refuse to mix two different datasets in one folder."""
+    there = dict(open_dataset(place.path).header.configuration)
+    old = there.pop("episodes", 0)
+    for name in sorted({*there, *configuration}):
+        if there.get(name) != configuration.get(name):
             raise InputError(
-                f"{self._wanted - self._there} of {self._wanted} episodes could not be made: "
-                f"{'; '.join(self._failed)}"
+                f"{place.url}: was made with {name} {_shown(there, name)}, now "
+                f"{_shown(configuration, name)}; choose another folder"
             )
+    if not isinstance(old, int) or old > config.episodes:
+        raise InputError(
+            f"{place.url}: holds {old} episodes per scenario, found {config.episodes} "
+            "asked for, expected at least as many; choose another folder"
+        )
 
-    @contextmanager
-    def stoppable(self) -> Iterator[None]:
-        """Turn Ctrl-C into one line that says how to go on."""
-        try:
-            yield
-        except KeyboardInterrupt:
-            _remove_partial(self._place)
-            raise Interrupted(
-                f"stopped: {self._there} of {self._wanted} episodes are in {self._place.url}; "
-                "run the same command again to go on"
-            ) from None
 
-    def _check_same(self, config: GenerateConfig) -> None:
-        """Refuse to mix two different datasets in one folder."""
-        there = dict(open_dataset(self._place.path).header.configuration)
-        old = there.pop("episodes", 0)
-        for name in sorted({*there, *self._configuration}):
-            if there.get(name) != self._configuration.get(name):
-                raise InputError(
-                    f"{self._place.url}: was made with {name} {_shown(there, name)}, now "
-                    f"{_shown(self._configuration, name)}; choose another folder"
-                )
-        if not isinstance(old, int) or old > config.episodes:
-            raise InputError(
-                f"{self._place.url}: holds {old} episodes per scenario, found {config.episodes} "
-                "asked for, expected at least as many; choose another folder"
-            )
+@contextmanager
+def sole_writer(place: Place) -> Iterator[None]:
+    """Hold a dataset for writing; the operating system releases it when the process ends.
+
+    The lock file of a URL lies in the user's cache: there it holds off this machine's runs only.
+
+    Args:
+        place: what to hold; a folder is created if need be, and removed if it stays empty.
+
+    Raises:
+        InputError: if another process holds it, or the path is not a folder.
+        OSError: if the folder cannot be written.
+    """
+    from filelock import FileLock, Timeout
+
+    folder = user_cache() / "locks" if place.remote else place.path
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: found a file, expected a folder")
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    name = hashlib.sha256(place.url.encode()).hexdigest()[:16] if place.remote else ""
+    file = folder / f".lock{name}"
+    try:
+        with FileLock(file, timeout=0):
+            try:
+                yield
+            finally:
+                file.unlink(missing_ok=True)
+    except Timeout:
+        raise InputError(
+            f"{place.url}: another run is writing to it; wait for its end or choose another folder"
+        ) from None
+    finally:
+        for path in new:
+            with suppress(OSError):  # it is not empty
+                path.rmdir()
 
 
 def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Shard | None:

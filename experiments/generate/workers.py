@@ -14,8 +14,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import AbstractContextManager, contextmanager
-from functools import partial
+from contextlib import contextmanager
 from typing import Any, Final, TypeVar
 
 from behaviors.errors import InputError
@@ -30,6 +29,12 @@ CONNECT_S: Final = 20.0
 
 TASKS_AT_ONCE: Final = 10_000
 """Most tasks that a cluster is given at once."""
+
+SAFE: Final = re.compile(r"(tls|inproc)://.+|tcp://(127\.0\.0\.1|localhost|\[::1\]):\d+")
+"""Addresses at which no other user can listen, or run code as this user."""
+
+_DEATHS: Final = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
+"""Names of the errors that say that a worker died: loky's and Dask's."""
 
 
 def in_workers(
@@ -53,30 +58,25 @@ def in_workers(
         for task in tasks:
             yield task, function(task)
         return
-    pool = partial(_processes, jobs) if cluster is None else partial(_cluster, cluster)
-    suspects = deque[A]()
-    waiting = deque(tasks)
+    at_once = jobs if cluster is None else TASKS_AT_ONCE
+    suspects, waiting = deque[A](), deque(tasks)
     while waiting:
-        at_once = jobs if cluster is None else TASKS_AT_ONCE
-        yield from _until_one_dies(function, waiting, suspects, pool, at_once)
+        yield from _until_one_dies(function, waiting, suspects, jobs, cluster, at_once)
     while suspects:
         alone, killers = deque([suspects.popleft()]), deque[A]()
-        yield from _until_one_dies(function, alone, killers, pool, 1)
+        yield from _until_one_dies(function, alone, killers, jobs, cluster, 1)
         for task in killers:
             yield task, None
 
 
 def _until_one_dies(
-    function: Callable[[A], B],
-    waiting: deque[A],
-    suspects: deque[A],
-    pool: Callable[[], AbstractContextManager[Executor]],
-    at_once: int,
-) -> Iterator[tuple[A, B]]:
+    function: Callable[[A], B], waiting: deque[A], suspects: deque[A], jobs: int,
+    cluster: str | None, at_once: int,
+) -> Iterator[tuple[A, B]]:  # fmt: skip
     """Take tasks from those that wait until all are done or a worker dies with some suspects."""
     running: dict[Future[B], A] = {}
     broken = False
-    with pool() as executor:
+    with _processes(jobs) if cluster is None else _cluster(cluster) as executor:
         while running or (waiting and not broken):
             while waiting and not broken and len(running) < at_once:
                 task = waiting.popleft()
@@ -91,10 +91,6 @@ def _until_one_dies(
                     broken = True
                 else:
                     raise error
-
-
-_DEATHS: Final = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
-"""Names of the errors that say that a worker died: loky's and Dask's."""
 
 
 @contextmanager
@@ -114,9 +110,10 @@ def _processes(jobs: int) -> Iterator[Executor]:
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
     """The workers of a Dask scheduler."""
+    wrong = f"cluster {address}: found "
     if not SAFE.fullmatch(address):
         raise InputError(
-            f"cluster {address}: found an unencrypted address of another machine or none, expected "
+            f"{wrong}an unencrypted address of another machine or none, expected "
             "tls://HOST:PORT or tcp://127.0.0.1:PORT: its clients run code as you"
         )
     try:
@@ -133,32 +130,28 @@ def _cluster(address: str) -> Iterator[Executor]:
     except (OSError, ValueError, RuntimeError, TypeError) as error:
         reason = " ".join(str(error).split())
         raise InputError(
-            f"cluster {address}: found no scheduler there, or no certificates for it, as "
-            f"docs/cluster.md says ({reason:.100})"
+            f"{wrong}no scheduler there, or no certificates for it, as docs/cluster.md says "
+            f"({reason:.100})"
         ) from None
     with client:
-        _check_workers(client, address)
+        _check_workers(client, wrong)
         yield client.get_executor(pure=False)
 
 
-SAFE: Final = re.compile(r"(tls|inproc)://.+|tcp://(127\.0\.0\.1|localhost|\[::1\]):\d+")
-"""Addresses at which no other user can listen, or run code as this user."""
-
-
-def _check_workers(client: Any, address: str) -> None:
+def _check_workers(client: Any, wrong: str) -> None:
     """Refuse workers that make other bytes, or run several simulations in one process."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError:
-        raise InputError(f"cluster {address}: found no worker, expected one or more") from None
+        raise InputError(f"{wrong}no worker, expected one or more") from None
     for worker, threads in client.nthreads().items():
         if threads != 1:
             raise InputError(
-                f"cluster {address}: found worker {worker} with {threads} threads, expected 1: "
-                "start it with --nthreads 1"
+                f"{wrong}worker {worker} with {threads} threads, expected 1: start it with "
+                "--nthreads 1"
             )
     engines = ("sumo", "highway")
     here = made_with(*engines)
     for worker, there in client.run(made_with, *engines, on_error="return").items():
         if there != here and not isinstance(there, OSError):  # it has just died
-            raise InputError(f"cluster {address}: found {there} on {worker}, expected {here}")
+            raise InputError(f"{wrong}{there} on {worker}, expected {here}")

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Style
 from experiments.score.metrics import (
-    FloatArray,
-    IntArray,
     Statistic,
     auc_over_episodes,
     balanced_accuracy,
@@ -34,14 +32,12 @@ from experiments.score.metrics import (
 )
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.posterior import aggressive_share
+from sim.frames import BoolArray, FloatArray, IntArray
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
 
 STYLE_OF: Final = np.array([STYLES.index(b.style) for b in BEHAVIORS])
 """(6,) code of each behaviour's style."""
-
-ALL: Final = "all"
-"""The scenario or split of rows over several of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,51 +55,34 @@ class Answers:
 
     episode: IntArray
     probability: FloatArray
-    truth: NDArray[np.int64]
-    style: NDArray[np.int64]
-    answered: NDArray[np.bool_]
+    truth: IntArray
+    style: IntArray
+    answered: BoolArray
     domain: FloatArray
 
     @classmethod
     def known(
         cls, probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray
     ) -> Answers:
-        """Answers that are always given, about drivers whose behaviour is known.
-
-        Args:
-            probability: (n, 6) posteriors.
-            truth: (n,) codes into ``BEHAVIORS``, -1 where not known.
-            episode: (n,) episode numbers.
-
-        Returns:
-            The answers.
-        """
+        """Answers (n, 6) that are always given, by true codes (n,) and episode numbers (n,)."""
         n, codes = len(probability), truth.astype(np.int64)
         style = np.where(codes >= 0, STYLE_OF[codes], -1)
         return cls(episode, probability, codes, style, np.ones(n, dtype=bool), np.zeros(n))
 
     @classmethod
     def of_tables(cls, tables: Sequence[pa.Table]) -> Answers:
-        """The answers of some episodes, from tables with the columns of a labels file.
-
-        Args:
-            tables: one of each episode, with a row per driver.
-
-        Returns:
-            The answers.
-        """
-        table = pa.concat_tables(tables)
-        columns = [table[f"p_{b.value}"].to_numpy() for b in BEHAVIORS]
+        """The answers of some episodes, by tables with the columns of a labels file."""
+        table = pa.concat_tables(tables).to_pandas()
         return cls(
             episode=np.repeat(np.arange(len(tables)), [t.num_rows for t in tables]),
-            probability=np.stack(columns, axis=1).astype(np.float64),
+            probability=table[[f"p_{b.value}" for b in BEHAVIORS]].to_numpy(np.float64),
             truth=_codes(table["truth"], BEHAVIORS),
             style=_codes(table["true_style"], STYLES),
-            answered=pc.is_valid(table["behavior"]).to_numpy(),
-            domain=table["domain"].to_numpy().astype(np.float64),
+            answered=table["behavior"].notna().to_numpy(),
+            domain=table["domain"].to_numpy(np.float64),
         )
 
-    def where(self, chosen: NDArray[np.bool_]) -> Answers:
+    def where(self, chosen: BoolArray) -> Answers:
         """The answers for which ``chosen`` (n,) holds."""
         return Answers(*(getattr(self, name)[chosen] for name in self.__slots__))
 
@@ -124,9 +103,8 @@ class Answers:
         return confusion(self.style, answer, self.episode, len(STYLES))
 
 
-def _codes(words: pa.ChunkedArray, known: Sequence[str]) -> NDArray[np.int64]:
-    codes = pc.fill_null(pc.index_in(words, value_set=pa.array(known, pa.string())), -1)
-    return np.asarray(codes.to_numpy(), dtype=np.int64)
+def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
+    return pd.Categorical(words, [str(word) for word in known]).codes.astype(np.int64)
 
 
 def score_answers(
@@ -184,21 +162,22 @@ def _behavior_rows(
     answers: Answers, keys: Mapping[str, Cell], majority: int | None, breakdown: bool
 ) -> Iterator[Row]:
     """Rows about drivers whose behaviour is known."""
-    truth, episode, n, counts = answers.truth, answers.episode, answers.truth.size, answers.counts
-    constant = np.full(n, np.bincount(truth).argmax() if majority is None else majority)
+    truth, episode, counts = answers.truth, answers.episode, answers.counts
+    constant = np.full(truth.size, np.bincount(truth).argmax() if majority is None else majority)
     bins = reliability(truth, answers.probability, episode)
     right = summed(episode, answers.answered & (answers.likeliest == truth), answers.answered)
-    measured: list[tuple[str, Statistic, FloatArray, int]] = [
-        ("weighted_accuracy", weighted_accuracy, counts, n),
-        ("majority_weighted_accuracy", weighted_accuracy, confusion(truth, constant, episode), n),
-        ("answered_accuracy", ratio, right, int(answers.answered.sum())),
-        ("balanced_accuracy", balanced_accuracy, counts, n),
-        ("macro_f1", macro_f1, counts, n),
-        ("ece", calibration_error, bins, n),
+    figures: list[tuple[str, Statistic, FloatArray]] = [
+        ("weighted_accuracy", weighted_accuracy, counts),
+        ("majority_weighted_accuracy", weighted_accuracy, confusion(truth, constant, episode)),
+        ("answered_accuracy", ratio, right),
+        ("balanced_accuracy", balanced_accuracy, counts),
+        ("macro_f1", macro_f1, counts),
+        ("ece", calibration_error, bins),
     ]
-    for name, statistic, per_episode, count in measured:
-        if count:
-            yield tidy_row(keys, name, *bootstrap(statistic, per_episode), count)
+    for name, statistic, per_episode in figures:
+        n = int(right[:, 1].sum()) if name == "answered_accuracy" else truth.size
+        if n:
+            yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     total = counts.sum(axis=0)
     for behavior in BEHAVIORS:
         own, row = int(total[behavior.code].sum()), {**keys, "behavior": behavior.value}
@@ -217,42 +196,39 @@ def _behavior_rows(
 def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None) -> Iterator[Row]:
     """Rows about drivers whose style is known, with or without their behaviour."""
     truth, episode, n = answers.style, answers.episode, answers.style.size
-    counts = answers.style_counts
     aggressive = aggressive_share(answers.probability)
     constant = np.full(n, np.bincount(truth).argmax() if majority is None else STYLE_OF[majority])
+    usual = confusion(truth, constant, episode, len(STYLES))
     bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
-    measured: list[tuple[str, Statistic, FloatArray]] = [
-        ("style_accuracy", weighted_accuracy, counts),
-        ("majority_style_accuracy", weighted_accuracy,
-         confusion(truth, constant, episode, len(STYLES))),
-        ("style_balanced_accuracy", balanced_accuracy, counts),
+    figures: list[tuple[str, Statistic, FloatArray]] = [
+        ("style_accuracy", weighted_accuracy, answers.style_counts),
+        ("majority_style_accuracy", weighted_accuracy, usual),
+        ("style_balanced_accuracy", balanced_accuracy, answers.style_counts),
         ("style_ece", calibration_error, bins),
-    ]  # fmt: skip
-    for name, statistic, per_episode in measured:
+    ]
+    for name, statistic, per_episode in figures:
         yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     yield tidy_row(keys, "style_auc", *auc_over_episodes(aggressive, truth == 0, episode), n)
 
 
-def score_places(parts: Iterable[tuple[str, str, pa.Table]], keys: Mapping[str, Cell]) -> list[Row]:
-    """Score the answers of many episodes by scenario and split, and over all of either.
-
-    Args:
-        parts: scenario, split and the last answers of each episode, see `Answers.of_tables`.
-        keys: what was measured, for the rows.
+def score_difference(ours: Answers, theirs: Answers, keys: Mapping[str, Cell]) -> list[Row]:
+    """How much better some answers are than others about the same drivers in the same order.
 
     Returns:
-        Rows as from `score_answers` with ``scenario`` and ``split``; these are "all" over several.
+        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, with intervals by a
+        paired bootstrap over episodes.
     """
-    found = [part for part in parts if part[2].num_rows]
-    scenarios = list(dict.fromkeys(scenario for scenario, _, _ in found))
-    splits = [s for s in ("train", "validation", "test") if any(s == x for _, x, _ in found)]
-    rows: list[Row] = []
-    for split in [*splits, *([ALL] if len(splits) > 1 else [])]:
-        for scenario in [*scenarios, *([ALL] if len(scenarios) > 1 else [])]:
-            tables = [t for a, b, t in found if scenario in (ALL, a) and split in (ALL, b)]
-            if tables:
-                place = {**keys, "scenario": scenario, "split": split}
-                rows += score_answers(Answers.of_tables(tables), place)
+    rows = []
+    for name, statistic, pair in (
+        ("macro_f1", macro_f1, (ours.counts, theirs.counts)),
+        ("style_balanced_accuracy", balanced_accuracy, (ours.style_counts, theirs.style_counts)),
+    ):
+
+        def difference(counts: FloatArray, of: Statistic = statistic) -> FloatArray:
+            return np.asarray(of(counts[..., 0, :, :]) - of(counts[..., 1, :, :]))
+
+        found = bootstrap(difference, np.stack(pair, axis=1))
+        rows.append(tidy_row(keys, f"{name}_difference", *found, ours.truth.size))
     return rows
 
 
@@ -276,26 +252,17 @@ WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
 
 
 def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split")) -> list[Row]:
-    """Scores for people.
-
-    Args:
-        rows: from `score_answers`.
-        down: keys that distinguish lines.
-
-    Returns:
-        A line for each combination of values of these keys.
-    """
+    """Rows of `score_answers` for people: a line for each combination of some keys."""
     lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
     for row in rows:
-        name = SHOWN.get(str(row["metric"]))
-        if name is None or row["value"] is None:
+        name, value, low = SHOWN.get(str(row["metric"])), row["value"], row["low"]
+        if name is None or value is None:
             continue
         place = {key: row.get(key) for key in down}
         line = lines.setdefault(tuple(place.values()), place)
-        value, low, high = row["value"], row["low"], row["high"]
         line[name] = f"{value:.0f}" if name == "drivers" else f"{value:.2f}"
         if low is not None and row["metric"] in WITH_INTERVAL:
-            line[name] = f"{value:.2f} [{low:.2f}, {high:.2f}]"
+            line[name] = f"{value:.2f} [{low:.2f}, {row['high']:.2f}]"
     order = [*down, *SHOWN.values()]
     return [{k: line[k] for k in order if k in line} for line in lines.values()]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -18,9 +18,9 @@ from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
-from experiments.score.answers import STYLES, Answers, is_scored, score_answers, score_places
+from experiments.score.answers import STYLES, Answers, is_scored, score_answers
 from experiments.score.rows import Row
-from experiments.score.tables import JOINED, joined_columns, table_file
+from experiments.score.tables import LABELS, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.posterior import aggressive_share
@@ -29,29 +29,6 @@ from sim.formats.common.label_file import DriverLabels, read_driver_labels
 from sim.frames import BoolArray, IntArray
 from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split
-
-LABELS: Final = pa.schema(
-    [
-        *JOINED,
-        pa.field("agent", pa.int64()),
-        pa.field("name", pa.string()),
-        pa.field("time_s", pa.float64()),
-        pa.field("behavior", pa.string()),
-        pa.field("style", pa.string()),
-        *(pa.field(f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
-        pa.field("domain", pa.float32()),
-        pa.field("unknown", pa.float32()),
-        pa.field("truth", pa.string()),
-        pa.field("true_style", pa.string()),
-    ]
-)
-"""Columns of a labels file: one row per driver and frame from one second of observation on.
-
-The first are those of `JOINED`; ``agent`` is the id in the dataset's tables, ``name`` the source's
-own id. ``behavior`` is the most likely one, ``style`` the style with the larger sum; each is null
-below the label threshold (`graphrqi.posterior`). ``domain`` is 0 in simulated traffic and 1 in
-other traffic; ``unknown`` is the probability that the style is only guessed. ``truth`` and
-``true_style`` are the true labels, null where unknown."""
 
 
 def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pa.Table:
@@ -113,13 +90,10 @@ def _with_truth(
     """Answers about one episode with labels that are given now instead of what was known."""
     found = () if labels is None else labels.of(names, entry.name, entry.file, entry.id)
     given = {name: one for name, one in zip(names, found, strict=False) if one is not None}
-    if not given:
-        return table
-    agents = table["name"].to_pylist()
-    for column, attribute in (("truth", "behavior"), ("true_style", "style")):
+    for column, attribute in (("truth", "behavior"), ("true_style", "style")) if given else ():
         words = [
             getattr(given[name], attribute) if name in given else word
-            for name, word in zip(agents, table[column].to_pylist(), strict=True)
+            for name, word in zip(table["name"].to_pylist(), table[column].to_pylist(), strict=True)
         ]
         at = table.column_names.index(column)
         table = table.set_column(at, column, pa.array(words, pa.string()))
@@ -212,10 +186,30 @@ def _answers(
     return episode.tracks.names, table if every_frame else _last_answers(table)
 
 
+ALL: Final = "all"
+"""The scenario or split of rows over several of them."""
+
+
 def scored_answers(answered: Sequence[Answered], model: str) -> list[Row]:
-    """Rows as from `experiments.score.answers.score_places`, of the last answers of a model."""
-    parts = [(one.place, one.entry.split, one.table) for one in answered]
-    return score_places(parts, {"model": model})
+    """Rows of a model's last answers as from `score_answers`, with ``scenario`` and ``split``.
+
+    Both are "all" over several of them.
+    """
+    found = [one for one in answered if one.table.num_rows]
+    scenarios = list(dict.fromkeys(one.place for one in found))
+    splits = [split for split in get_args(Split) if any(one.entry.split == split for one in found)]
+    rows: list[Row] = []
+    for split in [*splits, *([ALL] if len(splits) > 1 else [])]:
+        for scenario in [*scenarios, *([ALL] if len(scenarios) > 1 else [])]:
+            tables = [
+                one.table
+                for one in found
+                if scenario in (ALL, one.place) and split in (ALL, one.entry.split)
+            ]
+            if tables:
+                keys = {"model": model, "scenario": scenario, "split": split}
+                rows += score_answers(Answers.of_tables(tables), keys)
+    return rows
 
 
 def classify_dataset(
@@ -286,15 +280,13 @@ def named_table(rows: Sequence[Row]) -> list[Row]:
         line = lines.setdefault(
             str(row["episode"]), {"episode": row["name"], "split": row["split"]}
         )
-        value = float(row["value"] or 0.0)
-        if row["metric"] == "drivers":
-            line["drivers"] = int(value)
-        elif row["metric"] == "named_share":
-            line[str(row["behavior"])] = _per_cent(value)
-        elif row["metric"] == "answered_share":
+        metric, value = str(row["metric"]), float(row["value"] or 0.0)
+        if metric == "drivers":
+            line[metric] = int(value)
+        elif metric == "answered_share":
             line["unknown"] = _per_cent(1.0 - value)
-        elif row["metric"] in ("domain", "confidence"):
-            line[str(row["metric"])] = _per_cent(value)
+        elif metric in ("named_share", "domain", "confidence"):
+            line[str(row.get("behavior", metric))] = _per_cent(value)
     return list(lines.values())
 
 

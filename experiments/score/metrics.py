@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
+from sim.frames import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Statistic = Callable[[FloatArray], FloatArray]
 
 RESAMPLES: Final = 2000
@@ -61,6 +60,15 @@ def ratio(sums: FloatArray) -> FloatArray:
         return np.asarray(sums[..., 0] / sums[..., 1])
 
 
+def _totals(
+    group: IntArray, code: NDArray[np.integer[Any]], size: int, weight: NDArray[Any] | None = None
+) -> FloatArray:
+    """(G, size) sums of a weight (n,) over each code in each group."""
+    known, number = np.unique(group, return_inverse=True)
+    found = np.bincount(number * size + code, weight, minlength=known.size * size)
+    return found.reshape(known.size, size).astype(np.float64)
+
+
 def summed(group: IntArray, above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
     """(G, 2) sums of two columns (n,) over each group, of which `ratio` is the share.
 
@@ -69,29 +77,15 @@ def summed(group: IntArray, above: NDArray[Any], below: NDArray[Any]) -> FloatAr
         >>> summed(where, right, np.ones(3)).tolist()
         [[1.0, 2.0], [1.0, 1.0]]
     """
-    number = np.unique(group, return_inverse=True)[1]
-    columns = [np.bincount(number, each.astype(np.float64)) for each in (above, below)]
-    return np.stack(columns, axis=1)
+    none = np.zeros_like(group)
+    return np.concatenate([_totals(group, none, 1, each) for each in (above, below)], axis=1)
 
 
 def confusion(
     truth: NDArray[np.integer[Any]], answer: IntArray, episode: IntArray, k: int = len(BEHAVIORS)
 ) -> FloatArray:
-    """Count answers.
-
-    Args:
-        truth: (n,) true codes.
-        answer: (n,) codes answered.
-        episode: (n,) episode numbers.
-        k: how many classes there are.
-
-    Returns:
-        (E, k, k) one matrix per episode; rows are true classes.
-    """
-    known, number = np.unique(episode, return_inverse=True)
-    flat = (number * k + truth.astype(np.int64)) * k + answer
-    counts = np.bincount(flat, minlength=known.size * k * k)
-    return counts.reshape(known.size, k, k).astype(np.float64)
+    """(E, k, k) count of each answer (n,) to each true code (n,) by episode; rows are true."""
+    return _totals(episode, truth.astype(np.int64) * k + answer, k * k).reshape(-1, k, k)
 
 
 def recalls(matrix: FloatArray) -> FloatArray:
@@ -151,25 +145,13 @@ def reliability(
     """
     confidence = probability.max(axis=1)
     right = probability.argmax(axis=1) == truth
-    known, number = np.unique(episode, return_inverse=True)
     place = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
-    flat, size = number * CONFIDENCE_BINS + place, known.size * CONFIDENCE_BINS
-    columns = [
-        np.bincount(flat, weights, minlength=size)
-        for weights in (np.ones(truth.size), confidence, right.astype(np.float64))
-    ]
-    bins = np.stack(columns, axis=1).reshape(known.size, CONFIDENCE_BINS, 3)
-    return bins.astype(np.float64)
+    weights = (np.ones(truth.size), confidence, right)
+    return np.stack([_totals(episode, place, CONFIDENCE_BINS, w) for w in weights], axis=2)
 
 
 def calibration_error(bins: FloatArray) -> FloatArray:
-    """Expected calibration error: mean distance of confidence from accuracy, over the bins.
-
-    Args:
-        bins: (..., bins, 3) as from `reliability`.
-
-    Returns:
-        (...) between 0 and 1.
+    """(...) mean distance of confidence from accuracy over bins (..., bins, 3) of `reliability`.
 
     Examples:
         >>> float(calibration_error(np.array([[4.0, 3.2, 2.0], [1.0, 0.9, 1.0]])).round(2))
@@ -202,8 +184,7 @@ def auc_over_episodes(
     """
     known, number = np.unique(episode, return_inverse=True)
     count = known.size
-    ups = np.bincount(number[positive], minlength=count)
-    downs = np.bincount(number[~positive], minlength=count)
+    ups, downs = (np.bincount(number[side], minlength=count) for side in (positive, ~positive))
     won = np.zeros((count, count))
     for each in range(count):
         below = np.sort(score[~positive][number[~positive] == each])
@@ -212,8 +193,7 @@ def auc_over_episodes(
     pairs = np.outer(ups, downs).astype(np.float64)
 
     def area(drawn: FloatArray) -> FloatArray:
-        above, below = (((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(above / below)
+        sums = [((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs)]
+        return ratio(np.stack(sums, axis=-1))
 
     return bootstrap(area, np.eye(count))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import pyarrow as pa
 
@@ -16,7 +15,6 @@ from experiments.console.progress import Progress
 from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured, traffic_of
-from experiments.score.futures import PREDICTIONS, predictions_table
 from experiments.score.predictions import (
     HORIZONS_S,
     LEAST_SEEN_S,
@@ -28,7 +26,7 @@ from experiments.score.predictions import (
     shortest_s,
 )
 from experiments.score.rows import Row
-from experiments.score.tables import table_file
+from experiments.score.tables import PREDICTIONS, predictions_table, table_file
 from graphrqi.model_files import load_model
 from graphrqi.predict import chosen_predictor
 from graphrqi.predict.metrics import SAMPLE_S
@@ -46,33 +44,21 @@ SPLITS: Final[dict[str, Split | None]] = {
 """Episodes that may be scored, by name."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EpisodePrediction:
-    """Predictions of one episode.
-
-    Attributes:
-        errors: by predictor; empty where the episode is too short to predict anything.
-        futures: the futures as rows; none unless they were to be kept.
-        length_s: from the episode's first frame to its last, s.
-    """
-
-    errors: Mapping[str, Errors]
-    futures: pa.Table
-    length_s: float
-
-
 def _evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
-    model: str, keep: bool = False, weights: Path | None = None, traffic: str | None = None,
-) -> EpisodePrediction:  # fmt: skip
-    """Predict one episode of a dataset with a classifier's beliefs."""
+    model: str, keep: bool, weights: Path | None, traffic: str | None,
+) -> tuple[dict[str, Errors], pa.Table, float]:  # fmt: skip
+    """Errors by predictor, futures as rows if they are kept, and the length of one episode, s.
+
+    There are no errors where the episode is too short to predict anything.
+    """
     dataset = open_dataset(folder)
     tracks, road = measured(dataset.read(entry)), dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
     tables = [PREDICTIONS.empty_table()]
     length_s = float(tracks.time_s[-1] - tracks.time_s[0]) if tracks.time_s.size else 0.0
     if not stops:
-        return EpisodePrediction({}, tables[0], length_s)
+        return {}, tables[0], length_s
 
     def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
         tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
@@ -83,8 +69,7 @@ def _evaluate_episode(
     errors = score_episode(
         tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
     )
-    futures = pa.concat_tables(tables)
-    return EpisodePrediction(errors, futures, length_s)
+    return errors, pa.concat_tables(tables), length_s
 
 
 def _check_request(predictors: Sequence[str], horizon_s: float) -> None:
@@ -122,7 +107,7 @@ def predict_dataset(
         predictors: keys of ``PREDICTORS``, or "module:function".
         horizon_s: how far ahead, s.
         model: the classifier whose beliefs are used: a shipped one's name or a folder.
-        out: where to write the futures (`experiments.score.futures`); None: nowhere.
+        out: where to write the futures (`experiments.score.tables`); None: nowhere.
         weights: as `experiments.score.predictions.score_episode` takes them.
         traffic: as `experiments.score.labels.label_episode` takes it.
         split: a key of `SPLITS`; of ``test``, all of a scenario is predicted that has none.
@@ -143,7 +128,6 @@ def predict_dataset(
     load_model(model)
     horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
     dataset = open_dataset(source)
-    rows: list[Row] = []
     entries, told = [], {}
     for scenario in dataset.scenarios:
         some = dataset.episodes(wanted, scenario)
@@ -156,24 +140,20 @@ def predict_dataset(
     found: dict[str, list[Mapping[str, Errors]]] = {}
     short: list[tuple[EpisodeEntry, float]] = []
     least_s = shortest_s(horizon_s)
-    keep = out is not None
-    arguments = [
-        (source, entry, predictors, horizons_s, model, keep, weights, traffic)
-        for _, entry in entries
-    ]
+    same = (predictors, horizons_s, model, out is not None, weights, traffic)
+    arguments = [(source, entry, *same) for _, entry in entries]
     with (
         Progress("predicting episodes", len(entries), quiet) as progress,
         nullcontext() if out is None else table_file(out, PREDICTIONS) as file,
     ):
-        for (scenario, entry), one in zip(
-            entries, in_parallel(_evaluate_episode, arguments, jobs), strict=True
-        ):
-            if one.errors:
-                found.setdefault(scenario, []).append(one.errors)
+        answers = in_parallel(_evaluate_episode, arguments, jobs)
+        for (scenario, entry), (errors, futures, length_s) in zip(entries, answers, strict=True):
+            if errors:
+                found.setdefault(scenario, []).append(errors)
             else:
-                short.append((entry, one.length_s))
+                short.append((entry, length_s))
             if file is not None:
-                file.write_table(one.futures)
+                file.write_table(futures)
             progress.advance(entry.agents, entry.agent_steps)
         if not found:
             raise InputError(
@@ -191,10 +171,13 @@ def predict_dataset(
             "skipped episode %s (%s): found %g s, expected at least %g s to predict %g s ahead",
             entry.id, entry.name, length_s, least_s, horizon_s,
         )  # fmt: skip
-    for scenario, episodes in found.items():
-        keys = {"scenario": scenario, "split": told[scenario]}
-        rows += score_predictions(episodes, keys, horizons_s)
-    return rows
+    return [
+        row
+        for scenario, episodes in found.items()
+        for row in score_predictions(
+            episodes, {"scenario": scenario, "split": told[scenario]}, horizons_s
+        )
+    ]
 
 
 def default_split(source: Path) -> str:
@@ -208,15 +191,9 @@ def errors_table(rows: Sequence[Row]) -> list[Row]:
     lines: dict[tuple[Any, Any], dict[str, Any]] = {}
     for row in rows:
         if row["behavior"] == "all" and row["metric"] in ("ade_m", "fde_m"):
+            place = {"scenario": row["scenario"], "episodes": row["split"]}
             line = lines.setdefault(
-                (row["scenario"], row["predictor"]),
-                {
-                    "scenario": row["scenario"],
-                    "episodes": row["split"],
-                    "predictor": row["predictor"],
-                },
+                (row["scenario"], row["predictor"]), {**place, "predictor": row["predictor"]}
             )
-            line[f"{row['metric']} {cast(float, row['horizon_s']):g}s"] = round(
-                cast(float, row["value"]), 3
-            )
+            line[f"{row['metric']} {row['horizon_s']:g}s"] = round(float(row["value"] or 0.0), 3)
     return list(lines.values())

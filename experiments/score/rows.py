@@ -7,18 +7,19 @@ to ``high`` (95 %), and ``n``, the number of cases.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
-from sim.files import write_whole
+from experiments.console.tables import show_table, write_rows
+from sim.invalid_fields import first_wrong_field
 
 if TYPE_CHECKING:
     from sim.store.dataset import Dataset
@@ -31,6 +32,8 @@ FIGURE: Final = ("metric", "value", "low", "high", "n")
 
 LARGEST: Final = 1e300
 """Largest absolute number of a row (what is computed from it stays finite)."""
+
+_Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 
 
 def tidy_row(
@@ -94,31 +97,22 @@ def dataset_id(dataset: Dataset) -> str:
     return hashlib.sha256("\n".join(ids).encode()).hexdigest()[:12]
 
 
-def write_csv(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as CSV, with the keys of the first as its head.
+class _Figure(BaseModel):
+    """A row as a file may say it; keys of its own hold one value each."""
 
-    Args:
-        rows: flat rows with the same keys.
-        path: the file; it appears whole or not at all.
+    model_config = ConfigDict(extra="allow", strict=True)
 
-    Raises:
-        OSError: if it cannot be written.
-    """
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else FIGURE, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole(path, text.getvalue().encode())
+    __pydantic_extra__: dict[str, str | _Number | None]
+    command: str
+    metric: str
+    value: _Number | None = None
+    low: _Number | None = None
+    high: _Number | None = None
+    n: _Number | None = None
 
 
 def read_rows(path: Path) -> list[Row]:
     """Read rows as a command's ``--json`` writes them.
-
-    Args:
-        path: the JSON file.
-
-    Returns:
-        The rows.
 
     Raises:
         InputError: if the file is not a list of flat rows with a command, a metric and a value.
@@ -131,14 +125,11 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def checked_rows(found: Any, where: str) -> list[Row]:
-    """Refuse anything but a list of flat rows.
+    """Rows that were read, refused if they are anything but a list of flat rows.
 
     Args:
         found: what was read.
         where: the file, for the message.
-
-    Returns:
-        The rows.
 
     Raises:
         InputError: naming the row and what is wrong with it.
@@ -146,23 +137,37 @@ def checked_rows(found: Any, where: str) -> list[Row]:
     if not isinstance(found, list):
         raise InputError(f"{where}: found {type(found).__name__}, expected a list of rows")
     for number, row in enumerate(found):
-        here = f"{where}: row {number}"
-        if not isinstance(row, dict):
-            raise InputError(f"{here}: found {type(row).__name__}, expected a flat object")
-        for key in ("command", "metric"):
-            if not isinstance(row.get(key), str):
-                raise InputError(
-                    f"{here}: found no {key}, expected rows as graphrqi COMMAND --json writes them"
-                )
-        for key, cell in row.items():
-            if not isinstance(cell, str | int | float | None):
-                raise InputError(f"{here}: {key}: found {type(cell).__name__}, expected one value")
-            if isinstance(cell, int | float) and not abs(cell) <= LARGEST:
-                raise InputError(f"{here}: {key}: found {cell!r:.40}, expected a finite number")
-        for key in ("value", "low", "high", "n"):
-            if isinstance(row.get(key), str):
-                raise InputError(f"{here}: {key}: found {row[key]!r:.40}, expected a number")
+        try:
+            _Figure.model_validate(row)
+        except ValidationError as error:
+            wrong = first_wrong_field(error)
+            if wrong.startswith(("command: found none", "metric: found none")):
+                wrong += ": rows as graphrqi COMMAND --json writes them"
+            raise InputError(f"{where}: row {number}: {wrong}") from None
     return found
+
+
+def show_parts(
+    name: str,
+    parts: Iterable[Sequence[Row]],
+    json: Path | None,
+    table: Callable[[Sequence[Row]], Sequence[Row]] | None = None,
+) -> None:
+    """Print rows that come part by part; a measurement that is stopped has written those so far.
+
+    Args:
+        name: what measured them; the ``command`` of every row.
+        parts: the rows.
+        json: file for all rows so far, written after every part; ``-`` prints them as JSON instead
+            of the table; None for none.
+        table: lays rows out for reading; None to print them as they are.
+    """
+    rows: list[Row] = []
+    for part in parts:
+        rows += stamped(part, name)
+        if json is not None and str(json) != "-":
+            write_rows(rows, json)
+    show_table(rows, json, lines=None if table is None else table(rows))
 
 
 def melted(lines: Iterable[Row], keys: Sequence[str]) -> list[Row]:

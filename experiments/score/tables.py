@@ -1,11 +1,11 @@
-"""Tables of answers on disk: Parquet or CSV, as the file's ending says."""
+"""Tables of answers and predictions on disk: Parquet or CSV, as the file's ending says."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -13,49 +13,112 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
+from behaviors.labels import BEHAVIORS
+from graphrqi.predict.metrics import SAMPLE_S
+from graphrqi.predict.prediction import Prediction
 from sim.files import whole_file
-from sim.store.schema import EpisodeEntry
+from sim.frames import Tracks
+from sim.store.dataset import open_dataset
+from sim.store.schema import CONFLICTS, EpisodeEntry
 
 ENDINGS: Final = (".parquet", ".csv")
 """Endings of the files that are written; a path without an ending is Parquet."""
 
-JOINED: Final = (
-    pa.field("episode", pa.string()),
-    pa.field("recording", pa.string()),
-    pa.field("file", pa.string()),
-    pa.field("scenario", pa.string()),
-    pa.field("split", pa.string()),
+JOINED: Final = tuple(
+    pa.field(name, pa.string()) for name in ("episode", "recording", "file", "scenario", "split")
 )
-"""First columns of every table of answers; the recording and file are null for simulated
-episodes."""
+"""First columns of every table; the recording and file are null for simulated episodes."""
+
+LABELS: Final = pa.schema(
+    [
+        *JOINED,
+        pa.field("agent", pa.int64()),
+        pa.field("name", pa.string()),
+        pa.field("time_s", pa.float64()),
+        pa.field("behavior", pa.string()),
+        pa.field("style", pa.string()),
+        *(pa.field(f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
+        pa.field("domain", pa.float32()),
+        pa.field("unknown", pa.float32()),
+        pa.field("truth", pa.string()),
+        pa.field("true_style", pa.string()),
+    ]
+)
+"""Columns of a labels file: one row per driver and frame from one second of observation on.
+
+``agent`` is the id in the dataset's tables, ``name`` the source's own id. ``behavior`` is the most
+likely one, ``style`` the style with the larger sum; each is null below the label threshold
+(`graphrqi.posterior`). ``domain`` is 0 in simulated traffic and 1 in other traffic; ``unknown`` is
+the probability that the style is only guessed. ``truth`` and ``true_style`` are the true labels,
+null where unknown."""
+
+PREDICTIONS: Final = pa.schema(
+    [
+        *JOINED,
+        pa.field("predictor", pa.string()),
+        pa.field("agent", pa.int64()),
+        pa.field("name", pa.string()),
+        pa.field("time_s", pa.float64()),
+        pa.field("mode", pa.int8()),
+        pa.field("probability", pa.float32()),
+        pa.field("ahead_s", pa.float32()),
+        pa.field("x_m", pa.float64()),
+        pa.field("y_m", pa.float64()),
+    ]
+)
+"""Columns of a predictions file: one row per future and place, every half second.
+
+``mode`` distinguishes the futures of one predictor, agent and instant ``time_s``; a future's
+probability is repeated in each of its rows."""
 
 
 def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
     """The columns `JOINED`, by name, of rows that are all of one episode."""
     words = (entry.id, entry.recording, entry.file, entry.scenario, entry.split)
-    at = pa.array(np.zeros(rows, int))
     return {
-        field.name: pa.array([word], pa.string()).take(at)
+        field.name: pa.repeat(pa.scalar(word, pa.string()), rows)
         for field, word in zip(JOINED, words, strict=True)
     }
 
 
-class TakesTables(Protocol):
-    """Sink of written tables."""
+def predictions_table(
+    prediction: Prediction, history: Tracks, predictor: str, entry: EpisodeEntry, horizon_s: float
+) -> pa.Table:
+    """One instant's futures as rows.
 
-    def write_table(self, table: pa.Table) -> None:
-        """Add a table's rows."""
-        ...
+    Args:
+        prediction: the futures of the agents of the history.
+        history: what was predicted from; its last column is the present.
+        predictor: whose futures they are.
+        entry: the episode.
+        horizon_s: no place farther ahead is kept, s.
+
+    Returns:
+        A table with the columns `PREDICTIONS`; agents, futures and times ascend.
+    """
+    ahead = np.arange(1, round(horizon_s / SAMPLE_S) + 1) * SAMPLE_S
+    ahead = ahead[ahead <= prediction.time_s[-1] + 1e-6]
+    xy = prediction.xy[:, :, np.searchsorted(prediction.time_s, ahead - 1e-6)]
+    n, modes, times, _ = xy.shape
+    rows = n * modes * times
+    agent = np.repeat(np.searchsorted(history.ids, prediction.ids), modes * times)
+    columns = {
+        **joined_columns(entry, rows),
+        "predictor": pa.repeat(predictor, rows),
+        "agent": history.ids[agent],
+        "name": pa.array(history.names, pa.string()).take(pa.array(agent)),
+        "time_s": np.full(rows, history.time_s[-1]),
+        "mode": np.tile(np.repeat(np.arange(modes, dtype=np.int8), times), n),
+        "probability": np.repeat(prediction.probability.ravel(), times).astype(np.float32),
+        "ahead_s": np.tile(ahead, n * modes).astype(np.float32),
+        "x_m": xy[..., 0].ravel(),
+        "y_m": xy[..., 1].ravel(),
+    }
+    return pa.table(columns, schema=PREDICTIONS)
 
 
 def check_ending(path: Path) -> Path:
-    """Refuse a file of an ending that is not written.
-
-    Args:
-        path: the file to write.
-
-    Returns:
-        The path.
+    """The path of a file to write, refused if nothing is written with such an ending.
 
     Raises:
         InputError: naming the ending.
@@ -72,7 +135,7 @@ def check_ending(path: Path) -> Path:
 
 
 @contextmanager
-def table_file(path: Path, schema: pa.Schema) -> Iterator[TakesTables]:
+def table_file(path: Path, schema: pa.Schema) -> Iterator[pyarrow.csv.CSVWriter | pq.ParquetWriter]:
     """A new file of rows; it appears complete when the block ends, or not at all.
 
     Args:
@@ -80,17 +143,46 @@ def table_file(path: Path, schema: pa.Schema) -> Iterator[TakesTables]:
         schema: its columns; CSV takes no dictionaries.
 
     Yields:
-        Sink of the tables. In CSV, null is an empty cell.
+        Its writer, whose ``write_table`` adds rows. In CSV, null is an empty cell.
 
     Raises:
         InputError: if the file has another ending.
         OSError: if it cannot be written.
     """
-    check_ending(path)
-    with whole_file(path) as partial:
+    with whole_file(check_ending(path)) as partial:
         if path.suffix.lower() == ".csv":
             with pyarrow.csv.CSVWriter(partial, schema) as lines:
                 yield lines
         else:
             with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
                 yield writer
+
+
+def write_conflicts(source: Path, out: Path) -> None:
+    """Write the conflicts of all episodes of a dataset into one file.
+
+    Args:
+        source: folder of a dataset.
+        out: .parquet or .csv, with the columns `JOINED`, the names of both road users, and those of
+            the dataset's table ``conflicts``.
+
+    Raises:
+        InputError: if the file has another ending.
+        OSError: if it cannot be written.
+    """
+    dataset = open_dataset(source)
+    names = [pa.field(name, pa.string()) for name in ("first_name", "second_name")]
+    own = [
+        pa.field(f.name, pa.string() if pa.types.is_dictionary(f.type) else f.type)
+        for f in CONFLICTS
+        if f.name != "episode"
+    ]
+    with table_file(out, pa.schema([*JOINED, *names, *own])) as file:
+        for entry in dataset.episodes():
+            rows, tracks = dataset.rows(entry, "conflicts"), dataset.read(entry).tracks
+            columns = joined_columns(entry, rows.num_rows)
+            for side in ("first", "second"):
+                at = np.searchsorted(tracks.ids, rows[side].to_numpy())
+                columns[f"{side}_name"] = pa.array(tracks.names, pa.string()).take(pa.array(at))
+            columns |= {field.name: rows[field.name].cast(field.type) for field in own}
+            file.write_table(pa.table(columns))

@@ -11,7 +11,7 @@ from experiments.console.notices import LOGGER
 from experiments.data.exchange import import_recordings
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.labels import LABELS
+from experiments.score.tables import LABELS
 from sim.formats import formats_in, left_out_files
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import call

@@ -17,7 +17,7 @@ from behaviors.labels import BEHAVIORS, Behavior
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.score.answers import Answers, score_answers
-from experiments.score.labels import LABELS
+from experiments.score.tables import LABELS
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import call
 
@@ -129,6 +129,36 @@ def test_known_answers_give_known_figures() -> None:
     assert recalls == {"impatient": 0.0, "timid": 1.0}
 
 
+def test_answers_from_a_file_are_scored_like_ours(data, tmp_path, capsys) -> None:
+    """Truth as answers is right everywhere; a driver without an answer counts as unanswered."""
+    opened = open_dataset(data)
+    (entry,) = opened.episodes("test")
+    drawn = [
+        {"episode": entry.id, "agent": agent.id, "time_s": t, "label": b}
+        for agent in opened.read(entry).agents
+        if agent.behavior is not None
+        for t, b in ((9.0, str(agent.behavior)), (1.0, "timid"))
+    ]
+    pd.DataFrame(drawn).to_csv(tmp_path / "true.csv", index=False)
+    pd.DataFrame(drawn[6:]).to_parquet(tmp_path / "partial.parquet")
+    for name in ("true.csv", "partial.parquet"):
+        given = ("--answers", tmp_path / name, "--json", tmp_path / "scores.json", "--jobs", 1)
+        assert call("evaluate", "graphrqi-plus", data, *given, "-q") == 0
+        rows = json.loads((tmp_path / "scores.json").read_text())
+        own = [row for row in rows if row["model"] == name.split(".")[0]]
+        value = {row["metric"]: row["value"] for row in own if "against" not in row}
+        assert (value["weighted_accuracy"] == 1.0) == (name == "true.csv")
+        assert value["answered_accuracy"] == 1.0
+        assert (value["answered_share"] == 1.0) == (name == "true.csv")
+        assert {row["against"] for row in own if "against" in row} == {
+            "graphrqi-plus", "plain rival"
+        }  # fmt: skip
+    assert "plain rival" in capsys.readouterr().out
+    (tmp_path / "other.csv").write_text("episode,agent,label\nx,1,timid\n")
+    assert call("evaluate", "graphrqi-plus", data, "--answers", tmp_path / "other.csv") == 2
+    assert "found no answer about a driver of the test split" in capsys.readouterr().err
+
+
 def recording(folder: Path) -> Path:
     path = folder / "argo7_tracks.csv"
     path.write_text(FOLLOWERS)
@@ -137,7 +167,9 @@ def recording(folder: Path) -> Path:
 
 def test_without_labels_shares_are_shown_and_nothing_is_scored(tmp_path, capsys) -> None:
     source = recording(tmp_path)
-    assert call("classify", source, "--out", tmp_path / "labels.parquet", "-q") == 0
+    met = tmp_path / "met.csv"
+    assert call("classify", source, "--conflicts", met, "-q") == 0
+    assert set(pd.read_csv(met)[["first_name", "second_name"]].to_numpy().ravel()) <= {0, 1, 2}
     said = capsys.readouterr().out
     assert "confidence" in said
     assert "majority" not in said

@@ -16,9 +16,8 @@ import pytest
 from behaviors import InputError
 from experiments.data.verify import verify_dataset
 from experiments.generate.configuration import GenerateConfig, read_config
-from experiments.generate.dataset import generate
+from experiments.generate.dataset import generate, sole_writer
 from experiments.generate.episode import Task
-from experiments.generate.lock import sole_writer
 from scenarios import SCENARIOS
 from sim.files import place_of
 from sim.store.dataset import open_dataset
@@ -126,7 +125,7 @@ def test_seeds_differ_and_depend_on_nothing_else() -> None:
 
 _HOLDER = """
 import sys, time
-from experiments.generate.lock import sole_writer
+from experiments.generate.dataset import sole_writer
 from sim.files import place_of
 with sole_writer(place_of(sys.argv[1])):
     print("held", flush=True)

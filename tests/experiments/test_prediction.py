@@ -11,7 +11,6 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
-from experiments.score.futures import PREDICTIONS
 from experiments.score.predict import (
     errors_table,
     predict_dataset,
@@ -25,6 +24,7 @@ from experiments.score.predictions import (
     score_episode,
     score_predictions,
 )
+from experiments.score.tables import PREDICTIONS
 from experiments.training.predictor import calibrate_drivers
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor

@@ -18,7 +18,7 @@ from experiments.replay.page import write_page
 from experiments.replay.pictures import write_picture
 from experiments.replay.scene import chosen_entry, gather
 from experiments.replay.write import write_replay
-from experiments.score.labels import LABELS
+from experiments.score.tables import LABELS
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
