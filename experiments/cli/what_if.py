@@ -59,10 +59,10 @@ def what_if(
     from behaviors.labels import Behavior
     from experiments.console.tables import show_table
     from experiments.figure_files import check_figure_file
+    from experiments.replay.paths import write_paths
     from experiments.score.rows import dataset_id, melted, stamped
     from experiments.what_if.branches import WhatIf, make_what_if
     from experiments.what_if.outcomes import outcomes
-    from experiments.what_if.picture import write_paths
     from sim.store.dataset import open_dataset
     from sim.sumo.control.acting import Action
 

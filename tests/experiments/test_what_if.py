@@ -14,6 +14,7 @@ from behaviors.labels import Behavior
 from experiments.cli.commands import main
 from experiments.generate.configuration import GenerateConfig
 from experiments.replay.ghosts import find_ghosts
+from experiments.replay.paths import write_paths
 from experiments.what_if.branches import WhatIf, branch_of, change_of, make_what_if
 from experiments.what_if.outcomes import (
     branches_of,
@@ -22,7 +23,6 @@ from experiments.what_if.outcomes import (
     new_incidents,
     same_incident,
 )
-from experiments.what_if.picture import write_paths
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.store.dataset import open_dataset
 from sim.sumo.control.acting import Action
