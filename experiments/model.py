@@ -33,7 +33,7 @@ from graphrqi.model_files import FILE, MODELS, load_model, save_model
 from graphrqi.networks.portable_torch import leave_onednn_out
 from graphrqi.networks.weights import load_weights, save_weights
 from graphrqi.places.other_traffic import OtherTraffic
-from graphrqi.predict.rollout.driver_table import CARD
+from graphrqi.predict.rollout.driver_table import SHIPPED
 from sim.store.dataset import open_dataset
 
 RECORDINGS: Final = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
@@ -165,7 +165,7 @@ def train_all_predictors(work: Path, jobs: int) -> None:
     config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
     generate(config, data, jobs)
     weights = Path(graphrqi.predict.__file__).parent / "weights"
-    calibrate_drivers(data, weights / CARD)
+    calibrate_drivers(data, SHIPPED)
     train_predictors(data, BEST_METHOD, weights)
     recordings = [RECORDINGS / name for name in OPEN_DATA]
     if not all(path.is_dir() for path in recordings):

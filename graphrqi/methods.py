@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import Registry
-from graphrqi.classify import Classifier, make_classifier
+from graphrqi.classify import CLASSIFIERS, Classifier
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.observer import Observer
@@ -57,81 +57,41 @@ class Method:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
+_PLAIN_TREES: Final = partial(DriverObserver, "raw", parts=PLAIN)
+_LAYERS: Final = {"hidden": (64, 32), "dropout": 0.0}
+
+# fmt: off
+_METHODS: Final = (
+    Method("majority", "the most frequent class of the training data, without features",
+           NullObserver, "majority"),
+    Method("graphrqi", "the paper: rows of the largest-end eigenvectors, perceptron, squared error",
+           EigenvectorObserver, "mlp", {"loss": "squared-error", **_LAYERS}),
+    Method("logistic", "the paper's ablation: logistic regression on the rows that graphrqi sees",
+           EigenvectorObserver, "logistic"),
+    Method("svm", "the paper's ablation: support vector machine on the rows that graphrqi sees",
+           EigenvectorObserver, "svm"),
+    Method("lstm", "the paper's ablation: long short-term memory along the rows that graphrqi sees",
+           EigenvectorObserver, "lstm"),
+    Method("dane", "dynamic attributed network embedding (Li et al. 2017), perceptron",
+           EmbeddingObserver, "mlp", _LAYERS),
+    Method("cheung", "lasso on trajectory features (Cheung et al. 2018)",
+           TrajectoryObserver, "lasso"),
+    Method("forest", "random forest on motion and interaction, without graph or inference",
+           _PLAIN_TREES, "forest"),
+    Method("boosted", "gradient-boosted trees on the same, without graph or inference",
+           _PLAIN_TREES, "boosted"),
+    Method("graphrqi-invariant",
+           "the spectrum alone, independent of sign, rotation, order and size",
+           SpectrumObserver, "mlp", _LAYERS),
+    Method("graphrqi-plus",
+           "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
+           partial(DriverObserver, "raw"), "boosted",
+           {"rounds": 320, "max_leaves": 31, "max_depth": 7, "feature_share": 0.15}),
+)
+# fmt: on
+
 METHODS: Final[Registry[Method]] = Registry(
-    "method",
-    "graphrqi.methods",
-    {
-        "majority": Method(
-            "majority",
-            "the most frequent class of the training data, without features",
-            NullObserver,
-            "majority",
-        ),
-        "graphrqi": Method(
-            "graphrqi",
-            "the paper: rows of the largest-end eigenvectors, perceptron, squared error",
-            EigenvectorObserver,
-            "mlp",
-            {"loss": "squared-error", "hidden": (64, 32), "dropout": 0.0},
-        ),
-        "logistic": Method(
-            "logistic",
-            "the paper's ablation: logistic regression on the rows that graphrqi sees",
-            EigenvectorObserver,
-            "logistic",
-        ),
-        "svm": Method(
-            "svm",
-            "the paper's ablation: support vector machine on the rows that graphrqi sees",
-            EigenvectorObserver,
-            "svm",
-        ),
-        "lstm": Method(
-            "lstm",
-            "the paper's ablation: long short-term memory along the rows that graphrqi sees",
-            EigenvectorObserver,
-            "lstm",
-        ),
-        "dane": Method(
-            "dane",
-            "dynamic attributed network embedding (Li et al. 2017), perceptron",
-            EmbeddingObserver,
-            "mlp",
-            {"hidden": (64, 32), "dropout": 0.0},
-        ),
-        "cheung": Method(
-            "cheung",
-            "lasso on trajectory features (Cheung et al. 2018)",
-            TrajectoryObserver,
-            "lasso",
-        ),
-        "forest": Method(
-            "forest",
-            "random forest on motion and interaction, without graph or inference",
-            partial(DriverObserver, "raw", parts=PLAIN),
-            "forest",
-        ),
-        "boosted": Method(
-            "boosted",
-            "gradient-boosted trees on motion and interaction, without graph or inference",
-            partial(DriverObserver, "raw", parts=PLAIN),
-            "boosted",
-        ),
-        "graphrqi-invariant": Method(
-            "graphrqi-invariant",
-            "the spectrum alone, independent of sign, rotation, order and size",
-            SpectrumObserver,
-            "mlp",
-            {"hidden": (64, 32), "dropout": 0.0},
-        ),
-        "graphrqi-plus": Method(
-            "graphrqi-plus",
-            "boosted trees on spectrum, graph signals, motion, interaction and inferred drivers",
-            partial(DriverObserver, "raw"),
-            "boosted",
-            {"rounds": 320, "max_leaves": 31, "max_depth": 7, "feature_share": 0.15},
-        ),
-    },
+    "method", "graphrqi.methods", {method.name: method for method in _METHODS}
 )
 """The methods by name."""
 
@@ -199,7 +159,7 @@ def train(
         raise InputError(f"seed: found {seed}, expected 0 to {MOST_SEED}")
     if not len(training):
         raise InputError("training: found no sample, expected at least one")
-    classifier = make_classifier(chosen.classifier, len(BEHAVIORS), **chosen.options)
+    classifier = CLASSIFIERS[chosen.classifier](len(BEHAVIORS), **chosen.options)
     held = None
     if validation is not None and len(validation):
         held = (validation.features.astype(np.float64), validation.codes)

@@ -7,22 +7,18 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
-from pydantic_core import PydanticCustomError
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify import Classifier, restore_classifier
-from graphrqi.classify.checks import part_of
+from graphrqi.classify import CLASSIFIERS, Classifier
+from graphrqi.classify.contract import part_of
 from graphrqi.methods import METHODS, Method, Model
-from graphrqi.networks.weights import SCHEMA_VERSION, load_weights, save_weights
+from graphrqi.networks.weights import load_weights, save_weights
 from graphrqi.places.adaptation import Adaptation
 from graphrqi.places.other_traffic import FEATURES, OtherTraffic
 from graphrqi.spectrum import SOLVERS
 from sim.files import whole_folder
-from sim.invalid_fields import first_wrong_field
 
 MODELS: Final = Path(__file__).parent / "models"
 """Folder of the models that ship with the package."""
@@ -41,57 +37,11 @@ _OTHER_VERSION: Final = (
 )
 
 
-class _Adapted(BaseModel):
-    """An adaptation to a recording site, as the file stores it."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    scale: float
-    offset: tuple[float, ...]
-
-
-class _About(BaseModel):
-    """The header of a model's file."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    schema_version: int
-    kind: str
-    method: str
-    solver: str
-    classes: tuple[str, ...]
-    features: tuple[str, ...]
-    shares: tuple[float, ...]
-    card: dict[str, Any]
-    network_features: tuple[str, ...] | None
-    adaptation: _Adapted | None
-
-    @field_validator("classes")
-    @classmethod
-    def _all_behaviors(cls, found: tuple[str, ...]) -> tuple[str, ...]:
-        if found != tuple(BEHAVIORS):
-            raise _wrong(f"found {found}, expected {tuple(map(str, BEHAVIORS))}")
-        return found
-
-    @field_validator("shares")
-    @classmethod
-    def _a_distribution(cls, found: tuple[float, ...]) -> tuple[float, ...]:
-        if len(found) != len(BEHAVIORS):
-            raise _wrong(f"found {len(found)}, expected {len(BEHAVIORS)}")
-        if min(found) < 0.0 or not math.isclose(sum(found), 1.0, abs_tol=1e-6):
-            raise _wrong(f"found a sum of {sum(found):g} or less than 0, expected 1")
-        return found
-
-    @field_validator("network_features")
-    @classmethod
-    def _of_this_version(cls, found: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        if found not in (None, FEATURES):
-            raise _wrong(_OTHER_VERSION)
-        return found
-
-
-def _wrong(said: str) -> PydanticCustomError:
-    return PydanticCustomError("model_file", said)
+_ABOUT: Final[dict[str, type | tuple[type, ...]]] = {
+    "method": str, "solver": str, "classes": list, "features": list, "shares": list, "card": dict,
+    "network_features": (list, type(None)), "adaptation": (dict, type(None)),
+}  # fmt: skip
+"""Fields of a file's header, and their types."""
 
 
 def check_model_folder(folder: Path) -> None:
@@ -115,27 +65,23 @@ def save_model(model: Model, folder: Path) -> None:
     check_model_folder(folder)
     adapted = None
     if model.adaptation is not None:
-        adapted = _Adapted(
-            scale=model.adaptation.scale, offset=tuple(model.adaptation.offset.tolist())
-        )
-    about = _About(
-        schema_version=SCHEMA_VERSION,
-        kind=KIND,
-        method=model.method.name,
-        solver=model.solver,
-        classes=tuple(b.value for b in BEHAVIORS),
-        features=model.method.observer(model.solver).feature_names,
-        shares=model.shares,
-        card=dict(model.card),
-        network_features=None if model.other is None else FEATURES,
-        adaptation=adapted,
-    )
+        adapted = {"scale": model.adaptation.scale, "offset": model.adaptation.offset.tolist()}
+    about = {
+        "method": model.method.name,
+        "solver": model.solver,
+        "classes": [str(behavior) for behavior in BEHAVIORS],
+        "features": model.method.observer(model.solver).feature_names,
+        "shares": model.shares,
+        "card": dict(model.card),
+        "network_features": None if model.other is None else FEATURES,
+        "adaptation": adapted,
+    }
     parts = {_CLASSIFIER: model.classifier.arrays()}
     if model.other is not None:
         parts[_OTHER] = model.other.arrays()
     arrays = {f"{part}.{k}": array for part, named in parts.items() for k, array in named.items()}
     with whole_folder(folder) as partial:
-        save_weights(partial / FILE, KIND, about.model_dump(), arrays)
+        save_weights(partial / FILE, KIND, about, arrays)
 
 
 def load_model(name_or_folder: str | Path) -> Model:
@@ -157,31 +103,50 @@ def load_model(name_or_folder: str | Path) -> Model:
     path = _model_folder(name_or_folder) / FILE
     found, arrays = load_weights(path, KIND)
     try:
-        about = _About.model_validate(found)
-        method = METHODS[about.method]
-        _ = SOLVERS[about.solver]  # refuses an unknown name
-        if about.features != method.observer(about.solver).feature_names:
+        _check_header(found)
+        method = METHODS[found["method"]]
+        _ = SOLVERS[found["solver"]]  # refuses an unknown name
+        names = method.observer(found["solver"]).feature_names
+        if found["features"] != list(names):
             raise InputError(f"features: {_OTHER_VERSION}")
-        learned = _restored(method, part_of(arrays, _CLASSIFIER), len(about.features))
-        other = None
-        if about.network_features is not None:
+        learned = _restored(method, part_of(arrays, _CLASSIFIER), len(names))
+        other = adaptation = None
+        if found["network_features"] is not None:
             other = OtherTraffic.restored(part_of(arrays, _OTHER))
-        adaptation = None
-        if about.adaptation is not None:
-            adaptation = Adaptation(about.adaptation.scale, np.array(about.adaptation.offset))
-    except ValidationError as error:
-        raise InputError(f"{path}: {first_wrong_field(error, _About.model_fields)}") from None
+        if found["adaptation"] is not None:
+            adaptation = Adaptation(**found["adaptation"])
+    except TypeError:
+        raise InputError(f"{path}: adaptation: found no scale and offset, expected them") from None
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return Model(method, about.solver, learned, about.shares, about.card, other, adaptation)
+    shares = tuple(found["shares"])
+    return Model(method, found["solver"], learned, shares, found["card"], other, adaptation)
+
+
+def _check_header(about: dict[str, Any]) -> None:
+    """Refuse a header that is not of this version's models.
+
+    Raises:
+        InputError: naming the field.
+    """
+    for name, kind in _ABOUT.items():
+        if not isinstance(about.get(name, ...), kind):
+            raise InputError(f"{name}: found {about.get(name)!r:.60}, expected another type")
+    if about["classes"] != list(BEHAVIORS):
+        raise InputError(f"classes: found {about['classes']}, expected {list(map(str, BEHAVIORS))}")
+    shares = about["shares"]
+    numbers = len(shares) == len(BEHAVIORS) and all(isinstance(each, float) for each in shares)
+    if not numbers or min(shares) < 0.0 or not math.isclose(sum(shares), 1.0, abs_tol=1e-6):
+        raise InputError(f"shares: found {shares}, expected {len(BEHAVIORS)} that sum to 1")
+    if about["network_features"] not in (None, list(FEATURES)):
+        raise InputError(f"network_features: {_OTHER_VERSION}")
 
 
 def _restored(method: Method, arrays: dict[str, NDArray[Any]], features: int) -> Classifier:
     """A method's classifier."""
+    classifier = CLASSIFIERS[method.classifier](len(BEHAVIORS), **method.options)
     try:
-        return restore_classifier(
-            method.classifier, len(BEHAVIORS), features, dict(method.options), arrays
-        )
+        classifier.restore(arrays, features)
     except InputError:
         raise
     except (LookupError, RuntimeError, TypeError, ValueError) as error:
@@ -189,6 +154,7 @@ def _restored(method: Method, arrays: dict[str, NDArray[Any]], features: int) ->
         raise InputError(
             f"found weights that do not load ({reason}), expected those of {method.name}"
         ) from None
+    return classifier
 
 
 def _model_folder(name_or_folder: str | Path) -> Path:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,8 +92,7 @@ class NoSamplesError(InputError):
     """A recording without any sample; callers may skip it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Snapshot:
+class _Snapshot(NamedTuple):
     """An observer's evidence at one time, and the drivers' positions (n, 2), m."""
 
     time_s: float
@@ -101,8 +100,7 @@ class _Snapshot:
     xy: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class _Window:
+class _Window(NamedTuple):
     """Observations that end at the same time, of the drivers in ``rows`` of the last snapshot."""
 
     rows: NDArray[np.int64]
@@ -171,18 +169,12 @@ def collect(
             if per_moment is not None:
                 kept &= rank[window.rows, column] < per_moment
             rows, n = window.rows[kept], int(kept.sum())
-            parts.append(
-                Samples(
-                    features=window.features[kept].astype(np.float32),
-                    codes=codes[rows],
-                    episode=np.full(n, episode, dtype=np.int64),
-                    agent=seen.ids[rows],
-                    time_s=np.full(n, frame.time_s),
-                    seconds=window.seconds[kept],
-                    window_s=np.full(n, window_s),
-                    moving=window.moving[kept],
-                )
-            )
+            one = Samples(
+                window.features[kept].astype(np.float32), codes[rows], np.full(n, episode),
+                seen.ids[rows], np.full(n, frame.time_s), window.seconds[kept],
+                np.full(n, window_s), window.moving[kept],
+            )  # fmt: skip
+            parts.append(one)
         snapshots = {at: kept for at, kept in snapshots.items() if needed[at] > number}
     if not any(map(len, parts)):
         raise NoSamplesError(

@@ -82,6 +82,34 @@ def offset_line(line: FloatArray, left_m: float) -> FloatArray:
     return line + np.stack([-mean[:, 1], mean[:, 0]], axis=1) * left_m
 
 
+def to_own_frame(xy: FloatArray, origin: FloatArray, heading: FloatArray) -> FloatArray:
+    """Places as distances ahead of agents and to their left, m.
+
+    Args:
+        xy: (n, ..., 2) places, m.
+        origin: (n, 2) where the agents are, m.
+        heading: (n,) rad.
+
+    Examples:
+        >>> to_own_frame(np.array([[3.0, 5.0]]), np.array([[3.0, 1.0]]), np.array([np.pi / 2]))
+        array([[4., 0.]])
+    """
+    shape = (-1,) + (1,) * (xy.ndim - 2)
+    return _turned(xy - origin.reshape((*shape, 2)), -heading.reshape(shape))
+
+
+def from_own_frame(own: FloatArray, origin: FloatArray, heading: FloatArray) -> FloatArray:
+    """(n, ..., 2) places, m, of distances ahead of agents and to their left; see `to_own_frame`."""
+    shape = (-1,) + (1,) * (own.ndim - 2)
+    return _turned(own, heading.reshape(shape)) + origin.reshape((*shape, 2))
+
+
+def _turned(xy: FloatArray, angle: FloatArray) -> FloatArray:
+    """Vectors turned to the left by angles."""
+    cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
+    return np.stack([x * cos - y * sin, x * sin + y * cos], axis=-1)
+
+
 class Meeting(NamedTuple):
     """Where two lines meet: the distances along both, m, and the sine of the angle between them."""
 

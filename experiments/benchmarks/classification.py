@@ -45,7 +45,7 @@ from experiments.rival import PlainRival, whole_track_samples
 from experiments.score.answers import Answers, score_answers, scores_table
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
-from graphrqi.classify import Classifier, make_classifier
+from graphrqi.classify import CLASSIFIERS, Classifier
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
 from graphrqi.samples import Samples
@@ -243,7 +243,7 @@ def ceiling(data: Recordings) -> list[Row]:
     known, asked = _profiles(data, "train"), _profiles(data, "test")
     chosen = np.random.default_rng(0).permutation(len(known))[:CEILING_DRIVERS]
     known = known.where(np.isin(np.arange(len(known)), chosen))
-    forest = make_classifier("forest", len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
+    forest = CLASSIFIERS["forest"](len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
     forest.fit(known.features.astype(np.float64), known.codes, None, 0)
     rows: list[Row] = []
     for scenario in data.dataset.scenarios:
@@ -325,7 +325,7 @@ def leak_probe(data: Data) -> Iterator[list[Row]]:
         dataclasses.replace(part, features=np.stack([part.agent, part.time_s], 1).astype("f4"))
         for part in (many.training("majority"), many.scored("majority", MAIN_S[:1]))
     )
-    forest = make_classifier("forest", len(BEHAVIORS), feature_share=1.0)
+    forest = CLASSIFIERS["forest"](len(BEHAVIORS), feature_share=1.0)
     forest.fit(known.features.astype(np.float64), known.codes, None, 0)
     for scenario in many.dataset.scenarios:
         here = many.of(scenario, asked)

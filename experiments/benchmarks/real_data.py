@@ -40,7 +40,7 @@ from experiments.score.metrics import (
     weighted_accuracy,
 )
 from experiments.score.rows import Cell, Row, tidy_row
-from graphrqi.classify import make_classifier
+from graphrqi.classify import CLASSIFIERS
 from graphrqi.features.observer import Observer
 from graphrqi.methods import METHODS
 from sim.formats import traf
@@ -174,10 +174,10 @@ def _posterior(
     features = np.concatenate([v.features[view] for v in training])
     codes = classes[np.concatenate([v.codes for v in training])]
     if view == "majority" or np.unique(codes).size < 2:
-        learner = make_classifier("majority", task)
+        learner = CLASSIFIERS["majority"](task)
     else:
         name, options = SETTINGS[setting]
-        learner = make_classifier(name, task, **options)
+        learner = CLASSIFIERS[name](task, **options)
     learner.fit(features, codes, None, seed=0)
     return learner.posterior(held.features[view])
 

@@ -21,7 +21,7 @@ REGISTRIES: Final[dict[str, str]] = {
     "method": "graphrqi.methods:METHODS",
     "solver": "graphrqi.spectrum:SOLVERS",
     "predictor": "graphrqi.predict:PREDICTORS",
-    "classifier": "graphrqi.classify.registry:CLASSIFIERS",
+    "classifier": "graphrqi.classify:CLASSIFIERS",
     "format": "sim.formats:FORMATS",
 }
 """The registries, as "module:attribute", by what they hold."""

@@ -16,7 +16,6 @@ from sim.episode.incidents import incidents
 from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
-from sim.highway.engine import read_frame
 from sim.road import Road
 from sim.safety import ConflictKind
 from sim.scenario import AgentSpec
@@ -87,7 +86,7 @@ class _Among(TrafficEnv):
         """Move everybody for one simulation step, keep the frame and show it to the policy."""
         known = len(self.events)
         super().advance()
-        self.frames.append(read_frame(self.road, tuple(self.events[known:])))
+        self.frames.append(self.road.frame(tuple(self.events[known:])))
         if self.on_frame is not None:
             self.on_frame(self.frames[-1])
 

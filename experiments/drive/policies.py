@@ -24,7 +24,7 @@ from behaviors.registry import own_function
 from experiments.drive.planner import ACT_S, Plan, plan
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
-from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
 from sim.episode.buffer import FrameBuffer
@@ -112,7 +112,7 @@ class Planner:
             scene = make_scene(self._buffer.tracks(), road)
             ego = int(np.searchsorted(scene.ids, ego_id))
             if scene.on_path[ego]:
-                self._plan = plan(scene, ego, self._beliefs(frame), default_table())
+                self._plan = plan(scene, ego, self._beliefs(frame), load_table())
             self._next_s = self._env.time + ACT_S
         if self._plan is None:
             return action

@@ -23,15 +23,15 @@ from experiments.score.predictions import (
     instants,
 )
 from graphrqi.model_files import load_model
-from graphrqi.predict.learned.inputs import predictor_inputs, to_own_frame, unlabelled_inputs
+from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
 from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
-from graphrqi.predict.rollout.driver_table import DriverTable, default_table, table_to_json
+from graphrqi.predict.rollout.driver_table import DriverTable, load_table, save_table
 from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.predict.training.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
-from sim.files import write_whole
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray
+from sim.geometry import to_own_frame
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -125,7 +125,7 @@ def calibrate_drivers(
         "seed": SEED,
         "scores": scores,
     }
-    write_whole(out, table_to_json(table, card).encode())
+    save_table(out, table, card)
     return table
 
 
@@ -183,7 +183,7 @@ def examples_of(
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None:
         raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
-    table = default_table()
+    table = load_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
     by_belief: list[list[Examples]] = [[], [], []]
     label_free = []
@@ -202,7 +202,7 @@ def examples_of(
             continue
         probability = posterior.of(history.ids)
         unknown = np.full_like(probability, 1.0 / probability.shape[1])
-        own = to_own_frame(scene, truth)
+        own = to_own_frame(truth, scene.xy, scene.heading)
         others = shuffled_posterior(history, posterior).probability
         for found, belief in zip(by_belief, (probability, unknown, others), strict=True):
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))

@@ -1,7 +1,7 @@
 """The baselines: majority, logistic regression, lasso and support vectors, fitted by scikit-learn.
 
-All but the majority standardise the features and compute linear scores of these, or of their
-Gaussian kernel with the support vectors; the scores' softmax are the probabilities.
+All compute linear scores of the standardised features, or of their Gaussian kernel with the support
+vectors; the scores' softmax are the probabilities.
 
 References:
     Tibshirani (1996), J. R. Statist. Soc. B 58, 267: the lasso. Cheung, Bera, Kubin, Gray, Manocha
@@ -16,118 +16,104 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.classify.checks import of_trained_classes, saved
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.softmax import multinomial, softmax
+from behaviors.errors import InputError
+from graphrqi.classify.calibrated import NEVER, Calibrated, softmax
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
 from graphrqi.classify.standardisation import Standardisation
 
 CHUNK: Final = 4096
 """Rows whose kernel matrix is in memory at once, about 100 MB."""
 
+MOST_ROWS: Final = 4000
+"""Most training rows of support vectors, drawn at random; the cost is quadratic in them."""
 
-class Majority:
-    """Answers with the shares of the training classes, whatever the features.
+PENALTIES: Final = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+"""Candidate penalties of the lasso's absolute weights. The one with the least squared error on
+held-out data is chosen, or the middle one without such data."""
+
+
+class Logistic(Calibrated):
+    """Multinomial logistic regression.
 
     Args:
         num_classes: C.
     """
 
     def __init__(self, num_classes: int) -> None:
-        self._share = np.full(num_classes, 1.0 / num_classes)
-
-    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
-        """Count the classes."""
-        self._share = np.bincount(codes, minlength=self._share.size) / codes.size
-
-    def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, C) the same row for every sample."""
-        return np.tile(self._share, (len(features), 1))
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """The shares."""
-        return {"share": self._share}
-
-    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """See `graphrqi.classify.contract.Classifier.restore`."""
-        self._share = saved(arrays, "share", self._share.shape)
-
-
-class Logistic:
-    """Multinomial logistic regression.
-
-    Args:
-        num_classes: C.
-        inverse_penalty: one over the penalty of the squared weights; larger fits closer.
-    """
-
-    def __init__(self, num_classes: int, inverse_penalty: float = 1.0) -> None:
-        self._num_classes = num_classes
-        self._inverse_penalty = inverse_penalty
+        super().__init__(num_classes)
         self._inputs = Standardisation(np.zeros(0), np.ones(0))
+        self._vectors = np.zeros((0, 0))
         self._weights, self._bias = np.zeros((0, num_classes)), np.zeros(num_classes)
 
-    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
-        """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
+    def _learn(self, features: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         self._inputs = Standardisation.of(features)
-        held = of_trained_classes(validation, codes)
-        x = self._inputs.apply(features)
-        self._learn(
-            x, codes, None if held is None else (self._inputs.apply(held[0]), held[1]), seed
-        )
+        if held is not None:
+            held = self._inputs.apply(held[0]), held[1]
+        self._regress(self._inputs.apply(features), codes, held, seed)
 
-    def _learn(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+    def _regress(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         """Learn weights and biases from standardised features."""
-        self._weights, self._bias = multinomial(x, codes, self._num_classes, self._inverse_penalty)
+        self._weights, self._bias = _multinomial(x, codes, self._num_classes)
 
     def _link(self, held: HeldOut, x: FloatArray, codes: CodeArray) -> None:
         """Turn scores into those of probabilities, by held-out rows if these show every class."""
         if held is not None and np.isin(codes, held[1]).all():
             x, codes = held
-        weights, bias = multinomial(self._scores(x), codes, self._num_classes)
+        weights, bias = _multinomial(self._scores(x), codes, self._num_classes)
         self._weights, self._bias = self._weights @ weights, self._bias @ weights + bias
 
     def _scores(self, x: FloatArray) -> FloatArray:
         """(n, C) scores of standardised features."""
-        return x @ self._weights + self._bias
+        if not len(self._vectors):
+            return x @ self._weights + self._bias
+        from sklearn.metrics.pairwise import rbf_kernel
 
-    def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, C) probabilities."""
+        out = np.empty((len(x), self._num_classes))
+        for first in range(0, len(x), CHUNK):
+            rows = slice(first, first + CHUNK)
+            out[rows] = rbf_kernel(x[rows], self._vectors) @ self._weights + self._bias
+        return out
+
+    @property
+    def _trained(self) -> NDArray[np.bool_]:
+        return self._bias > 0.5 * NEVER
+
+    def _untempered(self, features: FloatArray) -> FloatArray:
         return softmax(self._scores(self._inputs.apply(features)))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Standardisation, weights and biases."""
-        return {**self._inputs.arrays(), "weights": self._weights, "bias": self._bias}
+        """Standardisation, support vectors if any, weights, biases and temperature."""
+        learned = {"vectors": self._vectors, "weights": self._weights, "bias": self._bias}
+        return {**self._inputs.arrays(), **learned, **super().arrays()}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
+        super().restore(arrays, num_features)
         self._inputs = Standardisation.restored(arrays, num_features)
-        self._weights = saved(arrays, "weights", (num_features, self._num_classes))
+        self._vectors = saved(arrays, "vectors", (None, None))
+        rows = len(self._vectors) or num_features
+        self._weights = saved(arrays, "weights", (rows, self._num_classes))
         self._bias = saved(arrays, "bias", (self._num_classes,))
 
 
+class Majority(Logistic):
+    """Answers with the shares of the training classes, whatever the features."""
+
+    def _regress(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+        count = np.bincount(codes, minlength=self._num_classes)
+        self._weights = np.zeros((x.shape[1], self._num_classes))
+        self._bias = np.where(count > 0, np.log(np.maximum(count, 1)), NEVER)
+
+
 class Lasso(Logistic):
-    """Linear scores with an L1 penalty that keeps few features, one regression per class.
+    """Linear scores with an L1 penalty that keeps few features, one regression per class."""
 
-    Args:
-        num_classes: C.
-        penalties: candidate penalties of the absolute weights; the one with the least squared error
-            on validation data is chosen, or the middle one without such data.
-    """
-
-    def __init__(
-        self, num_classes: int, penalties: tuple[float, ...] = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
-    ) -> None:
-        super().__init__(num_classes)
-        self._penalties = penalties
-
-    def _learn(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+    def _regress(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         from sklearn.linear_model import Lasso as Regression
 
         onto = np.eye(self._num_classes)
         mean = onto[codes].mean(axis=0)
-        tried = self._penalties
-        if held is None:
-            tried = (tried[len(tried) // 2],)
+        tried = PENALTIES if held is not None else PENALTIES[len(PENALTIES) // 2 :][:1]
         judged, true = (x, codes) if held is None else held
         least = np.inf
         for penalty in tried:
@@ -145,52 +131,36 @@ class SupportVectors(Logistic):
 
     The kernel is exp(-|x - x_i|^2 / F): standardised vectors of F features lie about sqrt(2 F)
     apart.
-
-    Args:
-        num_classes: C.
-        penalty: of margin violations (libsvm's C).
-        max_rows: largest number of training rows, drawn at random; the cost is quadratic in it.
     """
 
-    def __init__(self, num_classes: int, penalty: float = 1.0, max_rows: int = 4000) -> None:
-        super().__init__(num_classes)
-        self._penalty = penalty
-        self._max_rows = max_rows
-        self._vectors = np.zeros((0, 0))
-
-    def _learn(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+    def _regress(self, x: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         from sklearn.svm import SVC
 
-        rows = np.sort(np.random.default_rng(seed).permutation(codes.size)[: self._max_rows])
+        rows = np.sort(np.random.default_rng(seed).permutation(codes.size)[:MOST_ROWS])
         x, codes = x[rows], codes[rows]
         duals = np.zeros((rows.size, self._num_classes))
         self._bias = np.full(self._num_classes, -1.0)  # a class without rows is never answered
-        for code in range(self._num_classes):
-            if 0 < np.count_nonzero(codes == code) < codes.size:
-                machine = SVC(C=self._penalty, gamma=1.0 / x.shape[1]).fit(x, codes == code)
-                duals[machine.support_, code] = machine.dual_coef_[0]
-                self._bias[code] = machine.intercept_[0]
+        for code in np.unique(codes) if (codes != codes[0]).any() else ():
+            machine = SVC(gamma=1.0 / x.shape[1]).fit(x, codes == code)
+            duals[machine.support_, code] = machine.dual_coef_[0]
+            self._bias[code] = machine.intercept_[0]
         used = duals.any(axis=1)
         self._vectors, self._weights = x[used], duals[used]
-        self._link(of_trained_classes(held, codes), x, codes)
+        self._link(held, x, codes)
 
-    def _scores(self, x: FloatArray) -> FloatArray:
-        out = np.empty((len(x), self._num_classes))
-        own = (self._vectors**2).sum(axis=1)
-        for first in range(0, len(x), CHUNK):
-            part = x[first : first + CHUNK]
-            square = (part**2).sum(axis=1)[:, None] + own - 2.0 * part @ self._vectors.T
-            kernel = np.exp(np.minimum(-square, 0.0) / max(x.shape[1], 1))
-            out[first : first + CHUNK] = kernel @ self._weights + self._bias
-        return out
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Support vectors beside the others'."""
-        return {**super().arrays(), "vectors": self._vectors}
+def _multinomial(
+    inputs: FloatArray, codes: CodeArray, num_classes: int
+) -> tuple[FloatArray, FloatArray]:
+    """(F, C) weights and (C,) biases of a regression whose scores' softmax are probabilities."""
+    from sklearn.linear_model import LogisticRegression
 
-    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """See `graphrqi.classify.contract.Classifier.restore`."""
-        self._vectors = saved(arrays, "vectors", (None, num_features))
-        self._inputs = Standardisation.restored(arrays, num_features)
-        self._weights = saved(arrays, "weights", (len(self._vectors), self._num_classes))
-        self._bias = saved(arrays, "bias", (self._num_classes,))
+    present = np.unique(codes)
+    if present.size < 2:
+        raise InputError(f"codes: found class {present.tolist()} only, expected at least two")
+    learned = LogisticRegression(max_iter=500).fit(inputs, codes)
+    weights, bias = np.zeros((inputs.shape[1], num_classes)), np.full(num_classes, NEVER)
+    bias[present] = 0.0
+    shown = present[1:] if present.size == 2 else present  # two classes share one column
+    weights[:, shown], bias[shown] = learned.coef_.T, learned.intercept_
+    return weights, bias

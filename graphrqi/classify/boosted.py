@@ -1,6 +1,6 @@
 """Gradient-boosted trees, grown by scikit-learn's histogram boosting and kept as plain arrays.
 
-The number of rounds and the temperature of the probabilities are chosen on validation data.
+The number of rounds is chosen on validation data.
 
 References:
     Friedman (2001), Ann. Statist. 29, 1189; Ke et al. (2017), LightGBM, NeurIPS.
@@ -13,16 +13,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.softmax import NEVER, best_temperature, softmax, tempered
+from graphrqi.classify.calibrated import NEVER, Calibrated, softmax
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
 from graphrqi.classify.trees import Trees
 
 PATIENCE: Final = 30
 """Growing stops after this many rounds without a smaller validation loss."""
 
 
-class Boosted:
+class Boosted(Calibrated):
     """Trees of which each one corrects the errors of those before it.
 
     Args:
@@ -48,7 +47,7 @@ class Boosted:
         ridge: float = 1.0,
         feature_share: float = 1.0,
     ) -> None:
-        self._num_classes = num_classes
+        super().__init__(num_classes)
         self._options = {
             "max_iter": rounds, "learning_rate": learning_rate, "max_leaf_nodes": max_leaves,
             "max_depth": max_depth, "min_samples_leaf": min_leaf, "l2_regularization": ridge,
@@ -57,28 +56,25 @@ class Boosted:
         leaf, zero = np.full(1, -1), np.zeros(1)
         self._trees = Trees.single(leaf, zero, zero, zero, zero)
         self._baseline = np.zeros(num_classes)
-        self._temperature = 1.0
 
-    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
-        """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
+    def _learn(self, features: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         from sklearn.ensemble import HistGradientBoostingClassifier
 
-        held: dict[str, Any] = {}
-        validation = of_trained_classes(validation, codes)
-        if validation is not None:
-            held = {"X_val": validation[0], "y_val": validation[1]}
+        beside: dict[str, Any] = {}
+        if held is not None:
+            beside = {"X_val": held[0], "y_val": held[1]}
         grown = HistGradientBoostingClassifier(
-            early_stopping=bool(held), n_iter_no_change=PATIENCE, random_state=seed, **self._options
-        ).fit(features, codes, **held)
+            early_stopping=held is not None, n_iter_no_change=PATIENCE, random_state=seed,
+            **self._options,
+        ).fit(features, codes, **beside)  # fmt: skip
         classes = grown.classes_.astype(np.int64)
         shown = classes[1:] if classes.size == 2 else classes  # two classes share one tree
         self._baseline = np.full(self._num_classes, NEVER)
         self._baseline[classes] = 0.0
         self._baseline[shown] = grown._baseline_prediction.ravel()
         rounds = grown._predictors
-        if held:  # up to the smallest loss; the first one is that of no trees
+        if held is not None:  # up to the smallest loss; the first one is that of no trees
             rounds = rounds[: int(np.argmax(grown.validation_score_[1:])) + 1]
-        self._temperature = 1.0
         self._trees = Trees.join(
             [
                 _converted(one.nodes, c)
@@ -86,32 +82,23 @@ class Boosted:
                 for one, c in zip(each, shown, strict=True)
             ]
         )
-        if validation is not None:
-            found = self._untempered(validation[0])
-            self._temperature = best_temperature(found, validation[1], self.trained)
 
     def _untempered(self, features: FloatArray) -> FloatArray:
         return softmax(self._trees.total(features, self._num_classes) + self._baseline)
 
     @property
-    def trained(self) -> NDArray[np.bool_]:
-        """(C,) whether each class occurred in training."""
+    def _trained(self) -> NDArray[np.bool_]:
         return self._baseline > NEVER
-
-    def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, C) probabilities."""
-        return tempered(self._untempered(features), self._temperature, self.trained)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Nodes, baseline and temperature."""
-        numbers = {"baseline": self._baseline, "temperature": np.array([self._temperature])}
-        return {**self._trees.arrays(), **numbers}
+        return {**self._trees.arrays(), "baseline": self._baseline, **super().arrays()}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
+        super().restore(arrays, num_features)
         self._trees = Trees.restored(arrays, num_features, self._num_classes)
         self._baseline = saved(arrays, "baseline", (self._num_classes,))
-        self._temperature = saved_temperature(arrays)
 
 
 def _converted(nodes: NDArray[Any], code: int) -> Trees:

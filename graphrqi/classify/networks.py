@@ -2,12 +2,10 @@
 
 Both standardise their inputs and are trained in one way. The loss is the paper's squared error on
 one-hot labels (of the softmax, so that the outputs are probabilities: the Brier score) or
-cross-entropy. With validation data, training keeps the weights of the best epoch and divides the
-logits by the temperature that fits best.
+cross-entropy. With validation data, training keeps the weights of the best epoch.
 
 References:
     Hochreiter, Schmidhuber (1997), Long short-term memory, Neural Computation 9, 1735.
-    Guo, Pleiss, Sun, Weinberger (2017), On calibration of modern neural networks, ICML.
 """
 
 from __future__ import annotations
@@ -20,16 +18,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from behaviors.errors import InputError
-from graphrqi.classify.checks import of_trained_classes, saved, saved_temperature
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut
-from graphrqi.classify.softmax import best_temperature, tempered
+from graphrqi.classify.calibrated import Calibrated
+from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, part_of, saved
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.networks.portable_torch import Descent, one_thread
 
 Loss = Literal["squared-error", "cross-entropy"]
 
 
-class Mlp:
+class Mlp(Calibrated):
     """Fully connected layers with ReLU and dropout.
 
     Args:
@@ -56,15 +53,12 @@ class Mlp:
     ) -> None:
         if loss not in ("squared-error", "cross-entropy"):
             raise InputError(f"loss: found {loss!r}, expected squared-error or cross-entropy")
-        self._num_classes = num_classes
-        self._hidden = tuple(hidden)
-        self._loss: Loss = loss
-        self._epochs, self._batch = epochs, batch
-        self._dropout, self._weight_decay = dropout, weight_decay
-        self._learning_rate = learning_rate
+        super().__init__(num_classes)
+        self._hidden, self._loss = tuple(hidden), loss
+        self._epochs, self._batch, self._dropout = epochs, batch, dropout
+        self._learning_rate, self._weight_decay = learning_rate, weight_decay
         self._inputs = Standardisation(np.zeros(0), np.ones(0))
         self._network: nn.Module = nn.Sequential()
-        self._temperature = 1.0
 
     def _made(self, inputs: int) -> nn.Module:
         """A network that has not been trained."""
@@ -77,18 +71,11 @@ class Mlp:
     def _tensor(self, features: FloatArray) -> Tensor:
         return torch.from_numpy(self._inputs.apply(features).astype(np.float32))
 
-    def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
-        """Learn; see `graphrqi.classify.contract.Classifier.fit`."""
-        validation = of_trained_classes(validation, codes)
+    def _learn(self, features: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
         self._inputs = Standardisation.of(features)
         with torch.random.fork_rng(devices=[]), one_thread():
             torch.manual_seed(seed)
-            self._network = self._trained(features, codes, validation)
-        self._temperature = 1.0
-        if validation is not None:
-            every = np.ones(self._num_classes, dtype=np.bool_)
-            found = self.posterior(validation[0])
-            self._temperature = best_temperature(found, validation[1], every)
+            self._network = self._after_epochs(features, codes, held)
 
     def _objective(self, logits: Tensor, y: Tensor) -> Tensor:
         if self._loss == "cross-entropy":
@@ -96,7 +83,7 @@ class Mlp:
         one_hot = nn.functional.one_hot(y, self._num_classes).float()
         return ((logits.softmax(dim=1) - one_hot) ** 2).sum(dim=1).mean()
 
-    def _trained(self, features: FloatArray, codes: CodeArray, held: HeldOut) -> nn.Module:
+    def _after_epochs(self, features: FloatArray, codes: CodeArray, held: HeldOut) -> nn.Module:
         """A network after all epochs, with the weights of the best one."""
         x, y = self._tensor(features), torch.from_numpy(codes.astype(np.int64))
         network = self._made(x.shape[1])
@@ -122,32 +109,24 @@ class Mlp:
         return network.eval()
 
     @torch.inference_mode()
-    def posterior(self, features: FloatArray) -> FloatArray:
-        """(n, C) probabilities."""
+    def _untempered(self, features: FloatArray) -> FloatArray:
         with one_thread():
             logits = self._network(self._tensor(features)).double()
-        probability = np.asarray(logits.softmax(dim=1).numpy(), dtype=np.float64)
-        every = np.ones(self._num_classes, dtype=np.bool_)
-        return tempered(probability, self._temperature, every)
+        return np.asarray(logits.softmax(dim=1).numpy(), dtype=np.float64)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Weights, the standardisation and the temperature."""
         weights = {f"network.{k}": v.numpy() for k, v in self._network.state_dict().items()}
-        return {**self._inputs.arrays(), **weights, "temperature": np.array([self._temperature])}
+        return {**self._inputs.arrays(), **weights, **super().arrays()}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """See `graphrqi.classify.contract.Classifier.restore`."""
+        super().restore(arrays, num_features)
         self._inputs = Standardisation.restored(arrays, num_features)
-        self._temperature = saved_temperature(arrays)
-        self._network = self._made(num_features)
-        self._network.load_state_dict(
-            {
-                name.removeprefix("network."): torch.from_numpy(saved(arrays, name).copy())
-                for name in arrays
-                if name.startswith("network.")
-            }
-        )
-        self._network.eval()
+        self._network = self._made(num_features).eval()
+        learned = {k: torch.from_numpy(saved(arrays, f"network.{k}").copy())
+                   for k in part_of(arrays, "network")}  # fmt: skip
+        self._network.load_state_dict(learned)
 
 
 class LstmClassifier(Mlp):

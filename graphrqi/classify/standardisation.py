@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.checks import saved
+from graphrqi.classify.contract import saved
 
 FloatArray = NDArray[np.float64]
 

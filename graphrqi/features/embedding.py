@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from graphrqi.features.motion import Motion, RawMotion, align
-from graphrqi.features.observer import Observation, RunningSums
-from graphrqi.features.spectral import NEIGHBORS
+from graphrqi.features.observer import Observation
+from graphrqi.features.spectral import NEIGHBORS, NullObserver
 from graphrqi.graph import TrafficGraph
 
 FloatArray = NDArray[np.float64]
@@ -112,10 +112,9 @@ class LaplacianPairs:
         Newcomers start at the mean of their neighbours. The pairs' graph is the old one among
         vertices that remain, and the new one for all others.
         """
-        vectors = np.zeros((len(adjacency), self.values.size))
         known = adjacency[:, into]
         total = known.sum(axis=1)
-        vectors[:] = known @ self.vectors[kept] / np.where(total > 0, total, 1.0)[:, None]
+        vectors = known @ self.vectors[kept] / np.where(total > 0, total, 1.0)[:, None]
         vectors[into] = self.vectors[kept]
         before = adjacency.copy()
         before[np.ix_(into, into)] = self.adjacency[np.ix_(kept, kept)]
@@ -163,7 +162,7 @@ def similarity(motion: Motion) -> FloatArray:
     return np.asarray(out)
 
 
-class EmbeddingObserver:
+class EmbeddingObserver(NullObserver):
     """Rows of the present consensus embedding.
 
     Args:
@@ -173,9 +172,9 @@ class EmbeddingObserver:
     feature_names = tuple(f"dane_{k + 1}" for k in range(NUM_DIMENSIONS))
 
     def __init__(self, solver: str = "graphrqi") -> None:
+        super().__init__()
         self._graph = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
         self._motion = RawMotion()
-        self._present = RunningSums(0)
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         nobody = LaplacianPairs.solved(np.zeros((0, 0)))
         self._network, self._likeness = nobody, nobody
@@ -185,13 +184,12 @@ class EmbeddingObserver:
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
         """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
         motion = self._motion.update(time_s, ids, xy, drives)
-        self._present.add(time_s, ids[drives], np.zeros((int(drives.sum()), 0)))
+        super().update(time_s, ids, xy, drives)
         if time_s - self._updated_s < EVERY_S - 1e-6:
             return False
         self._updated_s = time_s
         self._graph = self._graph.observe(ids, xy)
-        network = self._graph.adjacency.toarray()
-        network, likeness = np.maximum(network, network.T), similarity(motion)
+        network, likeness = self._graph.adjacency.toarray(), similarity(motion)
         into, kept = align(self._ids, ids)
         changed = 1.0 - into.size / max(ids.size, 1)
         pairs = min(self._network.values.size, self._likeness.values.size)
@@ -209,7 +207,7 @@ class EmbeddingObserver:
 
     def observation(self) -> Observation:
         """The last embedding of the drivers present; zeros for drivers that appeared since."""
-        present = self._present.observation()
+        present = super().observation()
         rows = np.zeros((present.ids.size, NUM_DIMENSIONS))
         into, source = align(self._ids, present.ids)
         rows[into] = self._embedding[source]

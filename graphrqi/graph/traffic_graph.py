@@ -43,15 +43,12 @@ class ObservationRule:
         Raises:
             InputError: naming the field.
         """
-        for name in ("neighbors", "reset"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-                raise InputError(f"{name}: found {value!r}, expected a whole number")
-            if value < 1:
-                raise InputError(f"{name}: found {value}, expected at least 1")
+        for name, value in (("neighbors", self.neighbors), ("reset", self.reset)):
+            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+            if not whole or value < 1:
+                raise InputError(f"{name}: found {value!r}, expected a whole number from 1 on")
         if self.kind not in get_args(Kind):
-            kinds = " or ".join(get_args(Kind))
-            raise InputError(f"kind: found {self.kind!r}, expected {kinds}")
+            raise InputError(f"kind: found {self.kind!r}, expected {' or '.join(get_args(Kind))}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -235,28 +232,19 @@ class TrafficGraph:
     @property
     def adjacency(self) -> csr_array[Any, tuple[int, int]]:
         """(d, d) symmetric adjacency A as a scipy CSR array, zero diagonal not stored."""
-        from scipy.sparse import csr_array
-
-        d = self.ids.size
-        rows, off = self._rows_and_off_diagonal()
-        counts = np.concatenate([[0], np.cumsum(np.bincount(rows[off], minlength=d))])
-        return csr_array(
-            (-self.values[off], self.indices[off], counts.astype(np.int32)), shape=(d, d)
-        )
+        found = -self.laplacian
+        found.setdiag(0.0)
+        found.eliminate_zeros()
+        return found
 
     @property
     def edges(self) -> NDArray[np.int64]:
         """(m, 2) ids of the joined vehicles, each edge once, in the order of the rows."""
-        rows, _ = self._rows_and_off_diagonal()
+        rows = np.repeat(np.arange(self.ids.size), np.diff(self.indptr))
         once = rows < self.indices
         return np.stack([self.ids[rows[once]], self.ids[self.indices[once]]], axis=1)
 
     @property
     def degree(self) -> NDArray[np.float64]:
         """(d,) number of edges of each vehicle, the diagonal of the Laplacian."""
-        _, off = self._rows_and_off_diagonal()
-        return self.values[~off]
-
-    def _rows_and_off_diagonal(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        rows = np.repeat(np.arange(self.ids.size), np.diff(self.indptr))
-        return rows, rows != self.indices
+        return np.diff(self.indptr) - 1.0  # every diagonal entry is stored

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify.softmax import FLOOR, softmax
+from graphrqi.classify.calibrated import FLOOR, softmax
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

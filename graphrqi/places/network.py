@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.checks import saved
-from graphrqi.classify.softmax import softmax
+from graphrqi.classify.calibrated import softmax
+from graphrqi.classify.contract import saved
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.places.drivers import PlaceDrivers
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify.checks import part_of, saved
+from graphrqi.classify.contract import part_of, saved
 from graphrqi.features.drivers import LEFT_OVER, SCENE_NAMES, UNKNOWN_SCENE, DriverObserver
 from graphrqi.features.observer import Observation
 from graphrqi.features.smoothed_quantities import LEAST_LEFT_OVER_M

@@ -124,15 +124,9 @@ class Prediction:
         return f"<p>{self!r}</p><table>{head}{''.join(rows)}</table>"
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row per agent, future and time: agent, future, probability, time_s, x, y, spread.
+        """One row per agent, future and time: agent, future, probability, time_s, x, y, spread."""
+        import pandas
 
-        Raises:
-            InputError: if pandas is not installed.
-        """
-        try:
-            import pandas
-        except ModuleNotFoundError:
-            raise InputError("to_pandas: found no pandas, expected it to be installed") from None
         n, k, h = self.xy.shape[:3]
         columns = {
             "agent": np.repeat(self.ids, k * h),

@@ -19,11 +19,11 @@ from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.spectrum import End, Floats, Spectrum
 from graphrqi.spectrum.subspaces import (
+    carry_rows,
     dense_pairs,
     laplacian_scale,
     null_space,
     pick,
-    starting_block,
 )
 
 ENDS = get_args(End)
@@ -135,9 +135,19 @@ class Problem:
         """How many pairs are wanted; so many exist."""
         return int(min(self.asked, self.graph.ids.size - self.null.shape[1]))
 
-    def starting_block(self) -> Floats:
-        """(d, k) orthonormal columns outside ``null``: the earlier vectors, or noise."""
-        return starting_block(self.graph, self.num_pairs, self.previous, self.null)
+    def starting_block(self, size: int | None = None, outside: Floats | None = None) -> Floats:
+        """(d, k) orthonormal columns to start from: the earlier vectors, or noise of a fixed seed.
+
+        Args:
+            size: k; as many as are wanted if not given.
+            outside: (d, m) orthonormal columns that they are orthogonal to; ``null`` if not given.
+        """
+        d, outside = self.graph.ids.size, self.null if outside is None else outside
+        noise = np.random.default_rng(d).normal(size=(d, size or self.num_pairs))
+        if self.previous is not None:
+            known = carry_rows(self.previous, self.graph)[:, : noise.shape[1]]
+            noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
+        return np.linalg.qr(noise - outside @ (outside.T @ noise))[0]
 
     def chosen(self, values: Floats, vectors: Floats) -> tuple[Floats, Floats]:
         """Those of the given pairs that are wanted, in the order of the end."""

@@ -70,6 +70,25 @@ def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats
     return values[:kept], vectors[:, :kept]
 
 
+def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
+    """Every eigenpair of d vehicles in c components, with the null space apart.
+
+    Returns (d - c,) nonzero eigenvalues, ascending, (d, d - c) their eigenvectors, and (d, c) the
+    orthonormal indicators of the components. Costs the sum of the cubes of the component sizes.
+    """
+    null, laplacian = null_space(graph), graph.laplacian
+    labels, above = components(graph), 4.0 * laplacian_scale(graph)
+    values, vectors = np.empty(0), np.zeros((graph.ids.size, graph.ids.size - null.shape[1]))
+    for c in range(null.shape[1]):
+        rows = np.flatnonzero(labels == c)
+        block: Floats = (laplacian if null.shape[1] == 1 else laplacian[rows][:, rows]).toarray()
+        inner, turn = np.linalg.eigh(block + above / rows.size)  # moves 0 above all the rest
+        vectors[np.ix_(rows, values.size + np.arange(rows.size - 1))] = turn[:, :-1]
+        values = np.append(values, inner[:-1])
+    sort = np.argsort(values, kind="stable")
+    return values[sort], vectors[:, sort], null
+
+
 def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:
     """Columns over an earlier answer's vehicles with the rows of a later graph, by vehicle id.
 
@@ -80,23 +99,6 @@ def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None =
     place = previous.graph.rows_of(graph.ids)
     rows[place >= 0] = old[place[place >= 0]]
     return rows
-
-
-def starting_block(
-    graph: TrafficGraph, size: int, previous: Spectrum | None, outside: Floats | None
-) -> Floats:
-    """Orthonormal columns (d, size) to start from, orthogonal to the columns ``outside``.
-
-    They are the earlier eigenvectors by vehicle id, filled up with noise of a fixed seed.
-    """
-    noise = np.random.default_rng(graph.ids.size).normal(size=(graph.ids.size, size))
-    if previous is not None:
-        known = carry_rows(previous, graph)[:, :size]
-        noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
-    if outside is not None:
-        noise -= outside @ (outside.T @ noise)
-    block, _ = np.linalg.qr(noise)
-    return block
 
 
 def rayleigh_ritz(graph: TrafficGraph, basis: Floats, end: End) -> tuple[Floats, Floats]:

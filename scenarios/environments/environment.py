@@ -30,7 +30,6 @@ from scenarios.environments.observation import (
 )
 from sim.episode.buffer import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
-from sim.highway.demand import Demand
 from sim.highway.ego import (
     EgoEnv,
     Observation,
@@ -39,9 +38,9 @@ from sim.highway.ego import (
     is_off_road,
     is_on_route,
 )
-from sim.highway.engine import network_of, read_frame
+from sim.highway.engine import Demand, network_of
 from sim.highway.lanes import LaneIndex
-from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.traffic import TrafficRoad
 from sim.highway.vehicle import ProfileVehicle
 from sim.safety import conflicts
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -315,9 +314,7 @@ class TrafficEnv(EgoEnv):
         then = ego.route[1] if len(ego.route) > 1 else None
         for lane in self.road.network_info.lanes_towards(ego.route[0], then):
             room, speed = math.inf, math.inf
-            distances, rows, _ = self.road.on_lane(lane)
-            for s, row in zip(distances, rows, strict=True):
-                vehicle = self.road.vehicles[row]
+            for s, vehicle in self.road.on_lane(lane):
                 if abs(s - BEGIN_M) < room:
                     room, speed = abs(s - BEGIN_M) - vehicle.LENGTH / 2 - 2.5, vehicle.speed
             found.append((lane, room, speed))
@@ -363,12 +360,10 @@ class TrafficEnv(EgoEnv):
         road = self.road
         self.demand.enter()
         road.advance(self.dt)
+        events = road.take_events()
+        self.events += events
         if self._classify is not None:
-            frame = read_frame(road)
-            self.events += frame.events
-            self._belief = self._classify(frame)
-        else:
-            self.events += road.take_events()
+            self._belief = self._classify(road.frame(events))
 
     def wait(self) -> None:
         """Let the traffic drive for one simulation step without ego vehicles."""
@@ -446,7 +441,7 @@ class TrafficEnv(EgoEnv):
     def watch(self) -> None:
         """Remember the step that has just been simulated."""
         self.road.locate()
-        self._seen.push(read_frame(self.road))
+        self._seen.push(self.road.frame())
 
     def _count_near_misses(self) -> None:
         """Count the near misses of the ego vehicles that the last steps show."""
@@ -539,7 +534,7 @@ class TrafficEnv(EgoEnv):
         found = np.zeros((len(others), len(BEHAVIORS)))
         if option == "behavior":
             for row, other in enumerate(others):
-                drawn = self.agents.get(agent_of(other))  # another ego vehicle is not drawn
+                drawn = self.agents.get(other.agent)  # another ego vehicle is not drawn
                 if drawn is not None and drawn.behavior is not None:
                     found[row, drawn.behavior.code] = 1.0
             return found
@@ -549,6 +544,6 @@ class TrafficEnv(EgoEnv):
         if self._belief is None:
             found[driving] = 1.0 / len(BEHAVIORS)
         elif others:
-            ids = np.array([agent_of(one) for one in others], dtype=np.int64)
+            ids = np.array([one.agent for one in others], dtype=np.int64)
             found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
         return found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from sim.frames import FloatArray, Signal
 from sim.highway.ego import Observation
-from sim.highway.traffic import TrafficRoad, agent_of
+from sim.highway.traffic import TrafficRoad
 from sim.highway.walkers import Walker
 
 RANGE_M: Final = 100.0
@@ -67,7 +67,7 @@ def observable_agents(road: TrafficRoad, ego: Any) -> list[Any]:
     if not others:
         return []
     away = np.hypot(*(np.array([one.position for one in others]) - ego.position).T)
-    order = np.lexsort((np.array([agent_of(one) for one in others]), away))
+    order = np.lexsort((np.array([one.agent for one in others]), away))
     return [others[i] for i in order if away[i] <= RANGE_M]
 
 
@@ -106,7 +106,7 @@ def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray
     line = crossing = RANGE_M
     used = 0.0
     strips = [(strip[0], strip[1] - front) for strip in network.strips.get(lane, ())]
-    path = None if lane in network.exit_of else road.onward_lane(ego, lane)
+    path = None if lane in network.exit_of else network.onward_lane(lane, ego.stretches)
     if path is not None:
         line = ego.lane.length - front
         group = network.links[path].signal

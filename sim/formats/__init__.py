@@ -78,33 +78,24 @@ class Format:
 
     def recognises(self, path: Path) -> bool:
         """Whether a file's columns or its beginning are those of this format."""
-        beginning = _beginning(path)
-        return self.head.search(beginning.head.lower()) is not None or any(
-            set(columns) <= set(beginning.columns) for columns in self.columns
-        )
+        head, there = _beginning(path)
+        known = any(set(columns) <= set(there) for columns in self.columns)
+        return known or self.head.search(head.lower()) is not None
 
 
-@dataclass(frozen=True)
-class _Beginning:
+def _beginning(path: Path) -> tuple[bytes, tuple[str, ...]]:
     """The beginning of a file, and the names of its columns if it is a table."""
-
-    head: bytes
-    columns: tuple[str, ...]
-
-
-def _beginning(path: Path) -> _Beginning:
-    """The beginning of a file, read once as long as the file stays as it is."""
-    stat = path.stat()
+    stat = path.stat()  # it is read once as long as the file stays as it is
     return _read_beginning(path, stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(maxsize=1024)
-def _read_beginning(path: Path, changed_ns: int, size: int) -> _Beginning:
+def _read_beginning(path: Path, changed_ns: int, size: int) -> tuple[bytes, tuple[str, ...]]:
     """See `_beginning`."""
     from sim.formats.common.tables import column_names, head_of
 
     head = head_of(path)[:4096]
-    return _Beginning(head, column_names(path, head))
+    return head, column_names(path, head)
 
 
 LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
@@ -307,7 +298,7 @@ def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise InputError(f"{path}: found no file and no folder, expected recordings")
+        raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")
     return sorted(file for file in path.rglob("*") if _named(file, patterns) and file.is_file())
 
 
@@ -339,7 +330,6 @@ def formats_in(path: Path) -> list[str]:
     Raises:
         InputError: if there is none; the message says what a file is instead.
     """
-    _check_there(path)
     found: list[str] = []
     known: set[Path] = set()
     for name, entry in FORMATS.items():
@@ -364,14 +354,12 @@ def _what_it_is(path: Path) -> str:
     """What a file or folder is that no reader knows."""
     if path.is_dir():
         return "no known format" if any(path.iterdir()) else "an empty folder"
-    beginning = _beginning(path)
-    head = beginning.head
+    head, names = _beginning(path)
     if not head:
         return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
     other = next((text for look, text in OTHERS if look.search(head.lower())), None)
-    columns = f"{', '.join(beginning.columns)}"
     if other == OTHERS[0][1]:
-        return f"no known format in a table with the columns {columns:.{SHOWN}}"
+        return f"no known format in a table with the columns {', '.join(names):.{SHOWN}}"
     if other is not None:
         return other
     line = b"".join(head.splitlines()[:1]).decode("utf-8", "replace")
@@ -414,34 +402,30 @@ def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
     Raises:
         InputError: if there is nothing to read.
     """
-    _check_there(path)
     entry = FORMATS[name]
     files = _files(path, entry.files)
     others: list[Path] = []
     if path.is_dir():
         files = [file for file in files if not _named(file, entry.beside)]
         knows = entry.columns or entry.head is not NOTHING
-        strange = [file for file in files if knows and not entry.recognises(file)]
         # A file with the format's own name is read even if it is broken, but not as another's.
         others = [
             file
-            for file in strange
-            if not entry.own_names
-            or any(_named(file, one.files) and one.recognises(file) for one in FORMATS.values())
+            for file in files
+            if knows and not entry.recognises(file) and (not entry.own_names or _is_anothers(file))
         ]
-        files = [file for file in files if file not in set(others)]
         if entry.one:
             first = {file.parent: file for file in reversed(files)}
             others = [file for file in files if first[file.parent] != file]
-            files = [file for file in files if first[file.parent] == file]
+        files = [file for file in files if file not in set(others)]
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
     return files, others
 
 
-def _check_there(path: Path) -> None:
-    if not path.exists():
-        raise InputError(f"{path}: found nothing, expected a recording or a folder of recordings")
+def _is_anothers(file: Path) -> bool:
+    """Whether a file is named like one of some format, and looks like it."""
+    return any(_named(file, one.files) and one.recognises(file) for one in FORMATS.values())
 
 
 def read_recordings(path: Path, name: str | None = None, **options: Any) -> Iterator[Recording]:

@@ -104,60 +104,53 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
 
 def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:
     """The rows of the obstacles, and notes on what was assumed."""
-    names: dict[str, None] = {}
-    kinds: list[AgentKind] = []
-    sizes: list[tuple[float, float]] = []
-    seen: list[FloatArray] = []
-    standing: list[tuple[int, FloatArray]] = []
+    kinds: dict[str, AgentKind] = {}
+    sizes, seen, standing = [], list[FloatArray](), dict[int, FloatArray]()
     others: set[str] = set()
-    for element in root:
-        if element.tag not in OBSTACLES:
-            continue
+    for element in (one for one in root if one.tag in OBSTACLES):
         name = str(whole_number(path, element, "id"))
-        kind = TYPES.get((element.findtext("type") or "").strip())
-        if kind is None:
-            others.add((element.findtext("type") or "without a type").strip()[:40])
+        word = (element.findtext("type") or "without a type").strip()
+        if word not in TYPES:
+            others.add(word[:40])
             continue
-        if name in names:
+        if name in kinds:
             raise InputError(f"{path}: found obstacle {name} twice, expected it once")
-        names[name] = None
-        kinds.append(kind)
+        kinds[name] = TYPES[word]
         sizes.append(_size(path, element, name))
         states, moves = _states(path, element, name)
         states[:, 0] = np.round(states[:, 0] * unit_s, DECIMALS)
         # one that drives backwards: the format's speed has a sign, ours none
         states[:, 4] = np.abs(states[:, 4])
-        seen.append(states if moves else states[:0])
         if not moves:
-            standing.append((len(names) - 1, states))
+            standing[len(seen)] = states
+        seen.append(states if moves else states[:0])
     times = np.unique(np.concatenate([[], *(table[:, 0] for table in seen)]))
-    for index, state in standing:  # those that stand have one state, which lasts
+    for index, state in standing.items():  # those that stand have one state, which lasts
         seen[index] = np.repeat(state, max(times.size, 1), axis=0)
         seen[index][:, 0] = times if times.size else 0.0
         seen[index][:, 4] = 0.0
     table = np.concatenate([np.zeros((0, 5)), *seen])
-    agent = np.repeat(np.arange(len(names)), [len(one) for one in seen])
-    lengths = np.reshape(sizes, (-1, 2))
+    agent = np.repeat(np.arange(len(kinds)), [len(one) for one in seen])
+    sides = np.reshape(sizes, (-1, 2))
     rows = Rows(
-        agent, tuple(names), table[:, 0], table[:, 1:3], table[:, 3], table[:, 4], kinds, lengths
-    )
+        agent, tuple(kinds), table[:, 0], table[:, 1:3], table[:, 3], table[:, 4],
+        list(kinds.values()), sides,
+    )  # fmt: skip
     notes = left_out(others)
-    if (lengths == 0).any():
+    if (sides == 0).any():
         notes.append("those without a size have the one usual for their kind")
     return rows, notes
 
 
 def _states(path: Path, element: Element, name: str) -> tuple[FloatArray, bool]:
     """(k, 5) the states of an obstacle as `_row` has them; does it move?"""
-    initial, trajectory = element.find("initialState"), element.find("trajectory")
-    rows = [] if initial is None else [_row(path, initial, f"obstacle {name}")]
-    found = [np.reshape(rows, (-1, 5))]
-    if trajectory is not None:
-        rows = [_row(path, one, f"obstacle {name}") for one in trajectory.iterfind("state")]
-        found.append(np.reshape(rows, (-1, 5)))
-    if len(found) > 1 and len(found[1]) and np.isin(found[0][:, 0], found[1][:, 0]).any():
-        found = found[1:]  # the initial state is the trajectory's first one, too
-    table = np.concatenate(found)
+    parts = [
+        np.reshape([_row(path, one, f"obstacle {name}") for one in element.iterfind(tag)], (-1, 5))
+        for tag in ("initialState", "trajectory/state")
+    ]
+    if np.isin(parts[0][:, 0], parts[1][:, 0]).any():
+        parts = parts[1:]  # the initial state is the trajectory's first one, too
+    table = np.concatenate(parts)
     if not len(table):
         raise InputError(f"{path}: obstacle {name}: found no state, expected a trajectory")
     static = "static" in ((element.findtext("role") or "").strip(), element.tag[:6])

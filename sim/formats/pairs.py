@@ -43,11 +43,6 @@ def read(path: Path) -> Iterator[Recording]:
     """
     table = read_table(path, [*_NUMBERS, "leader_length"], _WORDS, ["leader_length", *_WORDS])
     length = table.numbers("leader_length") if "leader_length" in table else np.zeros(len(table))
-    if length.min() < 0.0:
-        row = int(length.argmin())
-        raise InputError(
-            f"{path}: column leader_length, row {row + 2}: found {length[row]}, expected 0 or more"
-        )
     feet = bool((length > 0).any()) and float(np.median(length[length > 0])) > LENGTH_IN_FEET
     notes = ["places are along the lane only; the follower's length and both widths are assumed"]
     if feet:

@@ -183,31 +183,11 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
             self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
         )
         ego.agent, ego.kind, ego.behavior = id, AgentKind.CAR, None
-        ego.stretches, ego.route = route, highway_route(lane, route)
+        ego.stretches, ego.route = route, [lane]
+        for before, after in itertools.pairwise(route):
+            ego.route += [(before[1], after[0], None), (*after, None)]
         self.road.add(ego)
         self.vehicle = ego
-
-    def _make_observation_space(self) -> spaces.Space[Any]:
-        """The observation space of the configuration."""
-        raise NotImplementedError
-
-    def _observe(self) -> Observation:
-        """The observation of the present state."""
-        raise NotImplementedError
-
-    def _info(self) -> dict[str, Any]:
-        """The info of the present state."""
-        raise NotImplementedError
-
-
-def highway_route(
-    lane: LaneIndex, stretches: tuple[tuple[str, str], ...]
-) -> list[tuple[str, str, int | None]]:
-    """A route over stretches in the form of highway-env's vehicles."""
-    route: list[tuple[str, str, int | None]] = [lane]
-    for before, after in itertools.pairwise(stretches):
-        route += [(before[1], after[0], None), (*after, None)]
-    return route
 
 
 def as_mapping(name: str, value: Mapping[str, Any] | None) -> Mapping[str, Any]:
@@ -262,10 +242,10 @@ def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
     s, _ = ego.lane.local_coordinates(ego.position)
     left = ego.lane.length - s - ego.LENGTH / 2
     for _ in range(2 * len(ego.stretches) + 2):
-        then = road.onward_lane(ego, lane)
+        then = network.onward_lane(lane, ego.stretches)
         if then is None:
-            if road.next_stretch(ego, lane[:2]) is not None:
-                at = ego.stretches.index(lane[:2])  # on a lane that leads elsewhere
+            if lane[:2] in ego.stretches:  # at its end, or on a lane that leads elsewhere
+                at = ego.stretches.index(lane[:2])
                 left += sum(network.lanes[(*r, 0)].length for r in ego.stretches[at + 1 :])
             break
         left += network.lanes[then].length

@@ -222,6 +222,13 @@ class HighwayNetwork:
                 )
         return found
 
+    def onward_lane(self, lane: LaneIndex, way: tuple[Stretch, ...]) -> LaneIndex | None:
+        """The lane that follows on a way over stretches; None at its end or on a wrong lane."""
+        if lane in self.exit_of:
+            return self.exit_of[lane]
+        after = way[way.index(lane[:2]) + 1 :] if lane[:2] in way else ()
+        return self.onward.get((lane, after[0])) if after else None
+
     def way_to(self, goal: Stretch, lane: int) -> tuple[Stretch, ...] | None:
         """The shortest way from a lane to a stretch, or else to the nearest where the road ends.
 

@@ -16,9 +16,8 @@ from highway_env.road.road import Road
 from highway_env.vehicle.kinematics import Vehicle
 
 from sim.frames import Event, EventKind, Frame, Signal
-from sim.geometry import Outlines
 from sim.highway.decide import act, decide
-from sim.highway.driving import STOCK_DRIVER, Beside, profile_fields
+from sim.highway.driving import STOCK_DRIVER, profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.motion import (
     ARRIVED,
@@ -31,7 +30,7 @@ from sim.highway.motion import (
     move,
 )
 from sim.highway.network import HighwayNetwork
-from sim.highway.scene import beside, locate, read_motion, room_at_entry
+from sim.highway.scene import locate, read_motion, room_at_entry
 from sim.highway.state import (
     ARRIVAL,
     EVENT,
@@ -158,8 +157,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         elif isinstance(one, ProfileVehicle):
             self._cars.add(one, one.table[one.row])
         else:
-            row, kind = blank_vehicle(), getattr(one, "kind", None)
-            row["agent"], row["kind"] = agent_of(one), 0 if kind is None else kind.code
+            row = blank_vehicle()
+            row["agent"], row["kind"] = one.agent, one.kind.code
             for name, value in STOCK_FIELDS.items():
                 row[name] = value
             row["route"] = self.route_number(one.stretches)
@@ -265,8 +264,13 @@ class TrafficRoad(Road):  # type: ignore[misc]
             table[number, : len(route)] = [numbers[one] for one in route]
         return table
 
-    def frame(self, events: tuple[Event, ...]) -> Frame:
-        """Everybody on the road now, in the axes of a `Frame`, whose y is to the left."""
+    def frame(self, events: tuple[Event, ...] | None = None) -> Frame:
+        """Everybody on the road now, in the axes of a `Frame`, whose y is to the left.
+
+        Args:
+            events: what happened; by default the events since they were last taken.
+        """
+        events = self.take_events() if events is None else events
         scene, n = self.scene(), len(self._order)
         xy, heading, speed = np.empty((n, 2)), np.empty(n), np.empty(n)
         read_motion(self._order, scene, xy, heading, speed)
@@ -301,38 +305,16 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     # Places ----------------------------------------------------------------------------------
 
-    def next_stretch(self, vehicle: Vehicle, stretch: Stretch) -> Stretch | None:
-        """The stretch that a vehicle wants to reach after one; None at the end of its way."""
-        ways = vehicle.stretches
-        at = ways.index(stretch) + 1 if stretch in ways else len(ways)
-        return ways[at] if at < len(ways) else None
-
-    def onward_lane(self, vehicle: Vehicle, lane: LaneIndex) -> LaneIndex | None:
-        """The lane that follows on a vehicle's way; None at its end or on a wrong lane."""
-        exit_of = self.network_info.exit_of
-        if lane in exit_of:
-            return exit_of[lane]
-        then = self.next_stretch(vehicle, lane[:2])
-        return None if then is None else self.network_info.onward.get((lane, then))
-
     def locate(self) -> None:
         """Find who is on which lane; valid until somebody moves."""
         while not locate(self.scene()):
             self._scene = self._work = None  # once more, with room for all entries
 
-    def on_lane(self, lane: LaneIndex) -> tuple[list[float], list[int], list[float]]:
-        """Those on a lane: distances along it, ascending, m, rows, and speeds along it, m/s.
-
-        Rows are indices into ``vehicles``, as of the last `locate`.
-        """
+    def on_lane(self, lane: LaneIndex) -> list[tuple[float, Any]]:
+        """The distances along a lane, ascending, m, of the vehicles on it at the last `locate`."""
         scene, k = self.scene(), self.network_info.number[lane]
         here = scene.on[scene.on_first[k] : scene.on_first[k + 1]]
-        return here["s"].tolist(), here["row"].tolist(), here["along"].tolist()
-
-    def beside(self, vehicle: Any) -> Beside:
-        """The vehicles ahead of and behind a vehicle on its lane, ahead also along its way."""
-        row = next(row for row, one in enumerate(self.vehicles) if one is vehicle)
-        return Beside(*beside(row, self.network_info.number[vehicle.lane_index], self.scene()))
+        return [(s, self.vehicles[row]) for s, row in here[["s", "row"]].tolist()]
 
     def room_at_entry(self, lanes: IntArray, length: float) -> tuple[list[float], list[float]]:
         """Bumper gap to the first vehicle on lanes or changing to them, m, and its speed, m/s."""
@@ -460,17 +442,3 @@ STOCK_FIELDS: Final = {
     if name in FIELDS
 }
 """The fields of a row that others assume of a vehicle without a profile."""
-
-
-def agent_of(one: Any) -> int:
-    """An agent's id; -1 for one that has none."""
-    return int(getattr(one, "agent", -1))
-
-
-def outlines_of(everyone: Sequence[Any]) -> Outlines:
-    """The outlines of vehicles and pedestrians, in highway-env's axes."""
-    position, heading, length, width = (
-        np.array([getattr(one, name) for one in everyone])
-        for name in ("position", "heading", "LENGTH", "WIDTH")
-    )
-    return Outlines.of(position, heading, length, width)

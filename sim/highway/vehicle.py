@@ -11,11 +11,9 @@ decision depends on the order in which vehicles act; vehicles do not drive backw
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
-from highway_env.road.lane import AbstractLane
 from highway_env.vehicle.controller import ControlledVehicle
 
 from behaviors.labels import Behavior
@@ -23,22 +21,12 @@ from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.highway.draws import CUTS_IN, STOPS, WRONG_WAY, driver_key, wait_s
 from sim.highway.driving import profile_fields
-from sim.highway.lanes import LaneIndex, Stretch
-from sim.highway.network import HighwayNetwork
+from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.state import VEHICLE, blank_vehicle
 from sim.highway.tables import Records
 from sim.scenario import AgentSpec, CarFollowing
 
 FIELDS: Final = frozenset(VEHICLE.names or ())
-
-
-class OnRoad(Protocol):
-    """What a vehicle needs of its road."""
-
-    network_info: HighwayNetwork
-
-    def route_number(self, stretches: tuple[Stretch, ...]) -> int:
-        """The number of a route, the same for equal ones."""
 
 
 def column(name: str, kind: type) -> Any:
@@ -93,17 +81,12 @@ class RowView:
     def position(self, xy: FloatArray) -> None:
         self.table["x"][self.row], self.table["y"][self.row] = xy
 
-    @property
-    def diagonal(self) -> float:
-        """From corner to corner, m."""
-        return math.hypot(self.LENGTH, self.WIDTH)
-
 
 class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     """A vehicle driven by a `Profile`, seen as a highway-env vehicle.
 
     Args:
-        road: where it will drive, once it is put on a lane.
+        road: the `TrafficRoad` where it will drive, once it is put on a lane.
         spec: its kind, size, behaviour and profile.
         stretches: the stretches of road that it will drive over.
         seed: of the driver's own random numbers.
@@ -116,12 +99,11 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     stop_at = column("stop_at", float)
     stop_until = column("stop_until", float)
 
-    route = impact = None
-    check_collisions = hit = False
+    route = None
 
     def __init__(
         self,
-        road: OnRoad,
+        road: Any,
         spec: AgentSpec,
         stretches: tuple[Stretch, ...],
         seed: int | tuple[int, ...],
@@ -146,15 +128,10 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
         return self
 
     @property
-    def action(self) -> dict[str, float]:
-        """The steering angle, rad, and the acceleration, m/s2, decided last."""
-        row = self.table[self.row]
-        return {"steering": float(row.steering), "acceleration": float(row.accel)}
-
-    @property
-    def lane(self) -> AbstractLane:
+    def lane(self) -> PolylineLane:
         """The lane it is on."""
-        return self.road.network_info.lanes[self.lane_index]
+        found: PolylineLane = self.road.network_info.lanes[self.lane_index]
+        return found
 
     @property
     def behavior(self) -> Behavior | None:

@@ -7,10 +7,8 @@ image arrays work as ever.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import tempfile
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -53,19 +51,6 @@ PERSON: Final[Color] = (40, 40, 120)
 CRASHED: Final[Color] = (20, 20, 20)
 
 
-@contextlib.contextmanager
-def _runtime_folder() -> Iterator[None]:
-    """Name a folder for SDL's sockets while it starts; without one it complains on stderr."""
-    if "XDG_RUNTIME_DIR" in os.environ:
-        yield
-        return
-    os.environ["XDG_RUNTIME_DIR"] = tempfile.gettempdir()
-    try:
-        yield
-    finally:
-        del os.environ["XDG_RUNTIME_DIR"]
-
-
 class TrafficViewer(EnvViewer):  # type: ignore[misc]
     """highway-env's viewer with a drawing of our roads.
 
@@ -75,8 +60,8 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
     """
 
     def __init__(self, env: Any, network: HighwayNetwork) -> None:
-        with _runtime_folder():
-            super().__init__(env)
+        os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # or SDL complains
+        super().__init__(env)
         self.network = network
         self._shapes = road_shapes(network.road)
 

@@ -190,8 +190,8 @@ class Walker(RowView, Landmark):  # type: ignore[misc]
     """
 
     kind = AgentKind.PEDESTRIAN
-    road = lane_index = lane = impact = behavior = None
-    collidable = solid = check_collisions = hit = False
+    road = lane_index = lane = behavior = None
+    collidable = solid = False
 
     def __init__(
         self, spec: AgentSpec, footway: Footway, number: int, seed: tuple[int, ...]

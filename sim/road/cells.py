@@ -42,6 +42,21 @@ class Cells(NamedTuple):
     items: IndexArray
 
 
+def members(first: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
+    """Members of lists that lie in one array: the list of each, and where each lies.
+
+    Args:
+        first: (n,) where each list begins.
+        count: (n,) how long it is.
+
+    Examples:
+        >>> members(np.array([0, 7]), np.array([1, 2]))
+        (array([0, 1, 1]), array([0, 7, 8]))
+    """
+    which = np.repeat(np.arange(count.size), count)
+    return which, np.arange(which.size) + np.repeat(first - np.cumsum(count) + count, count)
+
+
 def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
     """Sort items into the cells that their boxes touch.
 

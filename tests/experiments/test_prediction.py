@@ -26,10 +26,11 @@ from experiments.score.predictions import (
 )
 from experiments.score.tables import PREDICTIONS
 from experiments.training.predictor import calibrate_drivers
+from graphrqi.networks.weights import load_weights
 from graphrqi.posterior import Posterior
 from graphrqi.predict import get_predictor
 from graphrqi.predict.networks.futures import MODES
-from graphrqi.predict.rollout.driver_table import table_from_json
+from graphrqi.predict.rollout.driver_table import load_table
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.frames import Frame, Tracks
@@ -214,14 +215,13 @@ def dataset(tmp_path_factory):
 
 
 def test_calibration_improves_on_training_scenes_and_writes_its_card(dataset, tmp_path):
-    out = tmp_path / "drivers.json"
+    out = tmp_path / "drivers.safetensors"
     table = calibrate_drivers(dataset, out, iterations=6, quiet=True)
-    text = out.read_text()
-    assert np.allclose(table_from_json(text, out.name).behavior, table.behavior, atol=1e-4)
-    card = json.loads(text)["card"]
+    assert np.allclose(load_table(out).behavior, table.behavior, atol=1e-4)
+    card = load_weights(out, "drivers")[0]["card"]
     assert card["split"] == "train"
     assert set(card["scores"]) == {"train", "validation"}
-    again = calibrate_drivers(dataset, tmp_path / "again.json", iterations=6, quiet=True)
+    again = calibrate_drivers(dataset, tmp_path / "again.safetensors", iterations=6, quiet=True)
     assert np.array_equal(again.behavior, table.behavior)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from graphrqi.predict.networks.futures import TIME_S, Futures
+from graphrqi.predict.networks.perceptron import Perceptron
 from graphrqi.predict.recorded.along_lanes import beside_paths, join_lanes
 from graphrqi.predict.recorded.features import feature_count
 from graphrqi.predict.recorded.lanes_ahead import (
@@ -22,7 +23,6 @@ from graphrqi.predict.recorded.network import (
     PATH_OUTPUTS,
     PER_MODE,
     PER_PATH,
-    LaneNetwork,
     RecordedNetwork,
     TrainedRange,
 )
@@ -62,23 +62,24 @@ def approach(road) -> int:
     return int(np.flatnonzero(fits)[0])
 
 
-def raw_lanes(score=0.0, along=0.0, aside=0.0) -> LaneNetwork:
+def raw_lanes(score=0.0, along=0.0, aside=0.0) -> Perceptron:
     """A network that says the same of every path: its score, and constant corrections."""
     inputs = feature_count() + PATH_FEATURES
     numbers = np.zeros((PER_PATH, PER_MODE))
     numbers[:, 0], numbers[:, 1] = along, aside
-    return LaneNetwork(
+    return Perceptron(
         np.zeros(inputs), np.ones(inputs), (np.zeros((inputs, PATH_OUTPUTS), np.float32),),
         (np.append(numbers.ravel(), score).astype(np.float32),),
     )  # fmt: skip
 
 
-def network(lanes: LaneNetwork | None) -> RecordedNetwork:
+def network(lanes: Perceptron | None) -> RecordedNetwork:
     inputs, outputs = feature_count(), MODES * PER_MODE
-    return RecordedNetwork(
+    free = Perceptron(
         np.zeros(inputs), np.ones(inputs), (np.zeros((inputs, outputs), np.float32),),
-        (np.zeros(outputs, np.float32),), 1.0, TrainedRange(40.0, 0.5, 5.0, 0.5), lanes,
+        (np.zeros(outputs, np.float32),),
     )  # fmt: skip
+    return RecordedNetwork(free, 1.0, TrainedRange(40.0, 0.5, 5.0, 0.5), lanes)
 
 
 def test_every_way_through_a_junction_is_a_path(crossing):

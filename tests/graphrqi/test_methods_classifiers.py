@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from graphrqi.classify import CLASSIFIERS, make_classifier, restore_classifier
+from graphrqi.classify import CLASSIFIERS
 
 SMALL: dict[str, dict[str, object]] = {
     "boosted": {"rounds": 20, "min_leaf": 5},
@@ -33,7 +33,7 @@ def blobs(
 @pytest.fixture(scope="module", params=NAMES)
 def learned(request: pytest.FixtureRequest) -> tuple[str, object]:
     name = request.param
-    classifier = make_classifier(name, 6, **SMALL.get(name, {}))
+    classifier = CLASSIFIERS[name](6, **SMALL.get(name, {}))
     classifier.fit(*blobs(900, 1), blobs(300, 2), seed=3)
     return name, classifier
 
@@ -61,14 +61,15 @@ def test_restored_answers_are_equal(learned):
 
     name, classifier = learned
     arrays = {k: np.ascontiguousarray(v) for k, v in classifier.arrays().items()}
-    again = restore_classifier(name, 6, 5, SMALL.get(name, {}), load(save(arrays)))
+    again = CLASSIFIERS[name](6, **SMALL.get(name, {}))
+    again.restore(load(save(arrays)), 5)
     features = blobs(100, 8)[0]
     np.testing.assert_array_equal(again.posterior(features), classifier.posterior(features))
 
 
 def test_same_seed_same_answers(learned):
     name, classifier = learned
-    again = make_classifier(name, 6, **SMALL.get(name, {}))
+    again = CLASSIFIERS[name](6, **SMALL.get(name, {}))
     again.fit(*blobs(900, 1), blobs(300, 2), seed=3)
     features = blobs(100, 9)[0]
     np.testing.assert_array_equal(again.posterior(features), classifier.posterior(features))
@@ -77,7 +78,7 @@ def test_same_seed_same_answers(learned):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("classes", [(0, 4), (0, 2, 3)])
 def test_classes_that_never_occur_are_never_answered(name, classes):
-    classifier = make_classifier(name, 6, **SMALL.get(name, {}))
+    classifier = CLASSIFIERS[name](6, **SMALL.get(name, {}))
     classifier.fit(*blobs(400, 10, classes), None, seed=0)
     features, codes = blobs(200, 11, classes)
     answer = classifier.posterior(features).argmax(axis=1)
@@ -93,7 +94,7 @@ def test_recurrent_network_does_not_depend_on_threads():
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            classifier = make_classifier("lstm", 6, hidden=64, epochs=2)
+            classifier = CLASSIFIERS["lstm"](6, hidden=64, epochs=2)
             classifier.fit(*blobs(2000, 1), None, seed=0)
             rows.append(classifier.posterior(blobs(300, 2)[0]))
             assert torch.get_num_threads() == threads
@@ -107,13 +108,13 @@ def test_boosted_and_forest_answer_as_those_who_grew_them():
 
     features, codes = blobs(600, 12)
     asked = blobs(200, 13)[0]
-    forest = make_classifier("forest", 6, trees=10)
+    forest = CLASSIFIERS["forest"](6, trees=10)
     forest.fit(features, codes, None, seed=1)
     theirs = RandomForestClassifier(10, min_samples_leaf=8, max_features=0.1, random_state=1).fit(
         features, codes
     )
     np.testing.assert_allclose(forest.posterior(asked), theirs.predict_proba(asked), atol=1e-6)
-    boosted = make_classifier("boosted", 6, rounds=10)
+    boosted = CLASSIFIERS["boosted"](6, rounds=10)
     boosted.fit(features, codes, None, seed=1)
     grown = HistGradientBoostingClassifier(
         max_iter=10, max_leaf_nodes=15, min_samples_leaf=40, l2_regularization=1.0,

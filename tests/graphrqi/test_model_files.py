@@ -150,7 +150,7 @@ def test_models_of_methods_from_elsewhere_load_by_name(tmp_path):
         np.testing.assert_array_equal(
             again.classifier.posterior(features), model.classifier.posterior(features)
         )
-        refused(tmp_path / "model", tmp_path / "damaged", lambda arrays: arrays.pop("share"))
+        refused(tmp_path / "model", tmp_path / "damaged", lambda arrays: arrays.pop("bias"))
     finally:
         del CLASSIFIERS["elsewhere"], METHODS["plugin"]
     with pytest.raises(InputError, match=r"model\.safetensors: unknown method 'plugin'"):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
+from graphrqi.networks.weights import save_weights
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, get_predictor, predict
 from graphrqi.predict.prediction import Prediction
@@ -20,10 +20,9 @@ from graphrqi.predict.rollout.driver_parameters import (
 from graphrqi.predict.rollout.driver_table import (
     DRIVER_FIELDS,
     DriverTable,
-    default_table,
     initial_table,
-    table_from_json,
-    table_to_json,
+    load_table,
+    save_table,
 )
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.scene.scene import make_scene
@@ -272,13 +271,14 @@ def test_places_follow_the_lane_and_return_to_its_centre(straight):
 def test_signals_follow_their_programme(four_way):
     plan = four_way.signal_plans[0]
     change_s = plan.duration_s[0] + 1000 * sum(plan.duration_s)
+    place, heading = on_lane(four_way, four_way.connections[0].from_lane, 100.0)
     frames = []
     for time_s in np.arange(change_s - 6.0, change_s - 2.0, 0.1):
         signals = np.zeros(len(four_way.signal_groups), dtype=np.int8)
         signals[list(plan.groups)] = plan.state_at(time_s)
         frames.append(
             Frame(
-                time_s=time_s, ids=[0], xy=[[0.0, 0.0]], heading=[0.0], speed=[1.0], length=[4.0],
+                time_s=time_s, ids=[0], xy=[place], heading=[heading], speed=[1.0], length=[4.0],
                 width=[2.0], kind=[0], signals=signals,
             )
         )  # fmt: skip
@@ -317,29 +317,23 @@ def test_wrong_input_is_refused_by_name(straight):
         Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[0.2, 0.2]])
 
 
-def test_driver_numbers_survive_their_file():
-    table = default_table()
-    again = table_from_json(table_to_json(table, {}), "again")
+def test_driver_numbers_survive_their_file(tmp_path):
+    table, path = load_table(), tmp_path / "drivers.safetensors"
+    save_table(path, table, {})
+    again = load_table(path)
     assert np.array_equal(again.behavior, table.behavior)
     assert np.array_equal(again.average, table.average)
     assert again.decay_s == table.decay_s
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "broken file"),
-        ('{"schema_version": 99}', "schema_version: found 99, expected 2"),
-        ('{"schema_version": 2}', "broken file"),
-    ],
-)
-def test_broken_driver_files_are_refused(text, message):
-    with pytest.raises(InputError, match=message):
-        table_from_json(text, "drivers.json")
+def test_broken_driver_files_are_refused(tmp_path):
+    save_weights(tmp_path / "drivers.safetensors", "drivers", {}, {})
+    with pytest.raises(InputError, match="expected calibrated drivers"):
+        load_table(tmp_path / "drivers.safetensors")
 
 
 def test_calibrated_profiles_are_ordered_as_the_behaviours_are():
-    table = default_table()
+    table = load_table()
     assert isinstance(table, DriverTable)
     headway = table.behavior[:, DRIVER_FIELDS.index("time_headway_s")]
     aggressive, conservative = headway[:3], headway[3:]
@@ -351,7 +345,7 @@ def test_get_predictor_finds_each():
 
 
 def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
-    table = default_table()
+    table = load_table()
     wish = dict(zip(BEHAVIORS, table.behavior[:, 0], strict=True))
     fast, slow = max(wish, key=wish.__getitem__), min(wish, key=wish.__getitem__)
     a, heading = on_lane(straight, "east_in_1", 60.0)
@@ -391,12 +385,6 @@ def test_predictions_become_tables(straight):
     assert len(table) == found.modes * 10
     last = table[(table["future"] == 2) & (table["time_s"] > 0.95)]
     assert last[["x", "y"]].to_numpy()[0] == pytest.approx(found.xy[0, 2, -1])
-
-
-def test_tables_need_pandas(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="found no pandas"):
-        Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]]).to_pandas()
 
 
 @pytest.mark.parametrize("name", ["lstm", "graphrqi-predict"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphrqi.predict.learned.lstm import load_lstm
+from graphrqi.predict.learned.lstm import TrajectoryLstm
 from graphrqi.predict.metrics import covered, log_density
 from graphrqi.predict.networks.futures import (
     ANCHORS,
@@ -17,7 +17,7 @@ from graphrqi.predict.networks.futures import (
     _spline,
     decode,
 )
-from graphrqi.predict.networks.perceptron import load_perceptron
+from graphrqi.predict.networks.perceptron import Perceptron, load_futures_network
 from graphrqi.predict.training import fit
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
 
@@ -73,14 +73,13 @@ def test_perceptron_learns_which_way_drivers_go(perceptron):
 def test_networks_survive_their_files(perceptron, tmp_path):
     path = tmp_path / "network.safetensors"
     perceptron.save(path, {"split": "train"})
-    again = load_perceptron(path)
+    again = load_futures_network(path, Perceptron.read)
     test = inputs_of(made_up(50, 3))
     assert np.allclose(again(test).own, perceptron(test).own, atol=1e-3)
     rival = train_lstm(made_up(256, 0), made_up(100, 1), epochs=1)
     rival.save(tmp_path / "lstm.safetensors", {})
-    assert np.allclose(
-        load_lstm(tmp_path / "lstm.safetensors")(test).own, rival(test).own, atol=1e-3
-    )
+    again = load_futures_network(tmp_path / "lstm.safetensors", TrajectoryLstm.read)
+    assert np.allclose(again(test).own, rival(test).own, atol=1e-3)
     (tmp_path / "usual").touch()
     usual = (tmp_path / "usual").stat().st_mode
     assert {one.stat().st_mode for one in tmp_path.iterdir()} == {usual}, "others may read them"

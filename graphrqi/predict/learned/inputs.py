@@ -33,16 +33,6 @@ _COMPARED: Final = [0, 1, 4]
 """The anchor trajectories that networks are given as features too: the two paths and inertia."""
 
 
-def to_own_frame(scene: Scene, xy: FloatArray) -> FloatArray:
-    """Places (n, ..., 2) as seen by each driver, m."""
-    extra = (1,) * (xy.ndim - 2)
-    cos = np.cos(scene.heading).reshape(-1, *extra)
-    sin = np.sin(scene.heading).reshape(-1, *extra)
-    gone = xy - scene.xy.reshape(-1, *extra, 2)
-    forward = gone[..., 0] * cos + gone[..., 1] * sin
-    return np.stack([forward, gone[..., 1] * cos - gone[..., 0] * sin], axis=-1)
-
-
 def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) -> PredictorInputs:
     """Inputs for beliefs (n, 6) about the drivers' behaviours.
 

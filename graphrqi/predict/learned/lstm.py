@@ -10,24 +10,14 @@ References:
 
 from __future__ import annotations
 
-import functools
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.learned.features import AROUND, NEIGHBORS, PAST, PAST_S, PER_NEIGHBOR
-from graphrqi.predict.networks.futures import (
-    ANCHORS,
-    KNOTS,
-    MODES,
-    PER_MODE,
-    Futures,
-    PredictorInputs,
-    decode,
-)
-from graphrqi.predict.networks.perceptron import about, read_network, standardized, weights_file
+from graphrqi.predict.networks.futures import ANCHORS, KNOTS, MODES, PER_MODE
+from graphrqi.predict.networks.perceptron import Arrays, standardized
 
 if TYPE_CHECKING:
     import torch
@@ -98,56 +88,37 @@ def make_module(features: int) -> torch.nn.Module:
 
 
 class TrajectoryLstm:
-    """A trained network.
+    """A trained network; features (n, F) in, (n, MODES PER_MODE) raw numbers out.
 
     Args:
         module: from `make_module`.
         mean: (F,) of the training features.
         scale: (F,) their standard deviations.
-        spread_scale: see `graphrqi.predict.networks.futures.decode`.
     """
 
-    def __init__(
-        self, module: torch.nn.Module, mean: FloatArray, scale: FloatArray, spread_scale: float
-    ) -> None:
+    def __init__(self, module: torch.nn.Module, mean: FloatArray, scale: FloatArray) -> None:
         self.module, self.mean, self.scale = module.eval(), mean, scale
-        self.spread_scale = spread_scale
 
-    def __call__(self, data: PredictorInputs) -> Futures:
-        """The futures of every row."""
+    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """The raw numbers of every row."""
         import torch
 
-        features = standardized(data.features, self.mean, self.scale)
+        inputs = torch.from_numpy(standardized(features, self.mean, self.scale))
         with torch.no_grad():
-            raw = self.module(torch.from_numpy(features)).numpy().astype(np.float64)
-        return decode(raw, data.anchors, self.spread_scale)
+            return np.asarray(self.module(inputs).numpy())
 
-    def save(self, path: Path, card: dict[str, Any]) -> None:
-        """Write the network with its card (data, split, scores) in the file's metadata."""
+    def arrays(self) -> dict[str, NDArray[np.float32]]:
+        """The arrays of a file, in single precision."""
+        found = {f"net.{name}": value.numpy() for name, value in self.module.state_dict().items()}
+        return {**found, "mean": self.mean.astype(np.float32), "scale": self.scale.astype("f4")}
+
+    @classmethod
+    def read(cls, arrays: Arrays) -> TrajectoryLstm:
+        """The network in a file's arrays."""
         import torch
-        from safetensors.torch import save
 
-        tensors = {f"net.{k}": v.contiguous() for k, v in self.module.state_dict().items()}
-        tensors["mean"] = torch.from_numpy(self.mean.astype(np.float32))
-        tensors["scale"] = torch.from_numpy(self.scale.astype(np.float32))
-        path.write_bytes(save(tensors, about(self.spread_scale, card)))
-
-
-def load_lstm(path: Path) -> TrajectoryLstm:
-    """Read a network.
-
-    Raises:
-        InputError: if the file is missing, broken or newer than this version reads.
-    """
-    tensors, content = read_network(path, "pt")
-    mean, scale = (tensors.pop(name).numpy().astype(np.float64) for name in ("mean", "scale"))
-    module = make_module(mean.size)
-    module.load_state_dict({k.removeprefix("net."): v for k, v in tensors.items()})
-    return TrajectoryLstm(module, mean, scale, content["spread_scale"])
-
-
-@functools.cache
-def shipped_lstm() -> TrajectoryLstm:
-    """The network that ships in the package."""
-    with weights_file("lstm.safetensors") as path:
-        return load_lstm(path)
+        module = make_module(arrays["mean"].size)
+        module.load_state_dict(
+            {name: torch.from_numpy(arrays[f"net.{name}"]) for name in module.state_dict()}
+        )
+        return cls(module, *(arrays[name].astype(np.float64) for name in ("mean", "scale")))

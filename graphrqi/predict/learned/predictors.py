@@ -18,13 +18,18 @@ from numpy.typing import NDArray
 
 from graphrqi.posterior import Posterior
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
-from graphrqi.predict.learned.lstm import shipped_lstm
+from graphrqi.predict.learned.lstm import TrajectoryLstm
 from graphrqi.predict.networks.futures import spread_out
-from graphrqi.predict.networks.perceptron import shipped_perceptron
+from graphrqi.predict.networks.perceptron import (
+    WEIGHTS,
+    FuturesNetwork,
+    Perceptron,
+    load_futures_network,
+)
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.recorded.network import RecordedNetwork, trained_network
 from graphrqi.predict.recorded.predictor import predict_recorded
-from graphrqi.predict.rollout.driver_table import default_table
+from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.paths import limits_known
 from graphrqi.predict.scene.scene import Scene
 
@@ -103,11 +108,17 @@ def knows_everything(scene: Scene) -> bool:
     return not knows.unknown and knows.limits_rule and limits_known(scene.graph)
 
 
+@functools.cache
+def _shipped(name: str) -> FuturesNetwork:
+    """A network that ships in the package."""
+    read = TrajectoryLstm.read if name == "lstm" else Perceptron.read
+    return load_futures_network(WEIGHTS / f"{name}.safetensors", read)
+
+
 def corrected_rollouts(scene: Scene, posterior: Posterior) -> Prediction:
     """Rollouts of the believed behaviours, corrected by a network on every road."""
-    inputs = predictor_inputs(scene, posterior.of(scene.ids), default_table())
-    network = shipped_perceptron("graphrqi-predict.safetensors")
-    return spread_out(scene.history, network(inputs), scene.steps)
+    inputs = predictor_inputs(scene, posterior.of(scene.ids), load_table())
+    return spread_out(scene.history, _shipped("graphrqi-predict")(inputs), scene.steps)
 
 
 @on_trained_roads
@@ -136,4 +147,4 @@ def with_weights(folder: Path) -> Predictor:
 @on_trained_roads
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """A recurrent network that is given neither beliefs nor a driver model."""
-    return spread_out(scene.history, shipped_lstm()(unlabelled_inputs(scene)), scene.steps)
+    return spread_out(scene.history, _shipped("lstm")(unlabelled_inputs(scene)), scene.steps)

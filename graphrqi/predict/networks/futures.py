@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S, Prediction
 from sim.frames import PEDESTRIAN, Tracks
+from sim.geometry import from_own_frame
 
 FloatArray = NDArray[np.float64]
 
@@ -119,10 +120,7 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
     walks = history.kind == PEDESTRIAN
     own[walks] = 0.0
     own[walks, ..., 0] = (speed[walks, None] * time_s)[:, None]
-    cos, sin = (turn[:, None, None] for turn in (np.cos(heading), np.sin(heading)))
-    x, y = own[..., 0], own[..., 1]
-    xy = np.stack([x * cos - y * sin, x * sin + y * cos], axis=-1)
-    xy += history.xy[:, -1][:, None, None]
+    xy = from_own_frame(own, history.xy[:, -1], heading)
     spread = (futures.spread.reshape(-1, knots) @ np.abs(matrix)).reshape(n, modes, steps)
     return Prediction(history.ids, time_s, xy, futures.probability, spread)
 

@@ -1,4 +1,4 @@
-"""A perceptron that gives futures, and the files of trained networks.
+"""A perceptron in numpy, and the files of trained predictors.
 
 The first future is the single best guess, trained on its mean distance; the others are trained
 winner-takes-all. The network runs in numpy; torch is needed for training only.
@@ -10,10 +10,10 @@ References:
 
 from __future__ import annotations
 
-import functools
-import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -21,212 +21,154 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.networks.weights import load_weights, save_weights
 from graphrqi.predict.networks.futures import Futures, PredictorInputs, decode
 
 FloatArray = NDArray[np.float64]
-
 Layers = tuple[NDArray[np.float32], ...]
+Arrays = Mapping[str, NDArray[Any]]
 
-LayerArrays = tuple[FloatArray, FloatArray, Layers, Layers]
-"""Mean, scale, weights and biases of a network."""
+KIND: Final = "predictor"
+"""The kind of a trained predictor's file, see `graphrqi.networks.weights`."""
 
-SCHEMA_VERSION: Final = 1
+WEIGHTS: Final = Path(__file__).parent.parent / "weights"
+"""The folder of the weights that ship in the package."""
+
+OUTLIER: Final = 8.0
+"""Standardised features are clipped here."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Perceptron:
-    """A trained network.
+    """Fully connected layers with SiLU between them.
 
     Attributes:
-        mean: (F,) of the features.
+        mean: (F,) of the training features.
         scale: (F,) their standard deviations.
-        weights: an (in, out) matrix per layer.
-        biases: an (out,) vector per layer.
-        spread_scale: see `graphrqi.predict.networks.futures.decode`.
+        weights: an (in, out) float32 matrix per layer.
+        biases: an (out,) float32 vector per layer.
+        most: standardised features are clipped here.
     """
 
     mean: FloatArray
     scale: FloatArray
     weights: Layers
     biases: Layers
-    spread_scale: float
+    most: float = OUTLIER
 
-    def __call__(self, data: PredictorInputs) -> Futures:
-        """The futures of every row."""
-        features = standardized(data.features, self.mean, self.scale)
-        raw = through_layers(features, self.weights, self.biases)
-        return decode(raw, data.anchors, self.spread_scale)
+    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(n, out) raw numbers of features (n, F)."""
+        return self.through(standardized(features, self.mean, self.scale, self.most))
 
-    def save(self, path: Path, card: dict[str, Any]) -> None:
-        """Write the network with its card (data, split, scores) in the file's metadata."""
-        save_layers(self, path, about(self.spread_scale, card))
+    def through(self, hidden: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n, out) raw numbers of standardised features (n, F)."""
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = hidden @ weight + bias
+            if i < len(self.weights) - 1:  # SiLU; beyond 80 the exponential would overflow
+                hidden /= np.float32(1.0) + np.exp(np.minimum(-hidden, np.float32(80.0)))
+        return hidden
 
+    def arrays(self, prefix: str = "") -> dict[str, NDArray[np.float32]]:
+        """The arrays of a file, in single precision."""
+        found: dict[str, NDArray[np.floating]] = {"mean": self.mean, "scale": self.scale}
+        found |= {f"weight_{i}": weight for i, weight in enumerate(self.weights)}
+        found |= {f"bias_{i}": bias for i, bias in enumerate(self.biases)}
+        return {prefix + name: array.astype(np.float32) for name, array in found.items()}
 
-class Layered(Protocol):
-    """A network of fully connected layers: inputs' means and scales, weights and biases."""
-
-    @property
-    def mean(self) -> FloatArray:
-        """(F,) of the training features."""
-
-    @property
-    def scale(self) -> FloatArray:
-        """(F,) their standard deviations."""
-
-    @property
-    def weights(self) -> Layers:
-        """One (in, out) float32 matrix per layer."""
-
-    @property
-    def biases(self) -> Layers:
-        """One (out,) float32 vector per layer."""
-
-
-def save_layers(
-    network: Layered, path: Path, metadata: dict[str, str], **others: Layered | None
-) -> None:
-    """Write a network's arrays in single precision, with the file's metadata.
-
-    Args:
-        network: what is written.
-        path: the file.
-        metadata: of the file.
-        others: networks written into the same file, by name; None is left out.
-    """
-    from safetensors.numpy import save
-
-    arrays: dict[str, NDArray[np.floating]] = {}
-    for prefix, one in {"": network, **{f"{name}_": one for name, one in others.items()}}.items():
-        if one is None:
-            continue
-        arrays |= {f"{prefix}mean": one.mean, f"{prefix}scale": one.scale}
-        for i, (weight, bias) in enumerate(zip(one.weights, one.biases, strict=True)):
-            arrays |= {f"{prefix}weight_{i}": weight, f"{prefix}bias_{i}": bias}
-    single = {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()}
-    path.write_bytes(save(single, metadata))  # their save_file writes owner-only files
-
-
-def read_layers(path: Path) -> tuple[LayerArrays, dict[str, Any]]:
-    """The network's arrays and the metadata from a file of `save_layers`.
-
-    Raises:
-        InputError: if the file is missing, broken, of another network or newer than this version
-            reads.
-    """
-    arrays, content = read_network(path, "np")
-    return layers_in(path, arrays), content
-
-
-def layers_in(path: Path, arrays: dict[str, Any], name: str = "") -> LayerArrays:
-    """Mean, scale, weights and biases of the network of this name among a file's arrays.
-
-    Raises:
-        InputError: if one is missing.
-    """
-    prefix = f"{name}_" if name else ""
-    layers = sum(key.startswith(f"{prefix}weight_") for key in arrays)
-    try:
-        return (
+    @classmethod
+    def read(cls, arrays: Arrays, prefix: str = "", most: float = OUTLIER) -> Perceptron:
+        """The network among a file's arrays."""
+        layers = range(sum(name.startswith(f"{prefix}weight_") for name in arrays))
+        return cls(
             arrays[f"{prefix}mean"].astype(np.float64),
             arrays[f"{prefix}scale"].astype(np.float64),
-            tuple(arrays[f"{prefix}weight_{i}"] for i in range(layers)),
-            tuple(arrays[f"{prefix}bias_{i}"] for i in range(layers)),
+            tuple(arrays[f"{prefix}weight_{i}"] for i in layers),
+            tuple(arrays[f"{prefix}bias_{i}"] for i in layers),
+            most,
         )
-    except KeyError as error:
-        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
+
+    def check(self, path: Path, inputs: int, answers: int) -> None:
+        """Refuse a network of another size.
+
+        Raises:
+            InputError: if it has other numbers of inputs or answers, as older ones have.
+        """
+        found = self.mean.size, self.biases[-1].size
+        if found != (inputs, answers):
+            raise InputError(
+                f"{path}: found a network with {found[0]} inputs and {found[1]} answers, expected "
+                f"{inputs} and {answers}: train it anew"
+            )
 
 
 def standardized(
-    features: NDArray[Any], mean: FloatArray, scale: FloatArray, most: float = 8.0
+    features: NDArray[Any], mean: FloatArray, scale: FloatArray, most: float = OUTLIER
 ) -> NDArray[np.float32]:
     """(n, F) features as a network takes them; outliers are clipped at ``most`` deviations."""
     return np.clip((features - mean) / scale, -most, most).astype(np.float32)
 
 
-def through_layers(
-    features: NDArray[np.float32], weights: Layers, biases: Layers
-) -> NDArray[np.float32]:
-    """(n, out) what layers with SiLU between them make of standardised features (n, in)."""
-    hidden = features
-    last = len(weights) - 1
-    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        hidden = hidden @ weight
-        hidden += bias
-        if i < last:
-            hidden /= _one_and_exp(-hidden)  # SiLU
-    return hidden
+class RawNetwork(Protocol):
+    """Features in, raw numbers out."""
+
+    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(n, MODES PER_MODE) raw numbers of features (n, F)."""
+
+    def arrays(self) -> Arrays:
+        """The arrays of a file."""
 
 
-def _one_and_exp(x: NDArray[np.float32]) -> NDArray[np.float32]:
-    """1 + exp(x), written over x; beyond 80 the exponential would overflow."""
-    np.minimum(x, np.float32(80.0), out=x)
-    np.exp(x, out=x)
-    x += np.float32(1.0)
-    return x
+@dataclass(frozen=True, slots=True, eq=False)
+class FuturesNetwork:
+    """A trained network that gives futures.
+
+    Attributes:
+        network: gives the raw numbers.
+        spread_scale: see `graphrqi.predict.networks.futures.decode`.
+    """
+
+    network: RawNetwork
+    spread_scale: float
+
+    def __call__(self, data: PredictorInputs) -> Futures:
+        """The futures of every row."""
+        return decode(self.network(data.features), data.anchors, self.spread_scale)
+
+    def save(self, path: Path, card: dict[str, Any]) -> None:
+        """Write the network with its card (data, split, scores)."""
+        about = {"spread_scale": self.spread_scale, "card": card}
+        save_weights(path, KIND, about, self.network.arrays())
 
 
-def about(spread_scale: float, card: dict[str, Any], **more: Any) -> dict[str, str]:
-    """The metadata of a network's file."""
-    content = {"schema_version": SCHEMA_VERSION, "spread_scale": spread_scale, "card": card, **more}
-    return {"about": json.dumps(content, sort_keys=True)}
-
-
-def read_network(path: Path, framework: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The arrays and the metadata in a network's file; its ``spread_scale`` is a usual number.
-
-    Args:
-        path: the file.
-        framework: ``np`` or ``pt``: whose arrays are wanted.
+def load_futures_network(path: Path, read: Callable[[Arrays], RawNetwork]) -> FuturesNetwork:
+    """A network from a file, whose arrays ``read`` understands.
 
     Raises:
-        InputError: if the file is missing, broken or newer than this version reads.
+        InputError: if the file is missing, broken, of another network or of another version.
     """
-    from safetensors import SafetensorError, safe_open
+    about, arrays = load_predictor(path)
+    with refused(path):
+        return FuturesNetwork(read(arrays), about["spread_scale"])
 
-    if not path.is_file():
-        raise InputError(f"{path}: found no file, expected a trained predictor")
+
+def load_predictor(path: Path) -> tuple[dict[str, Any], Arrays]:
+    """The JSON values and the arrays of a predictor's file.
+
+    Raises:
+        InputError: if the file is missing, broken, of another kind or of another version.
+    """
+    about, arrays = load_weights(path, KIND)
+    with refused(path):
+        if not 0.0 < about["spread_scale"] < math.inf:
+            raise ValueError(f"spread_scale: {about['spread_scale']}")
+    return about, arrays
+
+
+@contextmanager
+def refused(path: Path) -> Iterator[None]:
+    """Report content that is missing or of another kind as of a file."""
     try:
-        with safe_open(path, framework) as file:
-            content = json.loads((file.metadata() or {})["about"])
-            if content["schema_version"] != SCHEMA_VERSION:
-                raise InputError(
-                    f"{path}: schema_version: found {content['schema_version']}, "
-                    f"expected {SCHEMA_VERSION}"
-                )
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-            content["spread_scale"] = spread_scale = float(content["spread_scale"])
-    except FileNotFoundError:
-        raise InputError(f"{path}: found no file, expected a trained predictor") from None
-    except InputError:
-        raise
-    except (SafetensorError, LookupError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
-    if not 0 < spread_scale < 1e6:
-        raise InputError(f"{path}: spread_scale: found {spread_scale:g}, expected a usual number")
-    for name, array in arrays.items():
-        if not bool((abs(array) < float("inf")).all()):
-            raise InputError(f"{path}: {name}: found numbers that are not finite")
-    return arrays, content
-
-
-def load_perceptron(path: Path) -> Perceptron:
-    """Read a perceptron.
-
-    Raises:
-        InputError: if the file is missing, broken, of another network or newer than this version
-            reads.
-    """
-    layers, content = read_layers(path)
-    return Perceptron(*layers, content["spread_scale"])
-
-
-def weights_file(name: str) -> Any:
-    """A context that gives the path of a file of weights that ships in the package."""
-    return resources.as_file(resources.files("graphrqi.predict").joinpath("weights", name))
-
-
-@functools.cache
-def shipped_perceptron(name: str) -> Perceptron:
-    """A perceptron that ships in the package, by the name of its file."""
-    with weights_file(name) as path:
-        return load_perceptron(path)
+        yield
+    except (LookupError, TypeError, ValueError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path}: found {reason}, expected a trained predictor") from None

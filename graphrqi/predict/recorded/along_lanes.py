@@ -54,7 +54,7 @@ def join_lanes(
     """The futures of a network without a map, joined with those along lanes.
 
     Args:
-        raw: (n, MOST + 1, PATH_OUTPUTS) of a `graphrqi.predict.recorded.network.LaneNetwork`.
+        raw: (n, MOST + 1, PATH_OUTPUTS) of `graphrqi.predict.recorded.network.lane_answers`.
         ahead: the paths.
         free: what the network without a map says.
         speed: (n,) m/s.

@@ -21,11 +21,11 @@ from scipy.spatial import cKDTree
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.motion import Motion, fading
-from graphrqi.predict.rollout.lane_positions import along_path, positions
 from graphrqi.predict.scene.paths import REACH_M, PathTable
 from sim.frames import PEDESTRIAN, Tracks
+from sim.geometry import to_own_frame
 from sim.road import Road
-from sim.road.cells import Cells, cells_of
+from sim.road.cells import Cells, cells_of, members
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
 
 FloatArray = NDArray[np.float64]
@@ -162,30 +162,20 @@ class _Steady(NamedTuple):
     reach: FloatArray
 
 
-class _LanePieces(NamedTuple):
-    """The straight pieces of the lanes for vehicles, by square cells."""
-
-    cells: Cells
-    lane: IntArray
-    length: FloatArray
-    graph: LaneGraph
-
-    @staticmethod
-    @functools.lru_cache(maxsize=32)
-    def of(road: Road) -> _LanePieces:
-        """Those of a road, kept with it."""
-        graph = LaneGraph.of(road)
-        lane = np.repeat(np.arange(graph.length.size), graph.segment_last - graph.segment_first + 1)
-        end = np.append(graph.segment_at[1:], 0.0)
-        end[graph.segment_last] = graph.length
-        length = end - graph.segment_at
-        begin = graph.segment_start
-        stop = begin + length[:, None] * graph.segment_direction
-        boxes = np.concatenate(
-            [np.minimum(begin, stop) - LANE_REACH_M, np.maximum(begin, stop) + LANE_REACH_M], axis=1
-        )
-        drives = np.flatnonzero(graph.drivable[lane])
-        return _LanePieces(cells_of(boxes[drives], drives, CELL_M), lane, length, graph)
+@functools.lru_cache(maxsize=32)
+def _lane_pieces(graph: LaneGraph) -> tuple[Cells, IntArray, FloatArray]:
+    """The straight pieces of vehicles' lanes by cells, the lane of each, and its length, m."""
+    count = graph.segment_last - graph.segment_first + 1
+    lane, begin = np.repeat(np.arange(count.size), count), graph.segment_start
+    end = np.append(graph.segment_at[1:], 0.0)
+    end[graph.segment_last] = graph.length
+    length = end - graph.segment_at
+    stop = begin + length[:, None] * graph.segment_direction
+    boxes = np.concatenate(
+        [np.minimum(begin, stop) - LANE_REACH_M, np.maximum(begin, stop) + LANE_REACH_M], axis=1
+    )
+    drives = np.flatnonzero(graph.drivable[lane])
+    return cells_of(boxes[drives], drives, CELL_M), lane, length
 
 
 def lanes_ahead(
@@ -209,13 +199,13 @@ def lanes_ahead(
     steady = _Steady(base, gone[:, _AT], LONGER * gone[:, -1] + FURTHER_M)
     spacing = steady.reach / (POINTS - 1)
     found.spacing_m[:] = spacing
-    near, lane = _near_lanes(road, motion, history.kind != PEDESTRIAN)
+    graph = LaneGraph.of(road)
+    near, lane = _near_lanes(graph, motion, history.kind != PEDESTRIAN)
     if not lane.size:
         return found
     farthest = stretches * float(steady.reach[near.agent].max())
-    graph = LaneGraph.of(road)
     table = PathTable.of(road, REACH_M * max(1, math.ceil(min(farthest / REACH_M, LONGEST))))
-    table.cover(np.unique(lane), 0.0)
+    table.cover(lane)
     all_ = _paths_of(table, near, lane, near.s + stretches * steady.reach[near.agent])
     steady_at = _places(graph, table, all_.path, all_.s[:, None] + steady.gone[all_.agent])
     own = _own_frame(motion, all_.agent, steady_at)
@@ -243,29 +233,26 @@ def along_way(xy: FloatArray) -> FloatArray:
     return np.asarray(np.cumsum(np.linalg.norm(xy - before, axis=-1), axis=1))
 
 
-def _near_lanes(road: Road, motion: Motion, drives: BoolArray) -> tuple[_Candidates, IntArray]:
+def _near_lanes(
+    graph: LaneGraph, motion: Motion, drives: BoolArray
+) -> tuple[_Candidates, IntArray]:
     """Agents beside lanes, without a path yet, and the lane of each."""
-    pieces = _LanePieces.of(road)
-    cells, graph = pieces.cells, pieces.graph
+    cells, lane_of, length_of = _lane_pieces(graph)
     column = np.floor((motion.xy[:, 0] - cells.x0) / cells.size)
     line = np.floor((motion.xy[:, 1] - cells.y0) / cells.size)
     inside = drives & (column >= 0) & (column < cells.columns) & (line >= 0) & (line < cells.rows)
     who = np.flatnonzero(inside)
     cell = (line[who] * cells.columns + column[who]).astype(np.int64)
-    count = cells.first[cell + 1] - cells.first[cell]
-    agent = np.repeat(who, count)
-    number = np.arange(agent.size) - np.repeat(np.cumsum(count) - count, count)
-    piece = cells.items[np.repeat(cells.first[cell], count) + number].astype(np.int64)
+    which, at = members(cells.first[cell], cells.first[cell + 1] - cells.first[cell])
+    agent, piece = who[which], cells.items[at].astype(np.int64)
+    length, lane = length_of[piece], lane_of[piece]
     apart = motion.xy[agent] - graph.segment_start[piece]
     ahead = graph.segment_direction[piece]
     beyond = (apart * ahead).sum(axis=1)
-    away = np.linalg.norm(
-        apart - np.clip(beyond, 0.0, pieces.length[piece])[:, None] * ahead, axis=1
-    )
-    lane = pieces.lane[piece]
+    away = np.linalg.norm(apart - np.clip(beyond, 0.0, length)[:, None] * ahead, axis=1)
     least = np.where(piece == graph.segment_first[lane], -LANE_REACH_M, 0.0)
     more = np.where(piece == graph.segment_last[lane], LANE_REACH_M, 0.0)
-    along = np.clip(beyond, least, pieces.length[piece] + more)
+    along = np.clip(beyond, least, length + more)
     left = ahead[:, 0] * apart[:, 1] - ahead[:, 1] * apart[:, 0]
     turned = np.angle(np.exp(1j * (motion.heading[agent] - graph.segment_heading[piece])))
     fits = np.flatnonzero((away < LANE_REACH_M) & (np.cos(turned) > SAME_WAY))
@@ -286,10 +273,7 @@ def _near_lanes(road: Road, motion: Motion, drives: BoolArray) -> tuple[_Candida
 
 def _paths_of(table: PathTable, near: _Candidates, lane: IntArray, end: FloatArray) -> _Candidates:
     """Every path that leads on from each lane; those with the same lanes up to ``end`` m once."""
-    options = table.options[lane]
-    which = np.repeat(np.arange(lane.size), options)
-    number = np.arange(which.size) - np.repeat(np.cumsum(options) - options, options)
-    path = table.first[lane][which] + number
+    which, path = table.options_of(lane)
     lanes = np.where(table.start[path] < end[which, None], table.lane[path], -1)
     _, first = np.unique(np.column_stack([which, lanes]), axis=0, return_index=True)
     return near.of(which[first])._replace(path=path[first])
@@ -297,16 +281,13 @@ def _paths_of(table: PathTable, near: _Candidates, lane: IntArray, end: FloatArr
 
 def _places(graph: LaneGraph, table: PathTable, path: IntArray, s: FloatArray) -> FloatArray:
     """(m, H, 2) places at distances along paths, m; a path goes on straight after its end."""
-    lane, at = along_path(path, s, table.lane, table.start)
-    return positions(graph, lane, at, np.zeros_like(at))
+    lane, at = table.along(path, s)
+    return graph.position(lane.ravel(), at.ravel())[0].reshape(*s.shape, 2)
 
 
 def _own_frame(motion: Motion, agent: IntArray, xy: FloatArray) -> FloatArray:
     """(m, H, 2) places in the frames of agents (m,), m."""
-    cos, sin = np.cos(motion.heading[agent])[:, None], np.sin(motion.heading[agent])[:, None]
-    apart = xy - motion.xy[agent][:, None]
-    x, y = apart[..., 0], apart[..., 1]
-    return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+    return to_own_frame(xy, motion.xy[agent], motion.heading[agent])
 
 
 def _distinct(

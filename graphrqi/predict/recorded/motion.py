@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.frames import PEDESTRIAN, Tracks
+from sim.geometry import from_own_frame, to_own_frame
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -161,19 +162,11 @@ class Motion:
 
     def to_own_frame(self, xy: FloatArray) -> FloatArray:
         """(n, ..., 2) places, m, as distances ahead of each agent and to its left."""
-        shape = (-1,) + (1,) * (xy.ndim - 2)
-        cos, sin = np.cos(self.heading).reshape(shape), np.sin(self.heading).reshape(shape)
-        apart = xy - self.xy.reshape((*shape, 2))
-        x, y = apart[..., 0], apart[..., 1]
-        return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+        return to_own_frame(xy, self.xy, self.heading)
 
     def from_own_frame(self, own: FloatArray) -> FloatArray:
         """(n, ..., 2) distances ahead of each agent and to its left as places, m."""
-        shape = (-1,) + (1,) * (own.ndim - 2)
-        cos, sin = np.cos(self.heading).reshape(shape), np.sin(self.heading).reshape(shape)
-        x, y = own[..., 0], own[..., 1]
-        moved = np.stack([x * cos - y * sin, x * sin + y * cos], axis=-1)
-        return np.asarray(moved + self.xy.reshape((*shape, 2)))
+        return from_own_frame(own, self.xy, self.heading)
 
 
 def fading(motion: Motion, time_s: FloatArray) -> FloatArray:

@@ -17,27 +17,22 @@ References:
 from __future__ import annotations
 
 import functools
-import math
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.errors import InputError
+from graphrqi.networks.weights import save_weights
 from graphrqi.predict.networks.futures import TIME_S, Futures
 from graphrqi.predict.networks.perceptron import (
-    LayerArrays,
-    Layers,
-    about,
-    layers_in,
-    read_network,
-    save_layers,
+    KIND,
+    WEIGHTS,
+    Perceptron,
+    load_predictor,
+    refused,
     standardized,
-    through_layers,
-    weights_file,
 )
 from graphrqi.predict.recorded.features import feature_count, scale_of
 from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
@@ -123,26 +118,52 @@ class TrainedRange:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaneNetwork:
-    """The trained network that looks at paths along lanes.
+class RecordedNetwork:
+    """A trained network.
 
     Attributes:
-        mean: (F + PATH_FEATURES,) of the training inputs: the agent's features, then the path's.
-        scale: (F + PATH_FEATURES,) their standard deviations.
-        weights: one (in, out) float32 matrix per layer.
-        biases: one (out,) float32 vector per layer.
+        free: gives `MODES` futures from an agent's features.
+        spread_scale: factor that makes the sets' coverage right, found on recordings apart.
+        trained: the range that it was trained on.
+        lanes: looks at paths along lanes: its inputs are the agent's features, then the path's;
+            None where no map was trained on.
+        earned: `EARNED` shares of the best guess's correction: without and with a map, by class
+            of speed, without and with noise, at each of `TIME_S`.
     """
 
-    mean: FloatArray
-    scale: FloatArray
-    weights: Layers
-    biases: Layers
+    free: Perceptron
+    spread_scale: float
+    trained: TrainedRange
+    lanes: Perceptron | None = None
+    earned: FloatArray = field(default_factory=lambda: np.ones(EARNED))
 
-    def __call__(self, features: NDArray[np.floating], ahead: LanesAhead) -> NDArray[np.float32]:
-        """(n, MOST + 1, PATH_OUTPUTS) raw numbers; the last path stands for leaving them all."""
-        inputs = lane_inputs(features, ahead, self.mean, self.scale)
-        raw = through_layers(inputs.reshape(-1, inputs.shape[-1]), self.weights, self.biases)
-        return raw.reshape(len(features), MOST + 1, PATH_OUTPUTS)
+    def share(self, motion: Motion, mapped: bool, time_s: FloatArray) -> FloatArray:
+        """(n, H) how much of the correction of the best guess counts, 0 to 1."""
+        table = self.earned[int(mapped)]
+        each = table[kind_of(motion.speed, motion.stands), (motion.noise_m > NOISY_M).astype(int)]
+        return np.stack([np.interp(time_s, TIME_S, one) for one in each]).reshape(-1, time_s.size)
+
+    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(n, MODES, PER_MODE) raw numbers."""
+        return self.free(features).reshape(len(features), MODES, PER_MODE)
+
+    def save(self, path: Path, card: dict[str, Any]) -> None:
+        """Write the network with its card (data, split, scores)."""
+        about = {
+            "spread_scale": self.spread_scale, "card": card, "trained": asdict(self.trained),
+            "earned": np.round(self.earned, 3).tolist(),
+        }  # fmt: skip
+        lanes = self.lanes.arrays("lanes_") if self.lanes else {}
+        save_weights(path, KIND, about, {**self.free.arrays(), **lanes})
+
+
+def lane_answers(
+    lanes: Perceptron, features: NDArray[np.floating], ahead: LanesAhead
+) -> NDArray[np.float32]:
+    """(n, MOST + 1, PATH_OUTPUTS) raw numbers; the last path stands for leaving them all."""
+    inputs = lane_inputs(features, ahead, lanes.mean, lanes.scale)
+    raw = lanes.through(inputs.reshape(-1, inputs.shape[-1]))
+    return raw.reshape(len(features), MOST + 1, PATH_OUTPUTS)
 
 
 def lane_inputs(
@@ -155,51 +176,6 @@ def lane_inputs(
     path = np.where(ahead.exists[..., None], path, np.float32(0.0))
     path = np.concatenate([path, np.zeros_like(path[:, :1])], axis=1)
     return np.concatenate([np.repeat(agent[:, None], MOST + 1, axis=1), path], axis=2)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedNetwork:
-    """A trained network.
-
-    Attributes:
-        mean: (F,) of the training features.
-        scale: (F,) their standard deviations.
-        weights: one (in, out) float32 matrix per layer.
-        biases: one (out,) float32 vector per layer.
-        spread_scale: factor that makes the sets' coverage right, found on recordings apart.
-        trained: the range that it was trained on.
-        lanes: the network that looks at paths along lanes; None where no map was trained on.
-        earned: `EARNED` shares of the best guess's correction: without and with a map, by class
-            of speed, without and with noise, at each of `TIME_S`.
-    """
-
-    mean: FloatArray
-    scale: FloatArray
-    weights: Layers
-    biases: Layers
-    spread_scale: float
-    trained: TrainedRange
-    lanes: LaneNetwork | None = None
-    earned: FloatArray = field(default_factory=lambda: np.ones(EARNED))
-
-    def share(self, motion: Motion, mapped: bool, time_s: FloatArray) -> FloatArray:
-        """(n, H) how much of the correction of the best guess counts, 0 to 1."""
-        table = self.earned[int(mapped)]
-        each = table[kind_of(motion.speed, motion.stands), (motion.noise_m > NOISY_M).astype(int)]
-        return np.stack([np.interp(time_s, TIME_S, one) for one in each]).reshape(-1, time_s.size)
-
-    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(n, MODES, PER_MODE) raw numbers."""
-        inputs = standardized(features, self.mean, self.scale, CLIP)
-        raw = through_layers(inputs, self.weights, self.biases)
-        return raw.reshape(len(features), MODES, PER_MODE)
-
-    def save(self, path: Path, card: dict[str, Any]) -> None:
-        """Write the network with its card (data, split, scores) in the file's metadata."""
-        trained = {name: getattr(self.trained, name) for name in TrainedRange.__slots__}
-        earned = np.round(self.earned, 3).tolist()
-        metadata = about(self.spread_scale, card, trained=trained, earned=earned)
-        save_layers(self, path, metadata, lanes=self.lanes)
 
 
 def kind_of(speed: NDArray[np.floating], stands: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -255,63 +231,28 @@ def load_network(path: Path) -> RecordedNetwork:
     """Read a network.
 
     Raises:
-        InputError: if the file is missing, broken or newer than this version reads.
+        InputError: if the file is missing, broken or of another version.
     """
-    arrays, content = read_network(path, "np")
-    try:
-        told = {name: float(value) for name, value in content["trained"].items()}
-        trained = TrainedRange(**told)
-        earned = np.array(content["earned"], dtype=np.float64)
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: expected a trained predictor, found: {error}") from None
-    for name, value in told.items():
-        if not 0.0 <= value < math.inf:
-            raise InputError(f"{path}: trained.{name}: found {value:g}, expected 0 or more")
-    if earned.shape != EARNED or not ((earned >= 0.0) & (earned <= 1.0)).all():
-        raise InputError(f"{path}: earned: expected shares of the shape {EARNED}")
-    layers = layers_in(path, arrays)
-    if layers[0].size != feature_count():
-        raise InputError(
-            f"{path}: found a network with {layers[0].size} inputs, expected {feature_count()}: "
-            "train it anew"
-        )
-    _check_shapes(path, layers, MODES * PER_MODE)
-    lanes = None
-    if "lanes_mean" in arrays:
-        found = layers_in(path, arrays, "lanes")
-        _check_shapes(path, found, PATH_OUTPUTS, layers[0].size + PATH_FEATURES)
-        lanes = LaneNetwork(*found)
-    return RecordedNetwork(*layers, content["spread_scale"], trained, lanes, earned)
-
-
-def _check_shapes(path: Path, layers: LayerArrays, answers: int, inputs: int | None = None) -> None:
-    """Refuse layers that do not lead from one to the next, from the inputs to the answers."""
-    mean, scale, weights, biases = layers
-    sizes = [mean.size if inputs is None else inputs, *(bias.size for bias in biases)]
-    expected = [(sizes[0],), (sizes[0],), *((size,) for size in sizes[1:]), *pairwise(sizes)]
-    arrays: tuple[NDArray[Any], ...] = (mean, scale, *biases, *weights)
-    found = [array.shape for array in arrays]
-    if found != expected or sizes[-1] != answers or not (scale > 0.0).all():
-        raise InputError(
-            f"{path}: found arrays of the shapes {found}"[:300]
-            + f", expected layers of a network with {answers} answers"
-        )
+    about, arrays = load_predictor(path)
+    with refused(path):
+        free, lanes = Perceptron.read(arrays, most=CLIP), None
+        if "lanes_mean" in arrays:
+            lanes = Perceptron.read(arrays, "lanes_", CLIP)
+        earned = np.array(about["earned"], dtype=np.float64).reshape(EARNED)
+        trained = TrainedRange(**about["trained"])
+    free.check(path, feature_count(), MODES * PER_MODE)
+    if lanes is not None:
+        lanes.check(path, feature_count() + PATH_FEATURES, PATH_OUTPUTS)
+    return RecordedNetwork(free, about["spread_scale"], trained, lanes, earned)
 
 
 SHIPPED: Final = "recorded.safetensors"
 """The file of the weights that ship."""
 
 
-@functools.cache
-def shipped_network() -> RecordedNetwork:
-    """The network that ships in the package."""
-    with weights_file(SHIPPED) as path:
-        return load_network(path)
-
-
 @functools.lru_cache(maxsize=4)
-def trained_network(folder: Path) -> RecordedNetwork:
-    """The network that ``graphrqi train --predictor`` wrote into a folder.
+def trained_network(folder: Path = WEIGHTS) -> RecordedNetwork:
+    """The network that ships, or that ``graphrqi train --predictor`` wrote into a folder.
 
     Raises:
         InputError: if there is none.

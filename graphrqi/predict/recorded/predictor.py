@@ -24,7 +24,8 @@ from graphrqi.predict.recorded.network import (
     MODES,
     RecordedNetwork,
     decode,
-    shipped_network,
+    lane_answers,
+    trained_network,
 )
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
@@ -53,7 +54,7 @@ def predict_recorded(
         network: which network; None for the one that ships.
         road: the map; None where there is none.
     """
-    network = network or shipped_network()
+    network = network or trained_network()
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
     motion = Motion.of(history)
     base = fading(motion, time_s)
@@ -67,7 +68,7 @@ def predict_recorded(
     futures = decode(network(features), base, motion.speed, trust, time_s)
     if road is not None and network.lanes is not None:
         ahead = lanes_ahead(history, motion, road, float(time_s[-1]))
-        raw = network.lanes(features, ahead)
+        raw = lane_answers(network.lanes, features, ahead)
         futures = join_lanes(raw, ahead, futures, motion.speed, trust, time_s)
     own, probability = futures.own, futures.probability
     mapped = road is not None and network.lanes is not None

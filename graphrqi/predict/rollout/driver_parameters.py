@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from graphrqi.predict.rollout.driver_table import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene.scene import Scene
-from sim.compiled import in_place
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -74,26 +72,13 @@ def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
 def _personal(scene: Scene, following: FloatArray) -> FloatArray:
     """(M, n, 5) parameters, each driver's desired speed corrected by its observed speeds."""
     states = scene.states
-    found = np.empty((len(following), states.free_factor.size, following.shape[2]))
-    _correct(following, states.free_factor, states.least_factor, found)
+    shape = len(following), scene.ids.size, following.shape[2]
+    found = np.broadcast_to(following, shape).copy()
+    free = np.log(np.maximum(states.free_factor, 0.1))
+    shown = np.exp((FREE_WEIGHT * np.log(found[..., 0]) + free) / (1.0 + FREE_WEIGHT))
+    wished = np.where(np.isnan(free), found[..., 0], shown)
+    found[..., 0] = np.maximum(wished, states.least_factor)
     knows = scene.road.knows
     if not (knows.limits and knows.limits_rule):  # the speeds seen are all that is known of wishes
         found[..., 0] = np.maximum(states.least_factor, LEAST_FACTOR)
     return found
-
-
-@in_place()
-def _correct(following: Any, free_factor: Any, least_factor: Any, out: Any) -> None:
-    """Correct the desired speeds among parameters."""
-    ways, given, fields = following.shape
-    n = free_factor.size
-    for m in range(ways):
-        for i in range(n):
-            of = i if given == n else 0
-            for f in range(fields):
-                out[m, i, f] = following[m, of, f]
-            if not math.isnan(free_factor[i]):
-                shown = math.log(max(free_factor[i], 0.1))
-                wished = math.log(following[m, of, 0])
-                out[m, i, 0] = math.exp((FREE_WEIGHT * wished + shown) / (1.0 + FREE_WEIGHT))
-            out[m, i, 0] = max(out[m, i, 0], least_factor[i])

@@ -6,9 +6,8 @@ The numbers are calibrated on training episodes (`graphrqi.predict.training.cali
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import dataclass
-from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILES
+from graphrqi.networks.weights import load_weights, save_weights
 
 FloatArray = NDArray[np.float64]
 
@@ -29,10 +29,11 @@ DRIVER_FIELDS: Final = (
 )
 """Columns of a driver's numbers in the rollout."""
 
-CARD: Final = "drivers.json"
-"""The calibrated numbers with their card, beside this module."""
+KIND: Final = "drivers"
+"""The kind of the numbers' file, see `graphrqi.networks.weights`."""
 
-SCHEMA_VERSION: Final = 2
+SHIPPED: Final = Path(__file__).parent.parent / "weights" / "drivers.safetensors"
+"""The calibrated numbers that ship, with their card."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,50 +75,24 @@ def initial_table() -> DriverTable:
     return DriverTable(rows, np.exp(np.log(rows).mean(axis=0)), 2.0, 2.0)
 
 
-def table_to_json(table: DriverTable, card: dict[str, Any]) -> str:
-    """The table as the text of the package's file."""
-    behavior = {
-        str(b): dict(zip(DRIVER_FIELDS, map(float, row), strict=True))
-        for b, row in zip(BEHAVIORS, table.behavior.round(4), strict=True)
-    }
-    data = {
-        "schema_version": SCHEMA_VERSION,
-        "card": card,
-        "decay_s": round(table.decay_s, 3),
-        "average_decay_s": round(table.average_decay_s, 3),
-        "average": dict(zip(DRIVER_FIELDS, map(float, table.average.round(4)), strict=True)),
-        "behavior": behavior,
-    }
-    return json.dumps(data, indent=2) + "\n"
-
-
-def table_from_json(text: str, name: str) -> DriverTable:
-    """The table in the text of a file.
-
-    Raises:
-        InputError: if it is not such a file, or a newer one.
-    """
-    try:
-        data = json.loads(text)
-        version = data["schema_version"]
-        if version != SCHEMA_VERSION:
-            raise InputError(f"{name}: schema_version: found {version}, expected {SCHEMA_VERSION}")
-        return DriverTable(
-            behavior=np.array(
-                [[float(data["behavior"][b][f]) for f in DRIVER_FIELDS] for b in BEHAVIORS]
-            ),
-            average=np.array([float(data["average"][f]) for f in DRIVER_FIELDS]),
-            decay_s=float(data["decay_s"]),
-            average_decay_s=float(data["average_decay_s"]),
-        )
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{name}: expected calibrated drivers, found a broken file: {error}"
-        ) from None
+def save_table(path: Path, table: DriverTable, card: dict[str, Any]) -> None:
+    """Write the table with its card (data, split, scores)."""
+    about = {name: getattr(table, name) for name in ("decay_s", "average_decay_s")}
+    arrays = {"behavior": table.behavior.round(4), "average": table.average.round(4)}
+    save_weights(path, KIND, {"card": card, **about}, arrays)
 
 
 @functools.cache
-def default_table() -> DriverTable:
-    """The calibrated numbers that ship in the package."""
-    text = resources.files("graphrqi.predict").joinpath("weights", CARD).read_text(encoding="utf-8")
-    return table_from_json(text, CARD)
+def load_table(path: Path = SHIPPED) -> DriverTable:
+    """The numbers that ship in the package, or those of another file.
+
+    Raises:
+        InputError: if the file is missing, broken, of another kind or of another version.
+    """
+    about, arrays = load_weights(path, KIND)
+    try:
+        return DriverTable(
+            arrays["behavior"], arrays["average"], about["decay_s"], about["average_decay_s"]
+        )
+    except KeyError as error:
+        raise InputError(f"{path}: found no {error}, expected calibrated drivers") from None

@@ -13,7 +13,7 @@ from graphrqi.predict.rollout.driver_parameters import (
     average_parameters,
     expected_parameters,
 )
-from graphrqi.predict.rollout.driver_table import DriverTable, default_table
+from graphrqi.predict.rollout.driver_table import DriverTable, load_table
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.rollout.route import on_likely_paths
 from graphrqi.predict.scene.scene import Scene
@@ -25,7 +25,7 @@ IntArray = NDArray[np.int64]
 
 def blind(scene: Scene, posterior: Posterior) -> Prediction:
     """Every driver has the average driver's parameters."""
-    return blind_with(scene, default_table())
+    return blind_with(scene, load_table())
 
 
 def aware(scene: Scene, posterior: Posterior) -> Prediction:
@@ -34,7 +34,7 @@ def aware(scene: Scene, posterior: Posterior) -> Prediction:
     The parameters are the posterior's expectation over the behaviours' calibrated ones. Drivers
     without beliefs get the mean of all behaviours.
     """
-    return aware_with(scene, posterior.discounted(scene.ids), default_table())
+    return aware_with(scene, posterior.discounted(scene.ids), load_table())
 
 
 def blind_with(scene: Scene, table: DriverTable) -> Prediction:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout import car_following, lane_positions
-from graphrqi.predict.rollout.columns import START_ACCEL
+from graphrqi.predict.rollout import car_following
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
+from sim.geometry import to_own_frame
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -21,8 +21,9 @@ BoolArray = NDArray[np.bool_]
 CHANGE_S = 3.0
 """Duration of a lane change, s (3 to 6 s are observed)."""
 
-_NO_NUMBERS = np.empty((0, 0))
-_MOVE_TOGETHER = (np.empty((0, 0), dtype=np.int64), _NO_NUMBERS, _NO_NUMBERS)
+_MOVE_TOGETHER = car_following.Others(
+    np.empty((0, 0), dtype=np.int64), np.empty((0, 0)), np.empty((0, 0))
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,18 +70,17 @@ def roll(
     Returns:
         The drivers' future.
     """
-    present = scene.present
+    present = _present(scene)
     if planned is not None:
-        present = present.copy()
-        present[planned, START_ACCEL] = car_following.UNKNOWN_ACCELERATION
+        present.accel[planned] = car_following.UNKNOWN_ACCELERATION
     count = steps or round(scene.steps * STEP_S / step_s)
-    lane, columns, asked = car_following.roll(
+    found = car_following.roll(
         present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, _MOVE_TOGETHER, scene.order, (count, step_s, step_s / STEP_S, decay_s),
+        drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
+        _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    s, offset, speed, travelled = columns[:, 0]
-    return Rollout(lane[0], s, offset, speed, travelled, asked[0], step_s)
+    lane, s, offset, speed, travelled, asked = (column[0] for column in found)
+    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
 
 
 def roll_each(
@@ -109,14 +109,13 @@ def roll_each(
         for name in ("path", "offset", "lateral_speed")
     )
     count, step_s = others.s.shape[1], others.step_s
-    lane, columns, asked = car_following.roll(
-        scene.present, path, _lateral(offset, lateral_speed), following, ignores,
+    lane, s, aside, speed, travelled, asked = car_following.roll(
+        _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
         scene.stop_state, scene.paths.columns,
-        (others.lane, others.s, others.speed), scene.order,
+        car_following.Others(others.lane, others.s, others.speed),
         (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    s, beside, speed, travelled = columns
-    return Rollout(lane, s, beside, speed, travelled, asked, step_s)
+    return Rollout(lane, s, aside, speed, travelled, asked, step_s)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
@@ -128,11 +127,19 @@ def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatAr
         drivers: how each drives.
     """
     *_, asked = car_following.roll(
-        scene.present, path, _lateral(scene.offset, scene.lateral_speed)[None],
+        _present(scene), path, _lateral(scene.offset, scene.lateral_speed)[None],
         drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, _MOVE_TOGETHER, scene.order, (1, STEP_S, 1.0, 0.0),
+        scene.paths.columns, _MOVE_TOGETHER, (1, STEP_S, 1.0, 0.0),
     )  # fmt: skip
-    return asked
+    return np.asarray(asked)
+
+
+def _present(scene: Scene) -> car_following.Present:
+    """What a rollout starts from."""
+    return car_following.Present(
+        scene.s, np.maximum(scene.speed, 0.0), scene.accel.copy(), scene.history.length / 2,
+        scene.on_path,
+    )  # fmt: skip
 
 
 def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
@@ -155,7 +162,8 @@ def positions(scene: Scene, rollout: Rollout) -> FloatArray:
 
 def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) -> FloatArray:
     """(n, H, 2) positions of distances along lanes, and to the left of their centres, m."""
-    return lane_positions.positions(scene.graph, lane, s, offset)
+    xy, _ = scene.graph.position(lane.ravel(), s.ravel(), offset.ravel())
+    return xy.reshape(*s.shape, 2)
 
 
 def in_own_frame(
@@ -172,10 +180,7 @@ def in_own_frame(
         step_s: time between steps, s.
     """
     xy = on_lanes(scene, lane, s, offset)[:, every - 1 :: every]
-    cos, sin = np.cos(scene.heading)[:, None], np.sin(scene.heading)[:, None]
-    gone = xy - scene.xy[:, None]
-    x, y = gone[..., 0], gone[..., 1]
-    own = np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+    own = to_own_frame(xy, scene.xy, scene.heading)
     time_s = np.arange(every, lane.shape[1] + 1, every) * step_s
     straight = np.zeros_like(own)
     straight[..., 0] = scene.speed[:, None] * time_s
@@ -185,9 +190,7 @@ def in_own_frame(
 def steady(scene: Scene) -> Rollout:
     """Every driver along its path at its present speed, returning to its lane's centre."""
     travelled = scene.speed[:, None] * scene.time_s[None]
-    lane, s = lane_positions.along_path(
-        scene.path, scene.s[:, None] + travelled, scene.paths.lane, scene.paths.start
-    )
+    lane, s = scene.paths.along(scene.path, scene.s[:, None] + travelled)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
     return Rollout(lane, s, scene.offsets(), speed, travelled, np.zeros(scene.ids.size))
 
@@ -223,7 +226,6 @@ def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Sc
 
 def centre_ahead(scene: Scene, row: int) -> FloatArray:
     """(H, 2) the centre line of one driver's path ahead, every metre for 60 m."""
-    paths = scene.paths
     x = scene.s[row] + np.arange(60.0)[None]
-    lane, s = lane_positions.along_path(scene.path[row : row + 1], x, paths.lane, paths.start)
+    lane, s = scene.paths.along(scene.path[row : row + 1], x)
     return np.asarray(on_lanes(scene, lane, s, np.zeros_like(s))[0])

@@ -7,21 +7,18 @@ number of lanes and not with its square.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.geometry import meeting
 from sim.road import Road
-from sim.road.cells import boxes_of, near_pairs
+from sim.road.cells import boxes_of, members, near_pairs
 from sim.road.lane_graph import CELL_M, DIRECTIONS, NEAR_M, LaneGraph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-PAIRS_AT_ONCE: Final = 20_000
-"""Pairs of lanes that are compared at once, so that memory stays small on large roads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +72,9 @@ def priority_of(road: Road, graph: LaneGraph) -> Priority:
     first |= (moves.direction[other] == right) & (moves.direction[one] == left)
     keep = first & (moves.origin[other] != moves.origin[one])
     place, other, one = place[keep], other[keep], one[keep]
-    at = crossing_places(
-        [road.lanes[i].centerline for i in moves.lane.tolist()], np.stack([other, one], axis=1)
-    )
+    lines = [road.lanes[i].centerline for i in moves.lane.tolist()]
+    met = [meeting(lines[i], lines[j]) for i, j in zip(one.tolist(), other.tolist(), strict=True)]
+    at = np.array([np.nan if each is None else each.along_other for each in met])
     merges = np.isnan(at) & (moves.target[other] == moves.target[one])
     at[merges] = graph.length[moves.lane[other[merges]]]
     meets = ~np.isnan(at)
@@ -129,63 +126,10 @@ def _may_conflict(road: Road, moves: _Movements, places: IntArray) -> tuple[IntA
     ordered = moves.target[by_target]
     begin = np.searchsorted(ordered, moves.target[places])
     count = np.searchsorted(ordered, moves.target[places], side="right") - begin
-    place = np.repeat(np.arange(places.size), count)
-    number = np.arange(place.size) - np.repeat(np.cumsum(count) - count, count)
-    same = by_target[np.repeat(begin, count) + number]
+    place, number = members(begin, count)
+    same = by_target[number]
     most = max(moves.lane.size, 1)
     pairs = np.unique(
         np.concatenate([near[:, 0] * most + near[:, 1], place * most + same]).astype(np.int64)
     )
     return pairs // most, pairs % most
-
-
-def crossing_places(lines: list[FloatArray], pairs: IntArray) -> FloatArray:
-    """Where lines cross others: the first place along the first line of each pair.
-
-    Args:
-        lines: (P, 2) points of each line, m.
-        pairs: (n, 2) which line crosses which other.
-
-    Returns:
-        (n,) distance along the first line, m; NaN where they do not cross.
-
-    Examples:
-        >>> lines = [np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[3.0, -1.0], [3.0, 1.0]])]
-        >>> crossing_places(lines, np.array([[0, 1]])).tolist()
-        [3.0]
-    """
-    parts = [
-        _crossing_places(lines, pairs[i : i + PAIRS_AT_ONCE])
-        for i in range(0, len(pairs), PAIRS_AT_ONCE)
-    ]
-    return np.concatenate(parts) if parts else np.empty(0)
-
-
-def _crossing_places(lines: list[FloatArray], pairs: IntArray) -> FloatArray:
-    used, row = np.unique(pairs, return_inverse=True)
-    row = row.reshape(pairs.shape)
-    steps = [np.diff(lines[i], axis=0) for i in used.tolist()]
-    begin = np.concatenate([lines[i][:-1] for i in used.tolist()])
-    step = np.concatenate(steps)
-    length = np.hypot(step[:, 0], step[:, 1])
-    count = np.array([len(each) for each in steps])
-    first = np.cumsum(count) - count
-    before = np.concatenate([[0.0, *np.cumsum(part)[:-1]] for part in np.split(length, first[1:])])
-    one, other = row[:, 0], row[:, 1]
-    combined = count[one] * count[other]
-    pair = np.repeat(np.arange(len(pairs)), combined)
-    number = np.arange(pair.size) - np.repeat(np.cumsum(combined) - combined, combined)
-    a = first[one[pair]] + number // count[other[pair]]
-    c = first[other[pair]] + number % count[other[pair]]
-    gap = begin[c] - begin[a]
-    det = step[a, 0] * step[c, 1] - step[a, 1] * step[c, 0]
-    cross = np.abs(det) > 1e-9
-    det = np.where(cross, det, 1.0)
-    t = (gap[:, 0] * step[c, 1] - gap[:, 1] * step[c, 0]) / det
-    u = (gap[:, 0] * step[a, 1] - gap[:, 1] * step[a, 0]) / det
-    hit = np.flatnonzero(cross & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0))
-    which, at = np.unique(pair[hit], return_index=True)
-    hit = hit[at]
-    out = np.full(len(pairs), np.nan)
-    out[which] = before[a[hit]] + t[hit] * length[a[hit]]
-    return out

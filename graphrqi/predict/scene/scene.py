@@ -36,9 +36,6 @@ BREAK_S: Final = 5.0
 """A time between two frames longer than this is a break (as long as the past that predictions are
 made from)."""
 
-FASTEST_MPS: Final = 60.0
-"""Largest speed that is predicted, m/s (more than any vehicle here can drive)."""
-
 RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre."""
 
@@ -106,20 +103,6 @@ class Scene:
     def heading(self) -> FloatArray:
         """(n,) present headings, rad."""
         return self.history.heading[:, -1].copy()
-
-    @cached_property
-    def present(self) -> FloatArray:
-        """(n, 5) what a rollout starts from; see `graphrqi.predict.rollout.columns.PRESENT`."""
-        now = np.empty((self.ids.size, 5))
-        now[:, 0], now[:, 1], now[:, 2] = self.s, np.maximum(self.speed, 0.0), self.accel
-        now[:, 3], now[:, 4] = self.history.length / 2, self.on_path
-        return now
-
-    @cached_property
-    def order(self) -> IntArray:
-        """(d,) rows of those on paths, by lane and then by place."""
-        rows = np.lexsort((self.s, self.lane))
-        return np.ascontiguousarray(rows[self.on_path[rows]])
 
     @cached_property
     def time_s(self) -> FloatArray:
@@ -242,7 +225,7 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
     graph, paths = LaneGraph.of(road), PathTable.of(road)
     states = agent_states(history, road)
     lane = states.lane
-    paths.cover(lane, FASTEST_MPS * horizon_s)
+    paths.cover(lane)
     path = np.where(lane >= 0, paths.likeliest[np.maximum(lane, 0)], 0)
     return Scene(
         history=history,

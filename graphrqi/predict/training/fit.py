@@ -26,11 +26,10 @@ from graphrqi.predict.networks.futures import (
     KNOTS,
     MODES,
     PER_MODE,
-    Futures,
     PredictorInputs,
     decode,
 )
-from graphrqi.predict.networks.perceptron import Layers, Perceptron
+from graphrqi.predict.networks.perceptron import FuturesNetwork, Layers, Perceptron, RawNetwork
 from graphrqi.predict.networks.perceptron import standardized as standardized_features
 
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ def validation_ade(module: torch.nn.Module, examples: Examples) -> float:
     return float(np.linalg.norm(own - examples.truth, axis=-1).mean())
 
 
-def standardization(features: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
+def standardization(features: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
     """(F,) means and (F,) standard deviations; constant features are left as they are."""
     mean = features.mean(axis=0, dtype=np.float64)
     scale = features.std(axis=0, dtype=np.float64)
@@ -189,7 +188,7 @@ def train_perceptron(
     epochs: int = 30,
     seed: int = 0,
     on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
-) -> Perceptron:
+) -> FuturesNetwork:
     """Train the network of `graphrqi.predict.networks.perceptron`.
 
     Args:
@@ -220,11 +219,7 @@ def train_perceptron(
         seed,
         on_epoch,
     )
-    network = Perceptron(mean, scale, *layers_of(module), 1.0)
-    futures = network(
-        PredictorInputs(validation.features.astype(np.float64), validation.anchors.astype(float))
-    )
-    return replace(network, spread_scale=right_spread(futures, validation.truth))
+    return _scaled(Perceptron(mean, scale, *layers_of(module)), validation)
 
 
 def train_lstm(
@@ -234,7 +229,7 @@ def train_lstm(
     epochs: int = 30,
     seed: int = 0,
     on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
-) -> TrajectoryLstm:
+) -> FuturesNetwork:
     """Train the network of `graphrqi.predict.learned.lstm`; see `train_perceptron`."""
     import torch
 
@@ -246,11 +241,17 @@ def train_lstm(
         module, lambda epoch: train, standardized(validation, mean, scale),
         epochs, seed, on_epoch,
     )  # fmt: skip
-    network = TrajectoryLstm(module, mean, scale, 1.0)
-    futures = network(
-        PredictorInputs(validation.features.astype(np.float64), validation.anchors.astype(float))
-    )
-    return TrajectoryLstm(module, mean, scale, right_spread(futures, validation.truth))
+    return _scaled(TrajectoryLstm(module, mean, scale), validation)
+
+
+def _scaled(network: RawNetwork, validation: Examples) -> FuturesNetwork:
+    """The network with the spreads' scale that is right on validation examples."""
+    data = PredictorInputs(validation.features.astype(float), validation.anchors.astype(float))
+    futures = FuturesNetwork(network, 1.0)(data)
+    every = max(1, len(validation.truth) // CHECKED)
+    own, spread = futures.own[::every, :, -1], futures.spread[::every, :, -1]
+    ended = validation.truth[::every, -1].astype(np.float64)
+    return FuturesNetwork(network, spread_factor(own, spread, futures.probability[::every], ended))
 
 
 def silu_module(sizes: Sequence[int], dropout: float = 0.0) -> torch.nn.Sequential:
@@ -280,14 +281,6 @@ def layers_of(module: torch.nn.Sequential) -> tuple[Layers, Layers]:
         tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
         tuple(m.bias.detach().numpy() for m in linears),
     )
-
-
-def right_spread(futures: Futures, truth: NDArray[np.float32]) -> float:
-    """Factor for the spreads with which nominal 90 % sets cover 90 % at the last knot."""
-    every = max(1, len(truth) // CHECKED)
-    own, spread = futures.own[::every, :, -1], futures.spread[::every, :, -1]
-    probability, ended = futures.probability[::every], truth[::every, -1].astype(np.float64)
-    return spread_factor(own, spread, probability, ended)
 
 
 def spread_factor(

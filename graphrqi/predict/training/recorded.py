@@ -2,7 +2,7 @@
 
 The first future is trained on its mean distance, the others winner-takes-all. The scores name the
 nearest of these. The spreads maximise the likelihood of the truth under the nearest future. Futures
-along lanes are trained at the same time (`graphrqi.predict.training.recorded_lanes`). Each example
+along lanes are trained at the same time (`graphrqi.predict.training.recorded_loss`). Each example
 is weighed by the error of constant velocity in its dataset. Small datasets are drawn more often.
 Spreads are scaled on recordings apart to their nominal coverage.
 """
@@ -18,24 +18,30 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.predict.networks.futures import TIME_S, Futures
-from graphrqi.predict.networks.perceptron import standardized
+from graphrqi.predict.networks.perceptron import Perceptron, standardized
 from graphrqi.predict.recorded.along_lanes import join_lanes
 from graphrqi.predict.recorded.features import scale_of
-from graphrqi.predict.recorded.lanes_ahead import LanesAhead
+from graphrqi.predict.recorded.lanes_ahead import PATH_FEATURES, LanesAhead
 from graphrqi.predict.recorded.network import (
     CLIP,
     EARNED,
     MODES,
     NOISY_M,
+    PATH_OUTPUTS,
     PER_MODE,
     RecordedNetwork,
     TrainedRange,
     decode,
     kind_of,
+    lane_answers,
 )
-from graphrqi.predict.training.fit import layers_of, silu_module, spread_factor
-from graphrqi.predict.training.recorded_lanes import LaneTraining
-from graphrqi.predict.training.recorded_loss import covering_loss, distances, futures_of
+from graphrqi.predict.training.fit import layers_of, silu_module, spread_factor, standardization
+from graphrqi.predict.training.recorded_loss import (
+    free_loss,
+    futures_of,
+    lane_loss,
+    path_examples,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -147,20 +153,21 @@ def train_recorded(
     import torch
 
     torch.manual_seed(seed)
-    mean, scale = _moments(training.features)
-    module = silu_module((mean.size, *HIDDEN, MODES * PER_MODE), DROPOUT)  # starts as the base
-    lanes = None
+    mean, scale = standardization(training.features)
+    free = silu_module((mean.size, *HIDDEN, MODES * PER_MODE), DROPOUT)  # starts as the base
+    modules, moments = [free], [(mean, scale)]
     if training.ahead.exists.any():
-        path_mean, path_scale = _moments(training.ahead.features[training.ahead.exists])
-        lanes = LaneTraining(
-            np.concatenate([mean, path_mean]), np.concatenate([scale, path_scale]), HIDDEN,
-            DROPOUT,
-        )  # fmt: skip
-    _fit(module, lanes, training, (mean, scale), epochs, seed, on_epoch)
+        path_mean, path_scale = standardization(training.ahead.features[training.ahead.exists])
+        moments.append((np.append(mean, path_mean), np.append(scale, path_scale)))
+        modules.append(silu_module((moments[1][0].size, *HIDDEN, PATH_OUTPUTS), DROPOUT))
+    _fit(modules, moments, training, epochs, seed, on_epoch)
+    networks = [
+        Perceptron(*moment, *layers_of(module), CLIP)
+        for moment, module in zip(moments, modules, strict=True)
+    ]
     network = RecordedNetwork(
-        mean, scale, *layers_of(module), 1.0, _range_of(training),
-        None if lanes is None else lanes.network(),
-    )  # fmt: skip
+        networks[0], 1.0, _range_of(training), networks[1] if len(networks) > 1 else None
+    )
     return replace(network, spread_scale=right_spread(network, validation))
 
 
@@ -207,12 +214,6 @@ def earned_shares(errors: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.asarray(SHARES)[mean.argmin(axis=0)])
 
 
-def _moments(values: NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation of each column; 1 for nearly constant ones."""
-    scale = values.std(axis=0, dtype=np.float64)
-    return values.mean(axis=0, dtype=np.float64), np.where(scale > 1e-3, scale, 1.0)
-
-
 def guesses(network: RecordedNetwork, examples: RecordedExamples) -> FloatArray:
     """(m, KNOTS, 2) the likeliest futures in the agents' frames, m."""
     parts = np.split(np.arange(len(examples)), range(AT_ONCE, len(examples), AT_ONCE))
@@ -227,23 +228,23 @@ def _decoded(network: RecordedNetwork, examples: RecordedExamples) -> Futures:
     futures = decode(network(examples.features), base, speed, sure, TIME_S)
     if network.lanes is None:
         return futures
-    raw, ahead = network.lanes(examples.features, examples.ahead), examples.ahead
-    return join_lanes(raw, ahead, futures, speed, sure, TIME_S)
+    raw = lane_answers(network.lanes, examples.features, examples.ahead)
+    return join_lanes(raw, examples.ahead, futures, speed, sure, TIME_S)
 
 
 def _fit(
-    module: torch.nn.Module, lanes: LaneTraining | None, training: RecordedExamples,
-    moments: tuple[FloatArray, FloatArray], epochs: int, seed: int,
-    on_epoch: Callable[[int], None],
+    modules: list[torch.nn.Sequential], moments: list[tuple[FloatArray, FloatArray]],
+    training: RecordedExamples, epochs: int, seed: int, on_epoch: Callable[[int], None],
 ) -> None:  # fmt: skip
-    """Fit a module that maps features to outputs, and the one that looks at paths."""
+    """Fit a module that maps features to outputs and, if there is one, that looks at paths."""
     import torch
 
-    from graphrqi.networks.portable_torch import adamw
+    from graphrqi.networks.portable_torch import Descent
 
-    features = torch.from_numpy(standardized(training.features, *moments, CLIP))
+    features = torch.from_numpy(standardized(training.features, *moments[0], CLIP))
     base, truth = torch.from_numpy(training.base), torch.from_numpy(training.truth)
-    size = torch.from_numpy(scale_of(training.measured[:, 0]).astype(np.float32))
+    speed = training.measured[:, 0]
+    size = torch.from_numpy(scale_of(speed).astype(np.float32))
     counts = np.bincount(training.group)
     typical = np.bincount(training.group, training.steady) / np.maximum(counts, 1)
     weight = torch.from_numpy((1.0 / typical[training.group]).astype(np.float32))
@@ -251,49 +252,26 @@ def _fit(
     chance = share[training.group]
     chance /= chance.sum()
     batches = max(1, min(PER_EPOCH, len(training)) // BATCH)
-    fitted = [*module.parameters(), *(() if lanes is None else lanes.module.parameters())]
-    paths = (
-        None
-        if lanes is None
-        else lanes.examples(training.ahead, training.truth, training.measured[:, 0])
-    )
-    optimizer = adamw(fitted, LEARNING_RATE, WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, max_lr=LEARNING_RATE, total_steps=batches * epochs + 1, pct_start=0.1
+    paths = None
+    if len(modules) > 1:
+        mean, scale = (one[-PATH_FEATURES:] for one in moments[1])
+        paths = path_examples(training.ahead, training.truth, speed, mean, scale)
+    descent = Descent(
+        torch.nn.ModuleList(modules), batches * epochs + 1, LEARNING_RATE, WEIGHT_DECAY, 0.1, 1.0
     )
     rng = np.random.default_rng(seed)
     for epoch in range(epochs):
         drawn = rng.choice(len(training), size=(batches, BATCH), p=chance)
         for batch in torch.from_numpy(drawn):
-            raw, happened = module(features[batch]), (truth[batch], size[batch], weight[batch])
-            loss = recorded_loss(raw, base[batch], *happened)
-            if lanes is not None and paths is not None:
-                guess = futures_of(raw, base[batch], size[batch])[:, 0]
-                loss = loss + lanes.loss(features[batch], paths.of(batch), guess, *happened)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(fitted, 1.0)
-            optimizer.step()
-            schedule.step()
+            raw, happened = modules[0](features[batch]), (truth[batch], size[batch], weight[batch])
+            own = futures_of(raw, base[batch], size[batch])
+            loss = free_loss(raw, own, *happened)
+            if paths is not None:
+                loss = loss + lane_loss(
+                    modules[1], features[batch], paths.of(batch), own[:, 0], *happened
+                )
+            descent.step(loss)
         on_epoch(epoch)
-
-
-def recorded_loss(
-    raw: torch.Tensor, base: torch.Tensor, truth: torch.Tensor, size: torch.Tensor,
-    weight: torch.Tensor,
-) -> torch.Tensor:  # fmt: skip
-    """The loss of a batch.
-
-    Args:
-        raw: (m, MODES PER_MODE) outputs.
-        base: (m, KNOTS, 2) m.
-        truth: (m, KNOTS, 2) m.
-        size: (m,) `scale_of` the speeds, m.
-        weight: (m,) by which each counts, 1/m.
-    """
-    apart = distances(futures_of(raw, base, size), truth)
-    each, mean = raw.view(len(raw), MODES, PER_MODE), apart.mean(-1)
-    return covering_loss(each, apart, size, weight) + (weight * mean[:, 0]).mean()
 
 
 def _range_of(examples: RecordedExamples) -> TrainedRange:

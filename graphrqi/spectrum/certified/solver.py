@@ -52,12 +52,11 @@ from numpy.typing import NDArray
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import arpack
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
-from graphrqi.spectrum.certified.prepared import Prepared, prepare
+from graphrqi.spectrum.certified.prepared import prepare
 from graphrqi.spectrum.certified.tracking import Goal, track
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.full import pairs_by_component
 from graphrqi.spectrum.spectrum import Floats, Spectrum
-from graphrqi.spectrum.subspaces import carry_rows
+from graphrqi.spectrum.subspaces import carry_rows, null_space, pairs_by_component
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
@@ -124,7 +123,7 @@ def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
         return _dense(problem)
     if matrix.work > MAX_WORK:
         return None
-    null = _null_vectors(matrix, zeros) if zeros else np.empty((d, 0))
+    null = null_space(graph)[:, :zeros] if zeros else np.empty((d, 0))
     if k == 0:
         return Pairs(np.zeros(zeros), null, True, "", Carried(np.empty((d, 0))))
     low, high = -1.0, 2.0 * matrix.scale + 1.0  # Gershgorin: at most twice the largest degree
@@ -168,15 +167,6 @@ def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
     return found
 
 
-def _null_vectors(matrix: Prepared, count: int) -> Floats:
-    """(d, count) orthonormal indicators of components."""
-    size = np.bincount(matrix.label, minlength=1)
-    null = np.zeros((matrix.order.size, count))
-    mine = matrix.label < count
-    null[matrix.order[mine], matrix.label[mine]] = 1.0 / np.sqrt(size[matrix.label[mine]])
-    return null
-
-
 def _dense(problem: Problem, note: str = "") -> Pairs:
     """The pairs by dense solutions of the components."""
     values, vectors, null = pairs_by_component(problem.graph)
@@ -195,7 +185,5 @@ def _fall_back(problem: Problem) -> Pairs:
     if graph.ids.size <= DENSE_UP_TO:
         return _dense(problem, "fell back on a dense solution")
     found = arpack.solve(graph, problem.asked, problem.end, None, problem.tol, problem.nonzero)
-    found = certify(found, problem.tol)
-    carried = Carried(found.eigenvectors)
-    note = "fell back on ARPACK"
-    return Pairs(found.eigenvalues, found.eigenvectors, found.certified, note, carried)
+    vectors, certified = found.eigenvectors, certify(found, problem.tol).certified
+    return Pairs(found.eigenvalues, vectors, certified, "fell back on ARPACK", Carried(vectors))

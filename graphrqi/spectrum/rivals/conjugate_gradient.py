@@ -18,7 +18,7 @@ import numpy as np
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.spectrum import Floats
-from graphrqi.spectrum.subspaces import null_space, rayleigh_ritz, starting_block
+from graphrqi.spectrum.subspaces import null_space, rayleigh_ritz
 
 MAX_OUTER = 20
 """Inverse iterations before giving up."""
@@ -37,8 +37,8 @@ def solve(problem: Problem) -> Pairs:
     values, vectors = np.zeros(0), np.zeros((graph.ids.size, 0))
     iterations = 0
     if k > 0:
-        outside = null if smallest or problem.nonzero else None
-        block = starting_block(graph, k, problem.previous, outside)
+        outside = null if smallest else problem.null
+        block = problem.starting_block(k, outside)
         values, vectors = rayleigh_ritz(graph, block, end)
         shift = 0.0 if smallest else 2.0 * problem.scale * (1.0 + 1e-6)
         for iterations in range(1, MAX_OUTER + 1):  # noqa: B007  (reported below)
@@ -51,9 +51,7 @@ def solve(problem: Problem) -> Pairs:
     return Pairs(values, np.hstack([known, vectors]), note=f"{iterations} inverse iterations")
 
 
-def _solve_systems(
-    graph: TrafficGraph, shift: float, right: Floats, outside: Floats | None
-) -> Floats:
+def _solve_systems(graph: TrafficGraph, shift: float, right: Floats, outside: Floats) -> Floats:
     """Solve L Y = X, or (shift I - L) Y = X where shift > 0, by conjugate gradients.
 
     To 1e-10 or as near as the limit of products allows, orthogonal to the columns ``outside``.
@@ -71,12 +69,11 @@ def _solve_systems(
         step = np.where(curvature > 0.0, rz / np.where(curvature > 0.0, curvature, 1.0), 0.0)
         y += step * p
         r -= step * q
-        if outside is not None:
-            r -= outside @ (outside.T @ r)
+        r -= outside @ (outside.T @ r)
         if np.linalg.norm(r, axis=0).max() <= 1e-10:
             break
         z = inverse_diagonal * r
         fresh = np.einsum("ij,ij->j", r, z)
         p = z + np.where(rz > 0.0, fresh / np.where(rz > 0.0, rz, 1.0), 0.0) * p
         rz = fresh
-    return y if outside is None else y - outside @ (outside.T @ y)
+    return y - outside @ (outside.T @ y)

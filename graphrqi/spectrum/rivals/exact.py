@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between
+from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between, rows_of
 from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import dense_pairs, pick, rayleigh_ritz
 
@@ -39,8 +39,8 @@ RESTART_EDGES = 2.0
 def solve(problem: Problem) -> Pairs:
     """Update all pairs of this solver's last answer to this graph; ``carried`` holds all."""
     pairs, note = _updated(problem)
-    values, vectors = dense_pairs(problem.graph) if pairs is None else pairs
-    kept = AllPairs(values, vectors)
+    kept = AllPairs(*dense_pairs(problem.graph)) if pairs is None else pairs
+    values, vectors = kept
     if problem.nonzero:
         null, end = problem.null, problem.end
         outside, _ = np.linalg.qr(np.hstack([null, vectors[:, pick(-values, values.size, end)]]))
@@ -48,26 +48,24 @@ def solve(problem: Problem) -> Pairs:
     return Pairs(*problem.chosen(values, vectors), complete=True, note=note, carried=kept)
 
 
-def _updated(problem: Problem) -> tuple[tuple[Floats, Floats] | None, str]:
+def _updated(problem: Problem) -> tuple[AllPairs | None, str]:
     """All pairs, updated from the earlier answer; None if that cannot be done, and a remark."""
     graph, previous = problem.graph, problem.previous
     old = all_pairs_before(previous, graph)
     if old is None or previous is None:
         return None, "solved anew: no earlier answer of this solver, or vehicles departed"
-    change = change_between(previous.graph, graph)
-    if len(change.edges) > RESTART_EDGES * graph.ids.size**0.5:
-        return None, f"solved anew: {len(change.edges)} edges changed"
+    edges, signs = change_between(previous.graph, graph)
+    if len(edges) > RESTART_EDGES * graph.ids.size**0.5:
+        return None, f"solved anew: {len(edges)} edges changed"
     goal = 0.1 * problem.tol * problem.scale
-    values, vectors = update(old, graph.ids.size, change.rows(graph), change.signs, goal)
+    values, vectors = pairs = update(old, graph.ids.size, rows_of(graph, edges), signs, goal)
     drift = np.linalg.norm(graph.laplacian @ vectors - vectors * values, axis=0)
     if drift.max(initial=0.0) > 10.0 * goal:
         return None, "solved anew: rounding errors had built up"
-    return (values, vectors), ""
+    return pairs, ""
 
 
-def update(
-    old: AllPairs, d: int, ends: NDArray[np.int64], signs: Floats, goal: float
-) -> tuple[Floats, Floats]:
+def update(old: AllPairs, d: int, ends: NDArray[np.int64], signs: Floats, goal: float) -> AllPairs:
     """All eigenpairs of d vehicles, ascending, after the change of p edges.
 
     The first vehicles are those of ``old``. ``ends`` (p, 2) are rows of the edges, and ``signs``
@@ -110,7 +108,7 @@ def update(
         frame[:, m:] = rest @ np.linalg.eigh(rest.T @ everything @ rest)[1]
     final = np.einsum("ij,ij->j", frame, everything @ frame)
     order = np.argsort(final, kind="stable")
-    return final[order], (basis @ frame)[:, order]
+    return AllPairs(final[order], (basis @ frame)[:, order])
 
 
 def _shifted_solves(

@@ -14,7 +14,7 @@ import numpy as np
 
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem
-from graphrqi.spectrum.rivals.changes import change_between
+from graphrqi.spectrum.rivals.changes import change_between, rows_of
 from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import carry_rows, dense_pairs, pick, rayleigh_ritz
 
@@ -63,12 +63,12 @@ def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
         return None
     if not np.isin(previous.ids, graph.ids).all():
         return None
-    change = change_between(previous.graph, graph)
+    edges, signs = change_between(previous.graph, graph)
     unit = np.eye(graph.ids.size)
-    first, last = change.rows(graph).T
+    first, last = rows_of(graph, edges).T
     arrived = ~np.isin(graph.ids, previous.ids) if old.bound else np.zeros(graph.ids.size, bool)
     w = np.hstack([unit[:, first] - unit[:, last], unit[:, arrived]])
-    signs = -change.signs if old.bound else change.signs
+    signs = -signs if old.bound else signs
     weights = np.concatenate([signs, np.full(int(arrived.sum()), old.bound)])
     return replace(old, vectors=carry_rows(previous, graph, old.vectors)), w, weights
 

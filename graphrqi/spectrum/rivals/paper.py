@@ -23,7 +23,7 @@ import numpy as np
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.full import full_spectrum
-from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between
+from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between, rows_of
 from graphrqi.spectrum.spectrum import Floats
 
 MAX_ITERATIONS = 5
@@ -54,9 +54,9 @@ def solve(problem: Problem) -> Pairs:
 
 def _follow(pairs: AllPairs, before: TrafficGraph, graph: TrafficGraph) -> AllPairs:
     """Apply the printed update once for every vehicle that gained edges."""
-    values, vectors = pairs.values, pairs.vectors
-    change = change_between(before, graph)
-    first, last = np.sort(change.rows(graph)[change.signs > 0.0], axis=1).T
+    values, vectors = pairs
+    edges, signs = change_between(before, graph)
+    first, last = np.sort(rows_of(graph, edges)[signs > 0.0], axis=1).T
     grown = range(before.ids.size, graph.ids.size)
     for vertex in sorted({*last.tolist(), *grown}):
         if vertex in grown:

@@ -18,11 +18,10 @@ import numpy as np
 import pandas
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.columns import Columns
 from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
-from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
+from sim.formats.common.windows import behavior_words, focal_windows, labels_beside
 from sim.frames import KINDS, Tracks
 from sim.input_files import stem
 
@@ -94,10 +93,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
                 "read back, expected a plain id"
             )
     written: list[Path] = []
-    for number, window in enumerate(windows(tracks, STEPS)):
-        focal = focal_agents(window)
-        if not focal:
-            continue
+    for number, window, focal in focal_windows(name, tracks, STEPS):
         step, row = np.nonzero(window.valid.T)
         role = np.full(len(window.names), "OTHERS")
         role[focal[:2]] = ("AGENT", "AV")[: len(focal)]
@@ -107,15 +103,13 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
             {"TIMESTAMP": window.time_s[step], "TRACK_ID": labels[row], "OBJECT_TYPE": role[row],
              "X": x, "Y": y, "CITY_NAME": CITY}
         ).to_csv(index=False, lineterminator="\n")  # fmt: skip
-        codes = np.full(len(labels), -1) if window.behavior is None else window.behavior
-        words = [BEHAVIORS[code].value if code >= 0 else "" for code in codes]
         kinds = [KINDS[kind].value for kind in window.kind]
-        known = pandas.DataFrame({"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": words})
+        known = pandas.DataFrame(
+            {"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": behavior_words(window)}
+        )
         path = folder / f"{name}-{number:04d}.csv"
         write_whole(path, text.encode())
         beside = known.to_csv(index=False, lineterminator="\n")
         write_whole(path.with_suffix(LABELS_SUFFIX), beside.encode())
         written += [path, path.with_suffix(LABELS_SUFFIX)]
-    if not written:
-        raise NoWindowError(f"{name}: found no 5 s with an agent seen all the time, expected some")
     return written

@@ -22,11 +22,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from behaviors.labels import BEHAVIORS
 from sim.files import whole_folder
 from sim.formats.common.columns import Columns
 from sim.formats.common.recording import Recording, left_out, recorded
-from sim.formats.common.windows import NoWindowError, focal_agents, labels_beside, windows
+from sim.formats.common.windows import behavior_words, focal_windows, labels_beside
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.input_files import stem
 from sim.road import Road
@@ -152,10 +151,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> 
     written: list[Path] = []
     city = "simulated" if road is None else road.name.replace("_", "-")
     archive = json.dumps(static_map(road), allow_nan=False).encode()
-    for number, window in enumerate(windows(tracks, STEPS)):
-        focal = focal_agents(window)
-        if not focal:
-            continue
+    for number, window, focal in focal_windows(name, tracks, STEPS):
         identity = str(uuid.uuid5(uuid.NAMESPACE_URL, f"{name}/{number}"))
         with whole_folder(folder / identity) as partial:
             scenario = _scenario(window, focal[0], identity, city)
@@ -163,8 +159,6 @@ def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> 
             pq.write_table(_labels(window, identity), partial / f"behavior_{identity}.parquet")
             (partial / f"log_map_archive_{identity}.json").write_bytes(archive)
         written.append(folder / identity)
-    if not written:
-        raise NoWindowError(f"{name}: found no 11 s with an agent seen all the time, expected some")
     return written
 
 
@@ -203,12 +197,11 @@ def _scenario(window: Tracks, focal: int, identity: str, city: str) -> pa.Table:
 
 
 def _labels(window: Tracks, identity: str) -> pa.Table:
-    codes = np.full(len(window.names), -1) if window.behavior is None else window.behavior
     columns = {
         "scenario_id": [identity] * len(window.names),
         "track_id": list(window.names),
         "kind": [KINDS[k].value for k in window.kind],
-        "behavior": [BEHAVIORS[c].value if c >= 0 else None for c in codes],
+        "behavior": behavior_words(window),
         "length_m": window.length,
         "width_m": window.width,
     }

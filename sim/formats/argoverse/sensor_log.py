@@ -100,11 +100,6 @@ def read(path: Path) -> Iterator[Recording]:
     of_agents, others = boxes.among("category", CATEGORIES)
     agents, at = boxes.part(of_agents), sweep[of_agents]
     agent, names = agents.names("track_uuid")
-    if EGO_NAME in names:
-        raise InputError(
-            f"{path}: column track_uuid: found {EGO_NAME}, expected other ids: it is the "
-            "recording car's"
-        )
     xy = np.einsum("nij,nj->ni", turn[at, :2], agents.stacked(*_PLACE)) + place[at, :2]
     ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(agents)[:, :, 0])
     ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
@@ -151,26 +146,20 @@ def _rotations(table: Table) -> FloatArray:
             f"{table.path}: columns {', '.join(_TURN)}: found length {length[bad[0]]:g} in row "
             f"{bad[0]}, expected 1"
         )
-    w, x, y, z = quaternion.T
-    return np.asarray(Rotation.from_quat(np.stack([x, y, z, w], axis=1)).as_matrix())
+    turns = Rotation.from_quat(quaternion, scalar_first=True)
+    return np.asarray(turns.as_matrix())
 
 
 def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """(sweeps, 3, 3) rotation and (sweeps, 3) place of the recording car at each sweep, m."""
     poses = read_table(path, ("timestamp_ns", *_TURN, *_PLACE), ())
     stamp = poses.whole("timestamp_ns")
-    order = np.argsort(stamp, kind="stable")
-    first, last = (np.searchsorted(stamp[order], sweeps, side=side) for side in ("left", "right"))
-    missing = np.flatnonzero(first == last)
-    if missing.size:
-        raise InputError(
-            f"{path}: column timestamp_ns: found no pose at {sweeps[missing[0]]}, expected one at "
-            "each annotated sweep"
-        )
-    twice = np.flatnonzero(last - first > 1)
-    if twice.size:
-        raise InputError(
-            f"{path}: column timestamp_ns: found {sweeps[twice[0]]} twice, expected it once"
-        )
-    used = order[first]
-    return _rotations(poses)[used], poses.stacked(*_PLACE)[used]
+    unique, first, count = np.unique(stamp, return_index=True, return_counts=True)
+    at = np.minimum(np.searchsorted(unique, sweeps), unique.size - 1)
+    for wrong, found in ((unique[at] != sweeps, "no pose"), (count[at] > 1, "several poses")):
+        if wrong.any():
+            raise InputError(
+                f"{path}: column timestamp_ns: found {found} at {sweeps[wrong.argmax()]}, expected "
+                "one at each annotated sweep"
+            )
+    return _rotations(poses)[first[at]], poses.stacked(*_PLACE)[first[at]]

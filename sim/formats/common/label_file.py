@@ -15,12 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
-from sim.frames import Tracks
 from sim.input_files import broken_as_one_line, opened
 
 LABELS: Final = ("label", "behavior", "style")
@@ -170,55 +166,26 @@ def _columns(path: Path, header: Iterable[str]) -> dict[str, str]:
 _LABELLED: Final = ({"label"}, {"behavior"}, {"style"}, {"behavior", "style"})
 """Which columns may say what a driver is, together."""
 
+_STYLES: Final = {style.value: DriverLabel(style) for style in Style}
+_BEHAVIORS: Final = {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
+_WORDS: Final = {"label": _STYLES | _BEHAVIORS, "behavior": _BEHAVIORS, "style": _STYLES}
+"""What each word of these columns stands for."""
+
 
 def _label(where: str, cells: Mapping[str, str]) -> DriverLabel:
     """What the cells of a row say of its driver."""
     columns = [column for column in LABELS if column in cells]
-    stated = [column for column in columns if cells[column]] or columns[:1]
-    labels = [_word(where, column, cells[column].lower()) for column in stated]
+    labels = []
+    for column in [column for column in columns if cells[column]] or columns[:1]:
+        label = _WORDS[column].get(cells[column].lower())
+        if label is None:
+            raise InputError(
+                f"{where}: {column}: found {cells[column].lower()!r:.60}, expected one of "
+                f"{', '.join(_WORDS[column])}"
+            )
+        labels.append(label)
     if len({label.style for label in labels}) > 1:
         raise InputError(
             f"{where}: style: found {cells['style']!r:.60}, expected that of {cells['behavior']}"
         )
     return labels[0]
-
-
-def _word(where: str, column: str, word: str) -> DriverLabel:
-    """The label that a word of a column stands for."""
-    known: dict[str, DriverLabel] = {}
-    if column != "behavior":
-        known |= {style.value: DriverLabel(style) for style in Style}
-    if column != "style":
-        known |= {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
-    if word not in known:
-        raise InputError(
-            f"{where}: {column}: found {word!r:.60}, expected one of {', '.join(known)}"
-        )
-    return known[word]
-
-
-def relabelled(
-    tracks: Tracks, styles: Mapping[str, Style], labels: Sequence[DriverLabel | None]
-) -> tuple[NDArray[np.int8], dict[str, Style]]:
-    """What is known of drivers, with labels that are given now.
-
-    Args:
-        tracks: with the behaviours that were known before, if any.
-        styles: by name, of drivers of whom the style alone was known before.
-        labels: of each of the tracks' agents; None leaves what was known.
-
-    Returns:
-        (N,) codes into ``BEHAVIORS``, -1 where not known; and the styles, by name, of those of whom
-        the style alone is known.
-    """
-    before = tracks.behavior
-    codes = np.full(len(labels), -1, dtype=np.int8) if before is None else before.copy()
-    found = dict(styles)
-    for row, (name, label) in enumerate(zip(tracks.names, labels, strict=True)):
-        if label is None:
-            continue
-        codes[row] = -1 if label.behavior is None else label.behavior.code
-        found.pop(name, None)
-        if label.behavior is None:
-            found[name] = label.style
-    return codes, found

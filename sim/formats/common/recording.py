@@ -19,7 +19,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Style
 from behaviors.row_index import RowIndex
 from sim.formats.common.doubts import Stated, doubts_of, inside_vehicles
-from sim.formats.common.label_file import DriverLabel, relabelled
+from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
 from sim.frames import MAX_MAGNITUDE, AgentKind, Tracks
 from sim.road import Road
@@ -85,8 +85,17 @@ class Recording:
         Returns:
             The recording.
         """
-        behavior, styles = relabelled(self.tracks, self.styles, labels)
-        return replace(self, tracks=self.tracks.with_behavior(behavior), styles=styles)
+        known = self.tracks.behavior
+        codes = np.full(len(labels), -1, dtype=np.int8) if known is None else known.copy()
+        styles = dict(self.styles)
+        for row, (name, label) in enumerate(zip(self.tracks.names, labels, strict=True)):
+            if label is None:
+                continue
+            codes[row] = -1 if label.behavior is None else label.behavior.code
+            styles.pop(name, None)
+            if label.behavior is None:
+                styles[name] = label.style
+        return replace(self, tracks=self.tracks.with_behavior(codes), styles=styles)
 
 
 @dataclass

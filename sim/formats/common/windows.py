@@ -97,15 +97,45 @@ def labels_beside(path: Path, names: Sequence[str]) -> NDArray[np.int8] | None:
         return None
     table = read_table(path, (), ("track_id", "behavior"), empty=("behavior",))
     known: dict[str, int] = {}
-    words = table.words("behavior")
-    for name, word in zip(table.words("track_id"), words, strict=True):
-        if name in known:
-            raise InputError(f"{path}: found agent {name!r:.60} twice, expected it once")
-        if word and word not in BEHAVIORS:
+    for name, word in zip(table.words("track_id"), table.words("behavior"), strict=True):
+        if name in known or (word and word not in BEHAVIORS):
+            found = f"behavior {word!r:.60}" if name not in known else "it twice"
             raise InputError(
-                f"{path}: behavior of agent {name!r:.60}: found {word!r:.60}, expected one of "
-                f"{', '.join(BEHAVIORS)}"
+                f"{path}: agent {name!r:.60}: found {found}, expected one of {', '.join(BEHAVIORS)}"
             )
         known[name] = Behavior(word).code if word else -1
     codes = np.array([known.get(name, -1) for name in names], dtype=np.int8)
     return codes if (codes >= 0).any() else None
+
+
+def focal_windows(name: str, tracks: Tracks, steps: int) -> Iterator[tuple[int, Tracks, list[int]]]:
+    """The windows of an episode in which a vehicle is seen in every step.
+
+    Args:
+        name: of the episode, for messages.
+        tracks: the episode, its step a divisor of 0.1 s.
+        steps: length of a window.
+
+    Yields:
+        Each window's number, the window, and those vehicles, the one that travels farthest first.
+
+    Raises:
+        NoWindowError: if there is none.
+        InputError: if the step is not a divisor of 0.1 s.
+    """
+    found = False
+    for number, window in enumerate(windows(tracks, steps)):
+        focal = focal_agents(window)
+        if focal:
+            found = True
+            yield number, window, focal
+    if not found:
+        raise NoWindowError(
+            f"{name}: found no {steps / 10:g} s with an agent seen all the time, expected some"
+        )
+
+
+def behavior_words(tracks: Tracks) -> list[str | None]:
+    """The behaviour of each agent as a word; None where it has none."""
+    codes = [-1] * len(tracks.names) if tracks.behavior is None else tracks.behavior
+    return [BEHAVIORS[code].value if code >= 0 else None for code in codes]
