@@ -9,14 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from functools import cached_property
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behaviors.sorted_ids import find
+
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 V = TypeVar("V", bound=np.generic)
+
+BLOCK_ROWS: Final = 200_000
+"""Rows that are worked on at once where one time needs nothing of the others (some 20 to 60 MB)."""
 
 
 class TimeBlock(NamedTuple):
@@ -33,7 +39,7 @@ class TimeBlock(NamedTuple):
     begins: IntArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RowIndex:
     """The m moments at which N agents were seen, of T times.
 
@@ -152,17 +158,67 @@ class RowIndex:
         for begin, steps in zip(at[first[long]].tolist(), count[long].tolist(), strict=True):
             yield slice(begin, begin + steps)
 
+    @cached_property
     def by_time(self) -> tuple[IntArray, IntArray]:
-        """The rows in order of time, then of agent.
+        """(m,) the rows in order of time, then of agent; (T + 1,) where each time begins, and m."""
+        order = np.argsort(self.step, kind="stable")  # fast: a merge of one sorted run per agent
+        return order, np.concatenate([[0], np.cumsum(self.counts())])
+
+    def at(self, step: int) -> IntArray:
+        """(k,) the rows of one time, by agent."""
+        order, begins = self.by_time
+        step %= self.times  # -1 is the last one
+        return order[begins[step] : begins[step + 1]]
+
+    def counts(self) -> IntArray:
+        """(T,) how many agents are present at each time."""
+        return np.bincount(self.step, minlength=self.times)
+
+    @cached_property
+    def _cells(self) -> IntArray:
+        return self.agent * self.times + self.step
+
+    def find(self, agent: IntArray, step: IntArray) -> tuple[IntArray, BoolArray]:
+        """Find the rows of agents at given times.
+
+        Args:
+            agent: indices of agents.
+            step: indices of times, of a shape that fits.
 
         Returns:
-            (m,) rows, and (T + 1,) where those of each time begin, and m.
-        """
-        order = np.argsort(self.step, kind="stable")  # fast: a merge of one sorted run per agent
-        counts = np.bincount(self.step, minlength=self.times)
-        return order, np.concatenate([[0], np.cumsum(counts)])
+            The row for each, and whether there is one; where there is none, the row is any.
 
-    def time_blocks(self, most: int) -> Iterator[TimeBlock]:
+        Examples:
+            >>> seen = RowIndex.of(np.array([[False, True], [True, False]]))
+            >>> seen.find(np.array([0, 1]), np.array([1, 1]))[1].tolist()
+            [True, False]
+        """
+        cell = np.asarray(agent * self.times + step)
+        if not self._cells.size:
+            return np.zeros(cell.shape, dtype=np.int64), np.zeros(cell.shape, dtype=bool)
+        row = np.minimum(np.searchsorted(self._cells, cell), self._cells.size - 1)
+        return row, self._cells[row] == cell
+
+    def part(self, agents: IntArray, times: slice | IntArray) -> tuple[IntArray, RowIndex]:
+        """The rows of some agents at some of the times.
+
+        Args:
+            agents: indices of the agents, ascending.
+            times: which times; as indices, ascending.
+
+        Returns:
+            Their rows, and the index in which these agents and times have new numbers.
+        """
+        times = np.arange(self.times)[times]
+        order, begins = self.by_time
+        rows = np.sort(order[begins[times[0]] : begins[times[-1] + 1]]) if times.size else times
+        step, some = find(times, self.step[rows])
+        rows, step = rows[some], step[some]
+        agent, some = find(agents, self.agent[rows])
+        index = RowIndex.of_rows(agent[some], step[some], agents.size, times.size)
+        return rows[some], index
+
+    def time_blocks(self, most: int = BLOCK_ROWS) -> Iterator[TimeBlock]:
         """All rows, in blocks of consecutive times.
 
         A loop over the blocks needs memory for one block only.
@@ -178,7 +234,7 @@ class RowIndex:
             >>> [block.rows.tolist() for block in seen.time_blocks(3)]
             [[0, 3, 1], [2, 4]]
         """
-        rows, begins = self.by_time()
+        rows, begins = self.by_time
         first = 0
         while True:
             end = int(np.searchsorted(begins, begins[first] + most, side="right")) - 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -105,8 +105,7 @@ def write_calibration(
     """
     with new_folder(out) as folder:
         calibrated = _calibrate_recordings(source, format, net, quiet)
-        table = pa.Table.from_pylist(_driver_rows(calibrated), schema=SCHEMA)
-        pq.write_table(table, folder / "drivers.parquet")
+        pq.write_table(_drivers_table(calibrated), folder / "drivers.parquet")
         for law in Law:
             text = calibrated.population(law).to_toml()
             (folder / f"population_{law}.toml").write_text(text)
@@ -142,30 +141,30 @@ def _calibrate_recordings(
     return Calibrated(label, tuple(names), tuple(drivers), laws)
 
 
-def _driver_rows(calibrated: Calibrated) -> list[dict[str, Any]]:
-    """A row for each driver, law and number; columns as `SCHEMA`."""
-    rows: list[dict[str, Any]] = []
+def _drivers_table(calibrated: Calibrated) -> pa.Table:
+    """A row for each law, driver and number; columns as `SCHEMA`."""
+    parts = []
+    count, numbers = len(calibrated.drivers), len(NUMBERS)
     for law, fitted in calibrated.laws.items():
         margin = NORMAL_90 * fitted.deviation
-        low, high = np.exp(fitted.logs - margin), np.exp(fitted.logs + margin)
-        for i, driver in enumerate(calibrated.drivers):
-            rows += [
-                {
-                    "recording": calibrated.recording[i],
-                    "agent": driver.agent,
-                    "name": driver.name,
-                    "seconds": driver.seconds,
-                    "law": str(law),
-                    "error_m": float(fitted.error_m[i]),
-                    "number": number,
-                    "median": float(np.exp(fitted.logs[i, k])),
-                    "low": float(low[i, k]),
-                    "high": float(high[i, k]),
-                    "known": bool(fitted.known[i, k]),
-                }
-                for k, number in enumerate(NUMBERS)
-            ]
-    return rows
+        each = {
+            "recording": calibrated.recording,
+            "agent": [driver.agent for driver in calibrated.drivers],
+            "name": [driver.name for driver in calibrated.drivers],
+            "seconds": [driver.seconds for driver in calibrated.drivers],
+            "law": [str(law)] * count,
+            "error_m": fitted.error_m,
+        }
+        columns = {
+            **{name: np.repeat(np.asarray(values), numbers) for name, values in each.items()},
+            "number": list(NUMBERS) * count,
+            "median": np.exp(fitted.logs).ravel(),
+            "low": np.exp(fitted.logs - margin).ravel(),
+            "high": np.exp(fitted.logs + margin).ravel(),
+            "known": fitted.known.ravel(),
+        }
+        parts.append(pa.table(columns, schema=SCHEMA))
+    return pa.concat_tables(parts)
 
 
 def population_rows(calibrated: Calibrated) -> list[Row]:

@@ -56,7 +56,6 @@ WORLDS, WORLDS_SEED = 60, 77
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
 
-
 NETWORK_EPISODES: Final[dict[str, dict[str, Any]]] = {
     "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
     "light": {"episodes": 20, "flow": "light"},
@@ -74,18 +73,12 @@ WORLDS_EPISODES: Final = {7000: 700, 31000: 1500, 52000: 2000}
 OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
 """Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
 
-
 NETWORKS: Final = "networks.safetensors"
 """File of the trained networks in the working folder, beside the folder of the classifier."""
 
 
-def train_classifier(work: Path, jobs: int) -> None:
-    """Generate the classifier's data and train it.
-
-    Args:
-        work: folder for the data and for the trained classifier.
-        jobs: processes.
-    """
+def _train_classifier(work: Path, jobs: int) -> None:
+    """Generate the classifier's data and train it."""
     folders = []
     for engine, scenarios in CLASSIFIER_EPISODES.items():
         for scenario, episodes in scenarios.items():
@@ -99,21 +92,16 @@ def train_classifier(work: Path, jobs: int) -> None:
             )
             generate(config, folders[-1], jobs)
     train_on(folders, BEST_METHOD, work / BEST_METHOD, jobs=jobs, per_moment=CLASSIFIER_PER_MOMENT)
-    put_together(work)
+    _put_together(work)
 
 
-def worlds_of(count: int, seed: int) -> GenerateConfig:
+def _worlds_of(count: int, seed: int) -> GenerateConfig:
     """Configuration of this many random worlds."""
     return GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=count, seed=seed)
 
 
-def train_networks(work: Path, jobs: int) -> None:
-    """Generate simulated traffic and random worlds, and train the networks for other traffic.
-
-    Args:
-        work: folder for the data and for the trained networks.
-        jobs: processes.
-    """
+def _train_networks(work: Path, jobs: int) -> None:
+    """Generate simulated traffic and random worlds, and train the networks for other traffic."""
     simulated = []
     for name, options in NETWORK_EPISODES.items():
         simulated.append(work / f"networks-{name}")
@@ -124,7 +112,7 @@ def train_networks(work: Path, jobs: int) -> None:
     worlds = []
     for seed, count in WORLDS_EPISODES.items():
         worlds.append(work / f"networks-worlds-{seed}")
-        generate(worlds_of(count, seed), worlds[-1], jobs)
+        generate(_worlds_of(count, seed), worlds[-1], jobs)
     learned, about = train_on_worlds(
         [open_dataset(folder) for folder in simulated],
         [open_dataset(folder) for folder in worlds],
@@ -132,10 +120,10 @@ def train_networks(work: Path, jobs: int) -> None:
         quiet=False,
     )
     save_weights(work / NETWORKS, "networks", {"card": about}, learned.arrays())
-    put_together(work)
+    _put_together(work)
 
 
-def put_together(work: Path) -> None:
+def _put_together(work: Path) -> None:
     """Write the model that ships, if its classifier and its networks have both been trained."""
     if not ((work / BEST_METHOD / FILE).is_file() and (work / NETWORKS).is_file()):
         return
@@ -151,16 +139,8 @@ def put_together(work: Path) -> None:
     save_model(dataclasses.replace(model, card=card, other=other), MODELS / BEST_METHOD)
 
 
-def train_all_predictors(work: Path, jobs: int) -> None:
-    """Generate the predictors' data, calibrate the driver parameters and train the predictors.
-
-    Without the open recordings, which are not part of the package, the weights for recordings that
-    ship stay.
-
-    Args:
-        work: folder for the data.
-        jobs: processes.
-    """
+def _train_predictors(work: Path, jobs: int) -> None:
+    """Generate the predictors' data, and train them; weights for recordings need the recordings."""
     data = work / "predictor"
     config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
     generate(config, data, jobs)
@@ -175,15 +155,15 @@ def train_all_predictors(work: Path, jobs: int) -> None:
         )
         return
     worlds = work / "recorded-worlds"
-    generate(worlds_of(WORLDS, WORLDS_SEED), worlds, jobs)
+    generate(_worlds_of(WORLDS, WORLDS_SEED), worlds, jobs)
     roads = generate_roads(work, WORLDS_SEED, False)
     train_on_recordings([*recordings, worlds, *roads], weights)
 
 
 PARTS: Final[dict[str, Callable[[Path, int], None]]] = {
-    "classifier": train_classifier,
-    "networks": train_networks,
-    "predictors": train_all_predictors,
+    "classifier": _train_classifier,
+    "networks": _train_networks,
+    "predictors": _train_predictors,
 }
 """Trained parts, in this order."""
 

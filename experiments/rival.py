@@ -19,7 +19,6 @@ from experiments.data.windows import measured
 from graphrqi.samples import Samples
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.store.dataset import Dataset, open_dataset
@@ -52,11 +51,10 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
     gap = _gaps(tracks) if road is None else np.full(tracks.valid.shape, np.inf)
     changes = np.full(tracks.ids.size, np.nan)
     if road is not None and tracks.time_s.size > 1:
-        steps = TrajectoryRows.of(tracks)
-        seen = observe(steps, road)
-        gap[steps.row_index.agent, steps.row_index.step] = seen.gap
-        changed = lane_changes(detector_inputs(steps, road, seen))
-        agent = steps.row_index.agent[changed]
+        index, seen = tracks.rows.index, observe(tracks, road)
+        gap[index.agent, index.step] = seen.gap
+        changed = lane_changes(detector_inputs(tracks, road, seen))
+        agent = index.agent[changed]
         changes = np.bincount(agent, minlength=tracks.ids.size).astype(np.float64)
     half = max(1, round(0.25 / tracks.step_s)) if tracks.time_s.size > 1 else 1
     for row in range(tracks.ids.size):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from behaviors.errors import InputError
+from behaviors.labels import Behavior
 from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
@@ -29,67 +28,6 @@ if TYPE_CHECKING:
 
 COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""
-
-
-@dataclass
-class RunSummary:
-    """Counts and sums over the frames of a run.
-
-    Attributes:
-        frames: how many frames there were.
-        entered: ids of the agents that are in a frame.
-        events: how often each kind of event happened.
-        distance_m: sum of speed times step over all that drive, m.
-        driving_s: time driven by all that drive, s.
-        time_s: time of the last frame, s.
-    """
-
-    frames: int = 0
-    entered: set[int] = field(default_factory=set)
-    events: Counter[EventKind] = field(default_factory=Counter)
-    distance_m: float = 0.0
-    driving_s: float = 0.0
-    time_s: float = 0.0
-
-    def count(self, frames: Iterable[Frame], step_s: float) -> Iterator[Frame]:
-        """Yield the frames and count what is in them."""
-        for frame in frames:
-            self.frames += 1
-            self.entered.update(frame.ids.tolist())
-            self.events.update(event.kind for event in frame.events)
-            driving = frame.driving
-            self.distance_m += float(frame.speed[driving].sum()) * step_s
-            self.driving_s += float(driving.sum()) * step_s
-            self.time_s = frame.time_s
-            yield frame
-
-
-@dataclass
-class _Beliefs:
-    """The latest posterior about each driver, and those at the instants of prediction."""
-
-    latest: dict[int, tuple[Posterior, int]] = field(default_factory=dict)
-    instants: dict[int, Posterior] = field(default_factory=dict)
-
-    def take(self, posterior: Posterior) -> None:
-        """Keep the present posteriors."""
-        for row, agent in enumerate(posterior.ids.tolist()):
-            self.latest[agent] = posterior, row
-
-    def answers(self, agents: tuple[AgentSpec, ...]) -> Answers:
-        """The last answer about every driver that got one."""
-        code = {a.id: -1 if a.behavior is None else a.behavior.code for a in agents}
-        found = [(code[agent], *one) for agent, one in self.latest.items()]
-        known = Answers.known(
-            np.array([p.probability[row] for _, p, row in found]).reshape(-1, 6),
-            np.array([code for code, _, _ in found], dtype=np.int64),
-            np.zeros(len(found), dtype=np.int64),
-        )
-        return dataclasses.replace(
-            known,
-            answered=np.array([p.labelled[row] for _, p, row in found], dtype=bool),
-            domain=np.array([p.domain for _, p, _ in found], dtype=np.float64),
-        )
 
 
 def run_scenario(
@@ -120,47 +58,69 @@ def run_scenario(
     task = Task(config, config.scenarios[0], 0)
     scenario = config.scenario(task.scenario)
     agents = sample_agents(scenario, task.seed)
-    summary, beliefs, kept = RunSummary(), _Beliefs(), list[Frame]()
     stream = None
     if model is not None:
         from graphrqi.stream import load_stream
 
         stream = load_stream(model, window)
-    started, spent_s, due_s = time.monotonic(), 0.0, WARM_UP_S
+    latest: dict[int, tuple[Posterior, int]] = {}
+    beliefs: dict[int, Posterior] = {}
+    entered, kept, driven = set[int](), list[Frame](), np.zeros(2)  # m and s, without the step
+    frames = collisions = 0
+    started, spent_s, due_s, time_s = time.monotonic(), 0.0, WARM_UP_S, 0.0
     steps = round(scenario.duration_s / scenario.step_s)
     with Progress(f"{scenario.name}: frames", steps, quiet) as progress:
-        for frame in summary.count(_frames(config, task, scenario, agents, out), scenario.step_s):
+        for frame in _frames(config, task, scenario, agents, out):
+            frames, time_s = frames + 1, frame.time_s
+            entered.update(frame.ids.tolist())
+            collisions += sum(event.kind is EventKind.COLLISION for event in frame.events)
+            driven += frame.speed[frame.driving].sum(), frame.driving.sum()
             begun = time.monotonic()
             if stream is not None:
                 posterior = stream.update(frame)
-                beliefs.take(posterior)
+                latest |= {agent: (posterior, i) for i, agent in enumerate(posterior.ids.tolist())}
                 if predict:
                     kept.append(frame if window is None else window.of(frame))
-                if predict and frame.time_s >= due_s - 1e-6:
-                    beliefs.instants[len(kept)] = posterior
+                if predict and time_s >= due_s - 1e-6:
+                    beliefs[len(kept)] = posterior
                     due_s += EVERY_S
             spent_s += time.monotonic() - begun
             progress.advance()
-    factor = summary.time_s / max(time.monotonic() - started, 1e-9)
     keys: dict[str, Cell] = {"scenario": scenario.name, "engine": config.engine}
-    mean_speed = summary.distance_m / summary.driving_s if summary.driving_s else None
     figures = {
-        "agents": len(summary.entered),
-        "mean_speed_mps": mean_speed,
-        "collisions": summary.events[EventKind.COLLISION],
-        "simulated_s": round(summary.time_s, 3),
-        "real_time_factor": round(factor, 1),
-        "ms_per_frame": round(1e3 * spent_s / max(summary.frames, 1), 3),
+        "agents": len(entered),
+        "mean_speed_mps": driven[0] / driven[1] if driven[1] else None,
+        "collisions": collisions,
+        "simulated_s": round(time_s, 3),
+        "real_time_factor": round(time_s / max(time.monotonic() - started, 1e-9), 1),
+        "ms_per_frame": round(1e3 * spent_s / max(frames, 1), 3),
     }
     rows = [tidy_row(keys, name, value) for name, value in figures.items()]
+    truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:
-        rows += score_answers(beliefs.answers(agents), {**keys, "model": model})
+        rows += score_answers(_last_answers(latest, truth), {**keys, "model": model})
     if predict and kept:
-        truth = {a.id: a.behavior for a in agents}
-        tracks = Tracks.from_frames(kept, truth)
-        errors = score_episode(tracks, beliefs.instants, scenario.road, COMPARED)
+        errors = score_episode(Tracks.from_frames(kept, truth), beliefs, scenario.road, COMPARED)
         rows += score_predictions([errors], keys)
     return rows
+
+
+def _last_answers(
+    latest: Mapping[int, tuple[Posterior, int]], truth: Mapping[int, Behavior | None]
+) -> Answers:
+    """The last answer about every driver: its row of a posterior."""
+    code = [-1 if (known := truth[agent]) is None else known.code for agent in latest]
+    found = list(latest.values())
+    answers = Answers.known(
+        np.array([p.probability[row] for p, row in found]).reshape(-1, 6),
+        np.array(code, dtype=np.int64),
+        np.zeros(len(found), dtype=np.int64),
+    )
+    return dataclasses.replace(
+        answers,
+        answered=np.array([p.labelled[row] for p, row in found], dtype=bool),
+        domain=np.array([p.domain for p, _ in found], dtype=np.float64),
+    )
 
 
 def _frames(
@@ -188,25 +148,18 @@ SHOWN: Final = (
 
 
 def shown(rows: Sequence[Row]) -> list[Row]:
-    """The main figures of a run for people: what, and how much.
-
-    Args:
-        rows: from `run_scenario`.
-
-    Returns:
-        A line for each figure.
-    """
+    """The main figures from `run_scenario` for people: a line with what, and how much, for each."""
     lines: list[Row] = []
     for row in rows:
-        words = [row.get(key) for key in ("predictor", "behavior") if row.get(key) != "all"]
-        ahead = f"{row['horizon_s']:g} s" if "horizon_s" in row else None
         predicted = "predictor" in row
-        if row["metric"] not in SHOWN or (predicted and row["behavior"] != "all"):
+        if row["metric"] not in SHOWN or predicted != (row["metric"] in ("ade_m", "fde_m")):
             continue
-        if predicted != (row["metric"] in ("ade_m", "fde_m")):
+        if predicted and row["behavior"] != "all":
             continue
-        name = " ".join(str(word) for word in (*words, row["metric"], ahead) if word is not None)
-        lines.append({"what": name, "value": row["value"]})
+        ahead = f"{row['horizon_s']:g} s" if predicted else None
+        named = [row.get(key) for key in ("predictor", "behavior") if row.get(key) != "all"]
+        words = [word for word in (*named, row["metric"], ahead) if word is not None]
+        lines.append({"what": " ".join(map(str, words)), "value": row["value"]})
     return lines
 
 

@@ -19,9 +19,8 @@ from behaviors.labels import BEHAVIORS
 from experiments.score.metrics import bootstrap, ratio
 from experiments.score.rows import Cell, Row, tidy_row
 from sim.episode.annotate import annotated_parts
-from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
-from sim.frames import KINDS, PEDESTRIAN, Event, EventKind, FloatArray, IntArray
+from sim.frames import KINDS, PEDESTRIAN, Event, EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.store.dataset import Dataset, Episode
@@ -130,7 +129,7 @@ def _rows(keys: dict[str, Cell], sums: dict[str, FloatArray]) -> Iterator[Row]:
 def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArray]]:
     """By metric, (N,) how much of it each agent of an episode has."""
     tracks, entry = episode.tracks, episode.entry
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agent, n = rows.index.agent, tracks.ids.size
     goes = ~rows.index.begins
     moved = np.zeros(agent.size)
@@ -146,7 +145,7 @@ def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArr
     events: Sequence[Event]
     shown: Sequence[ShownTrait]
     if entry.engine in FORMATS:
-        events, shown, gaps = _annotated(TrajectoryRows.of(tracks), road)
+        events, shown, gaps = _annotated(tracks, road)
     else:
         events, shown = tracks.events, episode.shown_traits
         own = dataset.rows(entry, "steps", ["agent", "speed_mps", "gap_m"])
@@ -160,16 +159,15 @@ def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArr
 Gaps = tuple[IntArray, FloatArray, FloatArray]
 
 
-def _annotated(
-    steps: TrajectoryRows, road: Road
-) -> tuple[list[Event], list[ShownTrait], list[Gaps]]:
+def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait], list[Gaps]]:
     """Events, shown traits, and (ids, speeds, gaps) of the parts of a recording."""
     events, shown, gaps = list[Event](), list[ShownTrait](), list[Gaps]()
-    for part, found in annotated_parts(steps, road):
+    for part, found in annotated_parts(tracks, road):
         events += found.events
         shown += found.shown_traits
         near = np.isfinite(found.gap)
-        gaps.append((part.ids[part.row_index.agent][near], part.speed[near], found.gap[near]))
+        rows = part.rows
+        gaps.append((part.ids[rows.index.agent][near], rows.speed[near], found.gap[near]))
     return events, shown, gaps
 
 

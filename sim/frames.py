@@ -8,8 +8,10 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -22,7 +24,6 @@ from behaviors.row_index import RowIndex
 from sim.checked_arrays import cast, check_and_freeze, frozen
 from sim.events import Event as Event
 from sim.events import EventKind as EventKind
-from sim.track_rows import DENSE, TrackRows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -169,13 +170,52 @@ class Frame:
         return np.asarray(self.kind != PEDESTRIAN)
 
 
-@dataclass(frozen=True)
+BREAK_S: Final = 1.0
+"""Longest time between two frames without a break, s."""
+
+BREAK_STEPS: Final = 3.0
+"""Most usual steps that may lie between two frames without a break."""
+
+MAX_CELLS: Final = 5 * 10**7
+"""Most agents times times of dense arrays (all four together take 1.65 GB)."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackRows:
+    """Where agents were: a row for each time at which each is present, by agent, then by time.
+
+    An agent is present for a small part of a long recording, so dense arrays are mostly empty.
+
+    Attributes:
+        index: the agent and the time of each of the m rows.
+        xy: (m, 2) m.
+        heading: (m,) rad.
+        speed: (m,) m/s.
+    """
+
+    index: RowIndex
+    xy: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+
+    def __post_init__(self) -> None:
+        """Make the arrays 64-bit and read-only, and check their shapes."""
+        m = self.index.agent.size
+        shapes = {"xy": (m, 2), "heading": (m,), "speed": (m,)}
+        check_and_freeze(self, {name: (np.float64, shape) for name, shape in shapes.items()})
+
+    def taken(self, rows: IntArray | BoolArray, index: RowIndex) -> TrackRows:
+        """Some of the rows, ascending, with the index that numbers their agents and times."""
+        return TrackRows(index, self.xy[rows], self.heading[rows], self.speed[rows])
+
+
+@dataclass(frozen=True, eq=False)
 class Tracks:
     """A whole episode: N agents at T times, and where each was while it was present.
 
-    Tracks are made from arrays, or with `of_rows` from a row for each time at which an agent is
-    present. Then ``xy``, ``heading``, ``speed`` and ``valid`` are filled on first use. Arrays
-    above ``sim.track_rows.MAX_CELLS`` raise an `InputError`; everything else still works.
+    Tracks keep rows. The dense arrays ``xy``, ``heading``, ``speed`` and ``valid`` are filled on
+    first use; above ``MAX_CELLS`` they raise an `InputError`, and everything else still works.
+    Tracks `of_dense` arrays keep these, and make rows on first use.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -184,10 +224,7 @@ class Tracks:
         length: (N,) m.
         width: (N,) m.
         time_s: (T,) s, increasing.
-        xy: (N, T, 2) m; NaN where not valid.
-        heading: (N, T) rad; NaN where not valid.
-        speed: (N, T) m/s; NaN where not valid.
-        valid: (N, T) whether the agent is present at that time.
+        rows: where the agents were.
         signals: (S, T) codes into ``SIGNALS``.
         behavior: (N,) codes into ``BEHAVIORS`` (-1: no label), or None without labels.
         events: every event, in time order.
@@ -199,10 +236,7 @@ class Tracks:
     length: FloatArray
     width: FloatArray
     time_s: FloatArray
-    xy: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-    valid: BoolArray
+    rows: TrackRows
     signals: CodeArray
     behavior: CodeArray | None = None
     events: tuple[Event, ...] = ()
@@ -218,64 +252,104 @@ class Tracks:
             "time_s": (np.float64, (t,)),
             "signals": (np.int8, (None, t)),
         }
-        rows: TrackRows | None = self.__dict__.get("_rows")
-        if rows is None:
-            shapes |= {
-                "xy": (np.float64, (n, t, 2)),
-                "heading": (np.float64, (n, t)),
-                "speed": (np.float64, (n, t)),
-                "valid": (np.bool_, (n, t)),
-            }
-        elif (rows.index.agents, rows.index.times) != (n, t):
-            found = f"{rows.index.agents} agents at {rows.index.times} times"
-            raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if self.behavior is not None:
             shapes["behavior"] = (np.int8, (n,))
         check_and_freeze(self, shapes)
+        index = self.rows.index if "rows" in self.__dict__ else None
+        if index is not None and (index.agents, index.times) != (n, t):
+            found = f"{index.agents} agents at {index.times} times"
+            raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if len(self.names) != n:
             raise InputError(f"Tracks.names: found {len(self.names)} names, expected {n}")
 
     @classmethod
-    def of_rows(cls, rows: TrackRows, **facts: Any) -> Tracks:
-        """Tracks that cost what was seen, whatever agents times times are.
+    def of_dense(cls, *, xy: Any, heading: Any, speed: Any, valid: Any, **facts: Any) -> Tracks:
+        """Tracks from arrays of all agents at all times; what is not valid is left out.
 
         Args:
-            rows: positions of all agents.
-            facts: the attributes of tracks but ``xy``, ``heading``, ``speed`` and ``valid``.
-
-        Returns:
-            The tracks.
+            xy: (N, T, 2) m.
+            heading: (N, T) rad.
+            speed: (N, T) m/s.
+            valid: (N, T) whether the agent is present at that time.
+            facts: the other attributes of tracks but ``rows``.
 
         Raises:
             InputError: if the shapes do not fit.
+
+        Examples:
+            >>> Tracks.of_dense(
+            ...     ids=[7], names=("7",), kind=[0], length=[4.0], width=[2.0], time_s=[0.1, 0.2],
+            ...     xy=[[[0.0, 0.0], [3.0, 4.0]]], heading=[[0.0, 0.0]], speed=[[0.0, 5.0]],
+            ...     valid=[[False, True]], signals=np.zeros((0, 2))).speed
+            array([[nan,  5.]])
         """
+        n, t = np.shape(facts["ids"])[0], np.shape(facts["time_s"])[0]
+        seen = np.asarray(valid, dtype=bool)
+        dense: dict[str, NDArray[Any]] = {"valid": frozen(seen)}
+        for name, given, tail in (("xy", xy, (2,)), ("heading", heading, ()), ("speed", speed, ())):
+            found, expected = np.asarray(given, dtype=np.float64), (n, t, *tail)
+            if found.shape != expected or seen.shape != (n, t):
+                shape = found.shape if seen.shape == (n, t) else seen.shape
+                raise InputError(f"Tracks.{name}: found shape {shape}, expected {expected}")
+            dense[name] = frozen(np.where(seen[..., None] if tail else seen, found, np.nan))
         tracks = cls.__new__(cls)
-        defaults = {"behavior": None, "events": ()}
-        tracks.__dict__.update(defaults | facts | {"_rows": rows})
+        tracks.__dict__.update({"behavior": None, "events": (), **facts, **dense})
         tracks.__post_init__()
         return tracks
 
-    if not TYPE_CHECKING:  # they are fields: mypy and the constructor know them
+    if not TYPE_CHECKING:  # it is a field: mypy and the constructor know it
 
         def __getattr__(self, name: str) -> Any:
-            """The arrays of tracks that were made from rows, when they are first asked for."""
-            if name not in DENSE or "_rows" not in self.__dict__:
+            """The rows of tracks that were made from dense arrays, when they are first needed."""
+            if name != "rows" or "valid" not in self.__dict__:
                 raise AttributeError(f"Tracks has no attribute {name}")
-            self.__dict__[name] = frozen(self.__dict__["_rows"].dense(name))
-            return self.__dict__[name]
+            index = RowIndex.of(self.valid)
+            at = index.agent, index.step
+            rows = TrackRows(index, self.xy[at], self.heading[at], self.speed[at])
+            self.__dict__["rows"] = rows
+            return rows
+
+    def with_dense(self, **changes: Any) -> Tracks:
+        """The same tracks with some arguments of `of_dense` replaced."""
+        names = {f.name for f in fields(self)} - {"rows"} | {"xy", "heading", "speed", "valid"}
+        return Tracks.of_dense(**changes, **{n: getattr(self, n) for n in names - set(changes)})
+
+    @cached_property
+    def xy(self) -> FloatArray:
+        """(N, T, 2) m; NaN where not valid."""
+        return self._dense("xy", np.nan, self.rows.xy)
+
+    @cached_property
+    def heading(self) -> FloatArray:
+        """(N, T) rad; NaN where not valid."""
+        return self._dense("heading", np.nan, self.rows.heading)
+
+    @cached_property
+    def speed(self) -> FloatArray:
+        """(N, T) m/s; NaN where not valid."""
+        return self._dense("speed", np.nan, self.rows.speed)
+
+    @cached_property
+    def valid(self) -> BoolArray:
+        """(N, T) whether the agent is present at that time."""
+        return self._dense("valid", False, np.ones(self.rows.speed.size, dtype=bool))
+
+    def _dense(self, name: str, empty: Any, values: NDArray[Any]) -> NDArray[Any]:
+        """One quantity as a read-only array of all agents at all times."""
+        index = self.rows.index
+        if index.agents * index.times > MAX_CELLS:
+            raise InputError(
+                f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected "
+                f"agents times times at most {MAX_CELLS} where all are looked at together: cut "
+                "the recording in time"
+            )
+        filled = np.full((index.agents, index.times, *values.shape[1:]), empty, values.dtype)
+        filled[index.agent, index.step] = values
+        return frozen(filled)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickled state: rows without the arrays, where there are rows."""
-        twice = DENSE if "_rows" in self.__dict__ else ()
-        return {name: value for name, value in self.__dict__.items() if name not in twice}
-
-    def as_rows(self) -> TrackRows:
-        """A row for each time at which each agent is present."""
-        if "_rows" not in self.__dict__:
-            found = TrackRows.of_dense(self.valid, self.xy, self.heading, self.speed)
-            self.__dict__["_rows"] = found
-        rows: TrackRows = self.__dict__["_rows"]
-        return rows
+        """Pickled state: the fields without the dense arrays."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @classmethod
     def from_frames(
@@ -306,8 +380,8 @@ class Tracks:
         if behaviors is not None:
             labels = [behaviors.get(int(i)) for i in ids]
             codes = np.array([-1 if b is None else b.code for b in labels], dtype=np.int8)
-        return cls.of_rows(
-            TrackRows(
+        return cls(
+            rows=TrackRows(
                 index,
                 _joined(seq, "xy", np.float64).reshape(-1, 2)[order],
                 _joined(seq, "heading", np.float64)[order],
@@ -330,8 +404,8 @@ class Tracks:
         """The frame at index ``step``: the agents that are valid there."""
         time_s = float(self.time_s[step])
         before = float(self.time_s[step - 1]) if step > 0 else -np.inf
-        seen = self.as_rows()
-        at = seen.at(step)
+        seen = self.rows
+        at = seen.index.at(step)
         rows = seen.index.agent[at]
         return Frame(
             time_s=time_s,
@@ -362,8 +436,8 @@ class Tracks:
             Tracks of those agents only; the last column is index ``stop - 1``.
         """
         columns = slice(max(0, stop - steps), stop)
-        seen = self.as_rows()
-        return self.part(seen.index.agent[seen.at(stop - 1)], columns)
+        index = self.rows.index
+        return self.part(index.agent[index.at(stop - 1)], columns)
 
     def part(self, rows: IntArray, columns: slice | IntArray) -> Tracks:
         """Some agents at some of the times.
@@ -376,8 +450,8 @@ class Tracks:
             Their tracks, with the events between the first and the last of these times.
         """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
-        return Tracks.of_rows(
-            self.as_rows().part(rows, columns),
+        return Tracks(
+            rows=self.rows.taken(*self.rows.index.part(rows, columns)),
             ids=self.ids[rows],
             names=tuple(self.names[i] for i in rows),
             kind=self.kind[rows],
@@ -389,26 +463,50 @@ class Tracks:
             events=tuple(e for e in self.events if begin <= e.time_s <= end),
         )
 
-    @property
+    @cached_property
     def step_s(self) -> float:
         """The median time between frames, s."""
         if self.time_s.size < 2:
             raise InputError(f"Tracks.time_s: found {self.time_s.size} frames, expected at least 2")
         return float(np.median(np.diff(self.time_s)))
 
+    @property
+    def walking(self) -> BoolArray:
+        """(m,) whether the agent of each row is a pedestrian."""
+        return np.asarray((self.kind == PEDESTRIAN)[self.rows.index.agent])
+
+    def agent_and_time(self, row: int) -> tuple[int, float]:
+        """The agent's id and the time, s, of a row."""
+        index = self.rows.index
+        return int(self.ids[index.agent[row]]), float(self.time_s[index.step[row]])
+
+    def positions(self, agent: IntArray, step: IntArray) -> FloatArray:
+        """(..., 2) positions of agents at times, both as indices, m; NaN where not present."""
+        row, present = self.rows.index.find(agent, step)
+        found = np.full((*row.shape, 2), np.nan)
+        found[present] = self.rows.xy[row[present]]
+        return found
+
+    def between_breaks(self) -> Iterator[Tracks]:
+        """The parts between breaks, in order of time; itself where there are none.
+
+        A break is a time between two frames of more than `BREAK_S` and of more than `BREAK_STEPS`
+        usual ones. A part has at least two frames, and the agents that are seen in it.
+        """
+        longest_s = max(BREAK_S, BREAK_STEPS * self.step_s)
+        begins = [0, *(np.flatnonzero(np.diff(self.time_s) > longest_s) + 1).tolist()]
+        if len(begins) == 1:
+            yield self
+            return
+        for begin, end in pairwise([*begins, self.time_s.size]):
+            if end - begin > 1:
+                part = self.part(np.arange(self.ids.size), slice(begin, end))
+                seen = np.flatnonzero(np.diff(part.rows.index.first))
+                yield part.part(seen, slice(None))
+
     def with_behavior(self, behavior: CodeArray) -> Tracks:
         """The same tracks with other labels (-1: no label)."""
-        return self.changed(behavior=behavior)
-
-    def changed(self, rows: TrackRows | None = None, **facts: Any) -> Tracks:
-        """The same tracks with other facts; `dataclasses.replace` is for arrays of all places.
-
-        Args:
-            rows: positions of all agents; None to keep them.
-            facts: attributes but ``xy``, ``heading``, ``speed`` and ``valid``.
-        """
-        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in DENSE}
-        return Tracks.of_rows(rows or self.as_rows(), **(kept | facts))
+        return replace(self, behavior=behavior)
 
     def __repr__(self) -> str:
         """The agents by kind, the times, and counts of labels, signals and events."""
@@ -416,7 +514,7 @@ class Tracks:
         parts = [
             _by_kind(self.kind),
             self._times(),
-            counted(self.as_rows().speed.size, "row"),
+            counted(self.rows.speed.size, "row"),
             f"{labelled} labelled",
             counted(len(self.signals), "signal group"),
             counted(len(self.events), "event"),
@@ -431,7 +529,7 @@ class Tracks:
 
     def _repr_html_(self) -> str:
         """A table with a row per kind of agent, for notebooks."""
-        seen = self.as_rows()
+        seen = self.rows
         rows = []
         for code in np.unique(self.kind).tolist():
             of_kind = self.kind == code
@@ -459,7 +557,7 @@ class Tracks:
             InputError: if pandas is not installed.
         """
         pandas = import_pandas()
-        seen = self.as_rows()
+        seen = self.rows
         rows, columns = seen.index.agent, seen.index.step
         codes = np.full(len(self.ids), -1) if self.behavior is None else self.behavior
         kinds = np.array([str(kind) for kind in KINDS], dtype=object)

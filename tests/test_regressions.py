@@ -66,7 +66,7 @@ def read_labels_of_two_cars(path: Path) -> None:
 def read_dataset(folder: Path) -> None:
     dataset = open_dataset(folder)
     for entry in dataset.episodes():
-        dataset.read(entry).tracks.as_rows()
+        dataset.read(entry)
 
 
 READERS = {

@@ -24,7 +24,6 @@ from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
 from sim.engines import get_engine
 from sim.episode.annotate import annotate
-from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.scenario import Scenario, sample_agents
 
@@ -105,7 +104,7 @@ def count_scenario(
             yield frame
 
     tracks = Tracks.from_frames(frames(), {a.id: a.behavior for a in agents})
-    found = annotate(TrajectoryRows.of(tracks), longer.road)
+    found = annotate(tracks, longer.road)
     events = list(found.events)
     if reported:
         events = [event for event in events if event.kind not in ENCOUNTERS] + reported

@@ -14,7 +14,6 @@ too few to resample.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -118,8 +117,8 @@ def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
 def _nine(tracks: Tracks) -> FloatArray:
     """The plain rival's numbers (`experiments.rival`), 0 where not known."""
     scale = _metres_per_pixel(tracks)
-    scaled = dataclasses.replace(
-        tracks, xy=tracks.xy * scale, length=tracks.length * scale, width=tracks.width * scale
+    scaled = tracks.with_dense(
+        xy=tracks.xy * scale, length=tracks.length * scale, width=tracks.width * scale
     )
     return np.nan_to_num(nine_numbers(scaled, None))
 

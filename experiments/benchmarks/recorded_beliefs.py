@@ -8,7 +8,6 @@ driver is one that comes again and that goes with its driving.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -64,14 +63,11 @@ def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
     valid = np.concatenate([tracks.valid & ~late, tracks.valid[rows] & late[rows]])
     order = np.argsort(ids)
     source, valid = source[order], valid[order]
-    xy = np.where(valid[..., None], tracks.xy[source], np.nan)
-    heading, speed = (
-        np.where(valid, one[source], np.nan) for one in (tracks.heading, tracks.speed)
-    )
-    cut = dataclasses.replace(
-        tracks, ids=ids[order], names=tuple(map(str, ids[order].tolist())),
-        kind=tracks.kind[source], length=tracks.length[source], width=tracks.width[source], xy=xy,
-        heading=heading, speed=speed, valid=valid, behavior=None, events=(),
+    cut = tracks.with_dense(
+        ids=ids[order], names=tuple(map(str, ids[order].tolist())),
+        kind=tracks.kind[source], length=tracks.length[source], width=tracks.width[source],
+        xy=tracks.xy[source], heading=tracks.heading[source], speed=tracks.speed[source],
+        valid=valid, behavior=None, events=(),
     )  # fmt: skip
     return cut, rows, middle
 

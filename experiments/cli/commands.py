@@ -14,13 +14,12 @@ from typing import Annotated, Any, Final
 import typer
 
 from experiments.cli.bench import bench
-from experiments.cli.drive import drive
 from experiments.cli.files import export, import_, list_names, road, verify
 from experiments.cli.generate import generate, run
 from experiments.cli.models import calibrate, classify, evaluate, predict, train
 from experiments.cli.options import Quiet
 from experiments.cli.pages import replay, report, summary
-from experiments.cli.what_if import what_if
+from experiments.cli.what_if import drive, what_if
 from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
 from experiments.console.notices import LOGGER, show_notices
 from experiments.guard import guarding

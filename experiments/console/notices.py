@@ -14,7 +14,6 @@ LOGGER: Final = logging.getLogger("graphrqi")
 """The package's logger. Its levels: WARNING says what was left out or kept, INFO what takes long,
 DEBUG what is read and how long it took."""
 
-
 _URL: Final = re.compile(r"\b(s3|gs|gcs|az|abfs|abfss|memory|hdfs|https?):/(?=[^/\s])")
 """A URL that a path has taken one of its slashes away from."""
 

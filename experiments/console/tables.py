@@ -57,7 +57,8 @@ def show_table(
         rows: tidy rows.
         json_path: file for the rows; ``-`` prints JSON instead of the table.
         title: what stands above the table.
-        lines: what is printed, as mappings with the same keys; None for the rows themselves.
+        lines: what is printed, as mappings with the same keys; None for the rows themselves. Off a
+            terminal, a line is up to 200 characters wide.
 
     Raises:
         OSError: if the file cannot be written.
@@ -66,25 +67,14 @@ def show_table(
         write_rows(rows, json_path)
         if str(json_path) == "-":
             return
-    shown = rows if lines is None else lines
-    columns = list(dict.fromkeys(key for row in shown for key in row if key not in MADE))
-    print_table(columns, [[_text(row.get(column)) for column in columns] for row in shown], title)
-
-
-def print_table(columns: Sequence[str], lines: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table of words.
-
-    Args:
-        columns: headings.
-        lines: a word for each column; off a terminal, lines are up to 200 characters wide.
-        title: what stands above the table.
-    """
     from rich.console import Console
     from rich.table import Table
 
+    shown = rows if lines is None else lines
+    columns = list(dict.fromkeys(key for row in shown for key in row if key not in MADE))
     table = Table(*map(printable, columns), title=printable(title) or None)
-    for line in lines:
-        table.add_row(*map(printable, line))
+    for row in shown:
+        table.add_row(*(printable(_text(row.get(column))) for column in columns))
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, width=200)

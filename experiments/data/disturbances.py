@@ -21,7 +21,7 @@ Disturbance = Callable[[Tracks, float, np.random.Generator], Tracks]
 
 def position_noise(tracks: Tracks, deviation_m: float, rng: np.random.Generator) -> Tracks:
     """Independent Gaussian errors of every position, in x and in y."""
-    return dataclasses.replace(tracks, xy=tracks.xy + rng.normal(0.0, deviation_m, tracks.xy.shape))
+    return tracks.with_dense(xy=tracks.xy + rng.normal(0.0, deviation_m, tracks.xy.shape))
 
 
 def correlated_noise(
@@ -36,7 +36,7 @@ def correlated_noise(
     kept = exponential(-np.diff(tracks.time_s) / correlation_s)
     for step, share in enumerate(kept, start=1):
         error[:, step] = share * error[:, step - 1] + (1 - share**2) ** 0.5 * error[:, step]
-    return dataclasses.replace(tracks, xy=tracks.xy + error)
+    return tracks.with_dense(xy=tracks.xy + error)
 
 
 def frame_rate(tracks: Tracks, rate_hz: float, rng: np.random.Generator) -> Tracks:
@@ -66,8 +66,7 @@ def frame_rate(tracks: Tracks, rate_hz: float, rng: np.random.Generator) -> Trac
             motion[row, inside] = CubicSpline(known_s, known)(time_s[inside])
     before = np.searchsorted(tracks.time_s, time_s + 1e-9, side="right") - 1
     turned = np.pi - np.mod(np.pi - motion[..., 2], 2 * np.pi)
-    return dataclasses.replace(
-        tracks,
+    return tracks.with_dense(
         time_s=time_s,
         xy=motion[..., :2],
         heading=turned,
@@ -129,13 +128,7 @@ def _gaps(
 
 def _hidden(tracks: Tracks, valid: NDArray[np.bool_]) -> Tracks:
     """The tracks where ``valid`` (N, T) holds; agents that are never seen stay, without a place."""
-    return dataclasses.replace(
-        tracks,
-        xy=np.where(valid[..., None], tracks.xy, np.nan),
-        heading=np.where(valid, tracks.heading, np.nan),
-        speed=np.where(valid, tracks.speed, np.nan),
-        valid=valid,
-    )
+    return tracks.with_dense(valid=valid)
 
 
 def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.int64]]) -> Tracks:
@@ -144,8 +137,7 @@ def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.in
     for piece, seen in enumerate(columns):
         valid[piece, seen] = True
     source = np.array(rows, dtype=np.int64)
-    pieces = dataclasses.replace(
-        tracks,
+    return tracks.with_dense(
         ids=np.arange(source.size),
         names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
         kind=tracks.kind[source],
@@ -154,11 +146,10 @@ def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.in
         xy=tracks.xy[source],
         heading=tracks.heading[source],
         speed=tracks.speed[source],
-        valid=tracks.valid[source],
+        valid=valid,
         behavior=None if tracks.behavior is None else tracks.behavior[source],
         events=(),
     )
-    return _hidden(pieces, valid)
 
 
 DISTURBANCES: Final[dict[str, Disturbance]] = {

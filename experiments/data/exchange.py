@@ -13,10 +13,10 @@ from pydantic import JsonValue
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER, called
 from experiments.console.progress import Progress
-from experiments.data.admission import DOUBTED, SCALED, admitted
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
 from experiments.data.remote import fetched, new_output
+from experiments.data.scene_check import DOUBTED, SCALED, admitted
 from experiments.guard import guarded, guarded_call
 from sim.files import is_remote, temporary_folder, write_whole
 from sim.formats import (

@@ -7,25 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from behaviors.errors import InputError
-from sim.files import Place, is_remote, local_path, place_of, temporary_folder
+from sim.files import Place, place_of, temporary_folder
 
 
 @contextmanager
 def fetched(source: Path) -> Iterator[Path]:
-    """Files to read: those of this machine as they are, those of an object store as copies.
-
-    Args:
-        source: a file or folder, or the URL of one.
-
-    Yields:
-        The file or folder, with the same name.
+    """A copy, with the same name, of the file or folder at a URL.
 
     Raises:
-        InputError: if there is nothing at a URL.
+        InputError: if there is nothing at the URL.
     """
-    if not is_remote(source):
-        yield local_path(source)
-        return
     home = place_of(source.parent)
     with temporary_folder("fetched") as scratch:
         copy = scratch / source.name
@@ -43,21 +34,12 @@ def fetched(source: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_output(out: Path) -> Iterator[Path]:
-    """A folder to fill: that of this machine, or one whose files go to an object store at the end.
-
-    Args:
-        out: a folder, or the URL of a new or empty one.
-
-    Yields:
-        The folder to write into.
+    """A folder to fill, whose files go to a URL at the end of the block.
 
     Raises:
         InputError: if something is at the URL.
         OSError: if a file cannot be sent.
     """
-    if not is_remote(out):
-        yield local_path(out)
-        return
     target = place_of(out)
     found = next(iter(target.files()), None)
     if found is not None:

@@ -9,13 +9,22 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from experiments.data.units import size_ratio, unit_of
+from experiments.data.units import image_scale, in_metres, size_ratio, unit_of
+from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
+from sim.store.schema import EpisodeEntry
+
+SCALED: Final = "scale_estimated"
+"""Option of episodes that were in pixels and are in metres by an estimated scale."""
+
+DOUBTED: Final = "no_scene"
+"""Option of episodes whose recording is not a plausible scene: the reason."""
 
 LOOK_S: Final = 0.5
 """Time between looks at overlaps and speeds, s."""
@@ -75,14 +84,16 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         >>> x = 20.0 * (n % 8)[:, None] + 15.0 * time_s
         >>> xy = np.stack([x, 0.0 * x + 0.5 * (n > 7)[:, None]], axis=2)
         >>> ones = np.ones_like(x)
-        >>> tracks = Tracks(n, tuple(map(str, n)), np.zeros(16, np.int8), 4.5 * ones[:, 0],
-        ...     1.8 * ones[:, 0], time_s, xy, 0 * ones, 15 * ones, ones > 0, np.empty((0, 50)))
+        >>> tracks = Tracks.of_dense(
+        ...     ids=n, names=tuple(map(str, n)), kind=0 * n, length=4.5 * ones[:, 0],
+        ...     width=1.8 * ones[:, 0], time_s=time_s, xy=xy, heading=0 * ones, speed=15 * ones,
+        ...     valid=ones > 0, signals=np.empty((0, 50)))
         >>> half = tracks.part(n[:8], slice(None))
         >>> len(check_scene(tracks).doubts), len(check_scene(half).doubts)
         (1, 0)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
-    rows = tracks.as_rows()
+    rows = tracks.rows
     seen: BoolArray = np.diff(rows.index.first) > 0
     count = int(seen.sum())
     if not count:
@@ -125,6 +136,36 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
     return SceneCheck(*said)
 
 
+def is_scene(entry: EpisodeEntry) -> bool:
+    """Whether an episode is plausible as a scene, as recorded by `admitted`."""
+    return DOUBTED not in entry.options
+
+
+def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
+    """A recording in metres, and the reasons why it is not plausible as a scene.
+
+    Args:
+        recording: as read.
+        unit: of its format: "m", or "px", whose scale is estimated.
+
+    Returns:
+        The recording, in metres, its notes with what was estimated and doubted; and the doubt in
+        one sentence, None where it is a scene.
+    """
+    if unit != "m":
+        scale = image_scale(recording.tracks)
+        kept = tuple(note for note in recording.notes if "no scale" not in note)
+        said = f"the format has no scale: by sizes and speeds {scale} at mid-height"
+        recording = replace(
+            recording, tracks=in_metres(recording.tracks, scale), notes=(*kept, said)
+        )
+    found = check_scene(recording.tracks, outlines=unit == "m")
+    if not found.doubts:
+        return recording, None
+    doubt = f"no scene that can be believed: {'; '.join((*found.doubts, *found.remarks))}"
+    return replace(recording, notes=(*recording.notes, doubt)), doubt
+
+
 def _looks(time_s: FloatArray) -> list[int]:
     """The frames that are looked at, `LOOK_S` apart."""
     looks: list[int] = []
@@ -139,9 +180,9 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
     nearest: list[FloatArray] = []
     hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
     sides = np.stack([tracks.length, tracks.width], axis=1)
-    seen = tracks.as_rows()
+    seen = tracks.rows
     for step in looks:
-        here = seen.at(step)
+        here = seen.index.at(step)
         if here.size < 2:
             continue
         rows, xy = seen.index.agent[here], seen.xy[here]
@@ -163,7 +204,7 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
 
 def _jumps(tracks: Tracks) -> BoolArray:
     """(N,) which agents go faster than any vehicle from one frame to the next."""
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agent, step = rows.index.agent, rows.index.step
     at = np.flatnonzero(~rows.index.begins[1:])
     moved = np.hypot(*(rows.xy[at + 1] - rows.xy[at]).T)
@@ -174,9 +215,9 @@ def _jumps(tracks: Tracks) -> BoolArray:
 def _speeds(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, FloatArray]:
     """Logarithms of displacements over what stated speeds make them, and speeds, look by look."""
     paces, speeds = [], []
-    rows = tracks.as_rows()
+    rows = tracks.rows
     for first, last in itertools.pairwise(looks):
-        then, before = rows.at(last), rows.at(first)
+        then, before = rows.index.at(last), rows.index.at(first)
         _, one, other = np.intersect1d(
             rows.index.agent[before], rows.index.agent[then], return_indices=True
         )

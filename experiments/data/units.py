@@ -13,18 +13,16 @@ large as lorries.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
-from sim.frames import AgentKind, Tracks
+from sim.frames import AgentKind, FloatArray, Tracks
 from sim.scenario import DIMENSIONS_M
-
-FloatArray = NDArray[np.float64]
 
 SIZE_M: Final = 2.2
 """Typical root of width times height of a road agent's box in an image, m (chosen between a car
@@ -137,16 +135,12 @@ def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
         >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
         [2.0, 1.0]
     """
-    known = ~np.isnan(xy[..., 0])
-    half = frames // 2
-    total = np.cumsum(
-        np.pad(np.where(known[..., None], xy, 0.0), ((0, 0), (half + 1, half), (0, 0))), axis=1
+    known = ~np.isnan(xy[..., :1])
+    mean, share = (
+        uniform_filter1d(part, frames, axis=1, mode="constant")
+        for part in (np.where(known, xy, 0.0), known.astype(np.float64))
     )
-    count = np.cumsum(np.pad(known.astype(float), ((0, 0), (half + 1, half))), axis=1)
-    window = 2 * half + 1
-    mean = total[:, window:] - total[:, :-window]
-    over = count[:, window:] - count[:, :-window]
-    return np.where(known[..., None], mean / np.maximum(over, 1.0)[..., None], np.nan)
+    return np.where(known, mean / np.maximum(share, 0.5 / frames), np.nan)
 
 
 def image_scale(tracks: Tracks) -> Scale:
@@ -222,11 +216,10 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
     centre = 0.5 * (np.nanmin(tracks.xy[..., 0]) + np.nanmax(tracks.xy[..., 0]))
     xy = scale.ground(tracks.xy - np.array([centre, 0.0]))
     heading, speed = motion(smoothed(xy), tracks.time_s, 0.0)
-    return dataclasses.replace(
-        tracks,
+    return tracks.with_dense(
         xy=xy,
-        heading=np.where(tracks.valid, heading, np.nan),
-        speed=np.where(tracks.valid, speed, np.nan),
+        heading=heading,
+        speed=speed,
         length=LENGTH_OF_SIZE * size,
         width=WIDTH_OF_SIZE * size,
     )

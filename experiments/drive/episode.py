@@ -13,7 +13,6 @@ from experiments.drive.policies import PLANNER, POLICIES, get_policy
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
-from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.road import Road
@@ -145,7 +144,7 @@ def drive(
 
 def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
     """Collisions, near misses and rules broken of the ego vehicle."""
-    found = incidents(TrajectoryRows.of(driven), road) if driven.time_s.size > 1 else ()
+    found = incidents(driven, road) if driven.time_s.size > 1 else ()
     mine = [event for event in found if ego_id in (event.agent, event.other)]
     near = [event for event in mine if event.kind is EventKind.NEAR_MISS]
     collisions = [event for event in mine if event.kind is EventKind.COLLISION]

@@ -41,14 +41,8 @@ _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
 
 
 @dataclass(frozen=True, slots=True)
-class ShardTask:
-    """One shard to make, by one worker.
-
-    Attributes:
-        config: what the dataset is generated from.
-        scenario: which of its scenarios.
-        indices: of the shard's episodes.
-    """
+class _ShardTask:
+    """One shard to make, by one worker: episodes of one of the configuration's scenarios."""
 
     config: GenerateConfig
     scenario: str
@@ -67,21 +61,15 @@ class ShardTask:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
-    """A shard that is there.
-
-    Attributes:
-        entries: its episodes.
-        files: size and checksum of its tables.
-        failed: what could not be made, in words.
-    """
+class _Made:
+    """A shard that is there: its episodes, its tables, and what could not be made, in words."""
 
     entries: tuple[EpisodeEntry, ...]
     files: dict[str, FileEntry]
     failed: tuple[str, ...] = ()
 
 
-def planned(config: GenerateConfig) -> Iterator[ShardTask]:
+def _planned(config: GenerateConfig) -> Iterator[_ShardTask]:
     """The shards of a dataset, block by block."""
     first = 0
     while first < config.episodes:
@@ -91,11 +79,11 @@ def planned(config: GenerateConfig) -> Iterator[ShardTask]:
             for index in range(first, last + 1):
                 of_split.setdefault(split_of(index), []).append(index)
             for indices in of_split.values():
-                yield ShardTask(config, scenario, tuple(indices))
+                yield _ShardTask(config, scenario, tuple(indices))
         first = last + 1
 
 
-def _make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> Made:
+def _make_shard(out: str, configuration: Mapping[str, Any], task: _ShardTask) -> _Made:
     """Make a shard; episodes that cannot be made are left out of it, and named."""
     failed = []
     with EpisodeWriter(place_of(out), configuration) as writer:
@@ -105,7 +93,7 @@ def _make_shard(out: str, configuration: Mapping[str, Any], task: ShardTask) -> 
                 episode.write(writer)
             except InputError as error:
                 failed.append(f"{episode}: {error}")
-    return Made(tuple(writer.entries), writer.files, tuple(failed))
+    return _Made(tuple(writer.entries), writer.files, tuple(failed))
 
 
 def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
@@ -157,7 +145,7 @@ def generate(
         try:
             make = partial(_make_shard, place.url, configuration)
             for task, made in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
-                found.add(made or Made((), {}, (f"{task}: killed their worker twice",)))
+                found.add(made or _Made((), {}, (f"{task}: killed their worker twice",)))
         except KeyboardInterrupt:
             _remove_partial(place)
             raise Interrupted(
@@ -190,7 +178,7 @@ class _Found:
     failed: list[str] = field(default_factory=list)
     count: int = 0
 
-    def add(self, made: Made) -> None:
+    def add(self, made: _Made) -> None:
         """Take a shard into the catalogue."""
         for entry in made.entries:
             self.shown.advance(entry.agents, entry.agent_steps)
@@ -202,7 +190,7 @@ class _Found:
 
 def _missing(
     config: GenerateConfig, place: Place, configuration: Mapping[str, Any], found: _Found
-) -> list[ShardTask]:
+) -> list[_ShardTask]:
     """The shards that are to be made; those that are there are taken into the catalogue."""
     if is_dataset(place.path):
         _check_same(config, place, configuration)
@@ -210,7 +198,7 @@ def _missing(
     listed = place.files()
     if DATA_CARD in listed and not place.read(DATA_CARD).decode().startswith(CARD_HEAD):
         raise InputError(f"{place.url}: found {DATA_CARD} in it, expected a new folder")
-    tasks = list(planned(config))
+    tasks = list(_planned(config))
     ours = {task.name.file(table) for task in tasks for table in TABLES}
     unfinished = "unfinished episodes of another configuration"
     for name in listed:
@@ -226,7 +214,7 @@ def _missing(
         if shard is None or tuple(entry.index for entry in shard.entries) != task.indices:
             missing.append(task)
         else:
-            found.add(Made(shard.entries, shard.files))
+            found.add(_Made(shard.entries, shard.files))
     return missing
 
 

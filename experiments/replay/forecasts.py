@@ -69,7 +69,7 @@ def forecast(
     """
     found = []
     seconds = sampled(tracks, EVERY_S)
-    stride = -(-int(tracks.as_rows().counts()[seconds].sum()) // MAX_FUTURES)
+    stride = -(-int(tracks.rows.index.counts()[seconds].sum()) // MAX_FUTURES)
     for step in seconds[1 :: max(stride, 1)]:
         history = tracks.window(int(step) + 1, HISTORY_STEPS)
         if not history.ids.size:

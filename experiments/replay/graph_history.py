@@ -43,7 +43,7 @@ def graph_history(tracks: Tracks) -> GraphHistory:
         The graph as looked at every half a second.
     """
     steps = kept_steps(tracks)
-    seen = tracks.as_rows()
+    seen = tracks.rows
     column = {int(step): i for i, step in enumerate(steps)}
     many = tracks.ids.size
     w = np.full((many, steps.size), np.nan)
@@ -52,7 +52,7 @@ def graph_history(tracks: Tracks) -> GraphHistory:
     since: dict[int, int] = {}
     edges: list[tuple[int, int, int, int]] = []
     for step in range(tracks.time_s.size):
-        at = seen.at(step)
+        at = seen.index.at(step)
         rows = seen.index.agent[at]
         graph = graph.observe(tracks.ids[rows], seen.xy[at])
         if step not in column:

@@ -192,7 +192,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
 def _opening_s(scene: ReplayScene) -> float:
     """The first time at which there are beliefs and half of the largest number of agents, s."""
     tracks, beliefs = scene.tracks, scene.beliefs
-    present = tracks.as_rows().counts()
+    present = tracks.rows.index.counts()
     half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
     known = np.isfinite(beliefs.probability).all(axis=2).any(axis=0)
     wanted = known & (beliefs.time_s >= half_full_s - 1e-6)
@@ -228,7 +228,7 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
 
 def _places(tracks: Tracks, arrays: dict[str, NDArray[Any]]) -> None:
     """The agents' places, one after another, and the runs of steps without a gap."""
-    seen = tracks.as_rows()
+    seen = tracks.rows
     agent, step = seen.index.agent, seen.index.step
     columns = {
         "x": seen.xy[:, 0], "y": seen.xy[:, 1], "heading": np.unwrap(seen.heading),
@@ -246,7 +246,7 @@ def _extent(scene: ReplayScene) -> list[float]:
     """x0, y0, x1, y1 of what is worth showing."""
     if scene.road is not None:
         return [round(v, 2) for v in scene.road.bounds]
-    xy = scene.tracks.as_rows().xy
+    xy = scene.tracks.rows.xy
     return _flat(np.stack([xy.min(axis=0), xy.max(axis=0)]))
 
 

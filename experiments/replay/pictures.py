@@ -104,7 +104,7 @@ def rows_of(extent: tuple[float, float, float, float], width: int, height: int) 
 
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
-    places = scene.tracks.as_rows().xy
+    places = scene.tracks.rows.xy
     if scene.road is None:
         low, high = places.min(axis=0), places.max(axis=0)
         margin = max(0.03 * float((high - low).max()), 1.0)
@@ -136,7 +136,7 @@ class Drawing:
         self.scene, self.mode = scene, mode
         width, height = size
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-        self.fastest = max(1.0, float(np.quantile(scene.tracks.as_rows().speed, 0.995)))
+        self.fastest = max(1.0, float(np.quantile(scene.tracks.rows.speed, 0.995)))
         self._stops = () if scene.road is None else road_shapes(scene.road).stops
         self._moving: list[Artist] = []
         tall = height - HEAD_PX - FOOT_PX
@@ -171,8 +171,8 @@ class Drawing:
         for artist in self._moving:
             artist.remove()
         self._clock.set_text(f"{time_s:.1f} s")
-        seen = self.scene.tracks.as_rows()
-        at = seen.at(self._step(time_s))
+        seen = self.scene.tracks.rows
+        at = seen.index.at(self._step(time_s))
         rows, xy = seen.index.agent[at], seen.xy[at]
         colors = self._colors(rows, seen.speed[at], time_s)
         lines, inks, width = self._overlay(rows, xy, colors, time_s)
@@ -209,7 +209,7 @@ class Drawing:
     def _draw_ground(self) -> None:
         """Draw what does not move."""
         if self.scene.road is None:
-            seen = self.scene.tracks.as_rows()
+            seen = self.scene.tracks.rows
             paths = [seen.xy[seen.index.rows(row)] for row in range(self.scene.tracks.ids.size)]
             self._lines([p for p in paths if len(p) > 1], TRACK, 1.0, 1)
             return
@@ -346,7 +346,7 @@ class Drawing:
         for event in tracks.events:
             since, row = time_s - event.time_s, np.flatnonzero(tracks.ids == event.agent)
             if event.kind is EventKind.COLLISION and 0.0 <= since <= EVENT_S and row.size:
-                place = tracks.as_rows().places(row[0], np.array(self._step(event.time_s)))
+                place = tracks.positions(row[0], np.array(self._step(event.time_s)))
                 for axes in self._axes:
                     drawn += axes.plot(*place, "o", markersize=18 + 10 * since, zorder=6, **style)
         return drawn
@@ -360,7 +360,7 @@ def _outline(xy: FloatArray, heading: float, length: float, width: float) -> Flo
 
 def fullest_s(scene: ReplayScene) -> float:
     """The time with most agents, s."""
-    return float(scene.tracks.time_s[scene.tracks.as_rows().counts().argmax()])
+    return float(scene.tracks.time_s[scene.tracks.rows.index.counts().argmax()])
 
 
 def check_picture(path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Final
@@ -13,7 +13,7 @@ import numpy as np
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from experiments.console.progress import Progress
-from experiments.data.admission import SCALED, is_scene
+from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
@@ -23,7 +23,6 @@ from experiments.replay.graph_history import GraphHistory, graph_history
 from graphrqi.model_files import load_model
 from sim.episode.annotate import annotate_recording
 from sim.episode.incidents import near_misses
-from sim.episode.rows import TrajectoryRows
 from sim.formats import FORMATS
 from sim.frames import Event, EventKind, Tracks
 from sim.road import Road
@@ -169,8 +168,8 @@ def gather(
     if entry.engine in FORMATS:  # a recording: nobody has looked yet
         events = tuple(near_misses(dataset.conflicts(entry)))
         if road is not None:
-            events, shown_traits = annotate_recording(TrajectoryRows.of(tracks), road)
-        tracks = tracks.changed(events=_without_parked(tracks, events))
+            events, shown_traits = annotate_recording(tracks, road)
+        tracks = replace(tracks, events=_without_parked(tracks, events))
     forecasts: list[Forecast] = []
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
@@ -215,7 +214,7 @@ def gather(
 
 def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
     """The events but for near misses with a parked vehicle: passing it closely is no conflict."""
-    rows = tracks.as_rows()
+    rows = tracks.rows
     parked = set()
     for row, agent in enumerate(tracks.ids.tolist()):
         places = rows.xy[rows.index.rows(row)]
@@ -233,13 +232,13 @@ def _with_drawn_sizes(tracks: Tracks) -> Tracks:
     """
     length = float(np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE))
     many = tracks.ids.size
-    return tracks.changed(length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
+    return replace(tracks, length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
 
 
 def _stride(tracks: Tracks) -> int:
     """Frames from one that is kept to the next."""
     wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    return max(wanted, -(-tracks.as_rows().speed.size // MAX_PLACES))
+    return max(wanted, -(-tracks.rows.speed.size // MAX_PLACES))
 
 
 def _left_out(told: int, forecasts: Sequence[Forecast]) -> tuple[str, ...]:

@@ -14,8 +14,8 @@ import pyarrow as pa
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
-from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
+from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
 from experiments.score.answers import STYLES, Answers, is_scored, score_answers

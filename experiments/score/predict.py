@@ -12,8 +12,8 @@ import pyarrow as pa
 from behaviors.errors import InputError, lookup
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
-from experiments.data.admission import is_scene
 from experiments.data.parallel import in_parallel
+from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, traffic_of
 from experiments.score.predictions import (
     HORIZONS_S,

@@ -7,6 +7,7 @@ so that intervals resample episodes.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +34,6 @@ from sim.road.lane_graph import LaneGraph
 HORIZONS_S: Final = (1.0, 3.0, 5.0)
 """Horizons reported, s."""
 
-
 MOST_SPAN_S: Final = 1.5
 """Where agents were between two frames farther apart is not known, s (more than one of the slowest
 recordings' seconds)."""
@@ -41,28 +41,22 @@ recordings' seconds)."""
 HISTORY_S: Final = 5.0
 """Predictors are given at most this much of the past, s: what a stream remembers."""
 
-
 EVERY_S: Final = 2.0
 """Time between the instants of prediction, s."""
-
 
 WARM_UP_S: Final = 5.0
 """No prediction is made before an episode is this old, s; `instants` says what holds for shorter
 horizons and episodes."""
 
-
 LEAST_SEEN_S: Final = 1.0
 """Agents observed for less than this are not scored, s."""
-
 
 MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
 """Measures of each agent. Beside displacement metrics: coverage of the predicted 90 % set,
 negative log density, overlap with another's likeliest future, and ending off every lane."""
 
-
 LANE_MARGIN_M: Final = 0.5
 """A place this far outside a lane is off it."""
-
 
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Groups of agents: all that drive, those of each true behaviour, those that walk."""
@@ -130,8 +124,7 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
     span = tracks.time_s[after] - tracks.time_s[after - 1]
     share = np.clip((at - tracks.time_s[after - 1]) / span, 0.0, 1.0)[None, :, None]
     share = np.where(share > 1.0 - 1e-4, 1.0, share)
-    seen = tracks.as_rows()
-    begin, end = (seen.places(rows[:, None], step) for step in (after - 1, after))
+    begin, end = (tracks.positions(rows[:, None], step) for step in (after - 1, after))
     out = np.where(share == 1.0, end, begin + share * (end - begin))
     out[:, (at > tracks.time_s[-1] + 1e-3) | (span > MOST_SPAN_S)] = np.nan
     return np.asarray(out)
@@ -306,29 +299,23 @@ def score_predictions(
         episodes.
     """
     rows: list[Row] = []
-    if not episodes:
-        return rows
-    names = list(episodes[0])
+    names = list(episodes[0]) if episodes else []
+    total = {name: np.stack([one[name].total for one in episodes]) for name in names}
     for g, group in enumerate(GROUPS):
-        count = np.array([e[names[0]].count[g] for e in episodes])
-        if not count.sum():
-            continue
-        for name in names:
-            for h, horizon_s in enumerate(horizons_s):
-                row: dict[str, Cell] = {
-                    **keys, "predictor": name, "horizon_s": horizon_s, "behavior": group
-                }  # fmt: skip
-                for m, metric in enumerate(MEASURES):
-                    mine = np.array([e[name].total[g, h, m] for e in episodes])
-                    if not np.isfinite(mine).all():
-                        continue
-                    mean = root_ratio if metric == "rmse_m" else ratio
-                    rows.append(_mean_row(row, metric, mean, mine, count))
-                    if metric in ("ade_m", "fde_m"):
-                        for other in names[: names.index(name)]:
-                            theirs = np.array([e[other].total[g, h, m] for e in episodes])
-                            against = f"{metric}_minus_{other}"
-                            rows.append(_mean_row(row, against, ratio, mine - theirs, count))
+        count = np.array([one[names[0]].count[g] for one in episodes])
+        for name, h in itertools.product(names if count.sum() else (), range(len(horizons_s))):
+            row: dict[str, Cell] = {
+                **keys, "predictor": name, "horizon_s": horizons_s[h], "behavior": group
+            }  # fmt: skip
+            for m, metric in enumerate(MEASURES):
+                mine = total[name][:, g, h, m]
+                if not np.isfinite(mine).all():
+                    continue
+                mean = root_ratio if metric == "rmse_m" else ratio
+                rows.append(_mean_row(row, metric, mean, mine, count))
+                for other in names[: names.index(name)] if metric in ("ade_m", "fde_m") else ():
+                    apart = mine - total[other][:, g, h, m]
+                    rows.append(_mean_row(row, f"{metric}_minus_{other}", ratio, apart, count))
     return rows
 
 

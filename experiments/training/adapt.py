@@ -118,12 +118,10 @@ def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:
 
 def _scored(probability: FloatArray, style: BoolArray) -> dict[str, float]:
     """Figures of the probability of the aggressive style."""
-    from sklearn.metrics import roc_auc_score
+    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
 
-    right = (probability > 0.5) == style
-    likelihood = np.clip(np.where(style, probability, 1.0 - probability), 1e-6, 1.0)
     return {
-        "style_balanced_accuracy": 0.5 * float(right[style].mean() + right[~style].mean()),
-        "style_auc": float(roc_auc_score(style, probability)),
-        "style_log_loss": float(-np.log(likelihood).mean()),
+        "style_balanced_accuracy": balanced_accuracy_score(style, probability > 0.5),
+        "style_auc": roc_auc_score(style, probability),
+        "style_log_loss": log_loss(style, probability.clip(1e-6, 1.0 - 1e-6)),
     }

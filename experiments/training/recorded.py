@@ -123,7 +123,7 @@ def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, st
             noise[:, t] = keep * noise[:, t - 1] + np.sqrt(1 - keep**2) * noise[:, t]
     xy = history.xy + noise
     if style == 0 or history.time_s.size < 2:
-        return dataclasses.replace(history, xy=xy)
+        return history.with_dense(xy=xy)
     step = np.diff(xy, axis=1) / np.diff(history.time_s)[None, :, None]
     before = np.concatenate([step[:, :1], step], axis=1)
     after = np.concatenate([step, step[:, -1:]], axis=1)
@@ -133,8 +133,7 @@ def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, st
     turns = known & (speed > 0.5)
     with np.errstate(invalid="ignore"):
         heading = np.arctan2(velocity[..., 1], velocity[..., 0])
-    return dataclasses.replace(
-        history,
+    return history.with_dense(
         xy=xy,
         speed=np.where(known, speed, history.speed),
         heading=np.where(turns, heading, history.heading),
@@ -167,7 +166,7 @@ def between_key_frames(tracks: Tracks, rng: np.random.Generator) -> Tracks:
         along = np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time_s[keys])
         piece = np.searchsorted(keys, np.arange(columns.size)).clip(1) - 1
         speed[row, columns] = along[piece]
-    return dataclasses.replace(tracks, xy=xy, speed=speed)
+    return tracks.with_dense(xy=xy, speed=speed)
 
 
 def coarser(history: Tracks, every: int) -> Tracks:
@@ -184,7 +183,9 @@ def shorter(history: Tracks, past_s: float) -> Tracks:
 
 def mirrored(tracks: Tracks) -> Tracks:
     """Tracks with left and right swapped."""
-    return dataclasses.replace(tracks, xy=tracks.xy * MIRROR, heading=-tracks.heading)
+    rows = tracks.rows
+    rows = dataclasses.replace(rows, xy=rows.xy * MIRROR, heading=-rows.heading)
+    return dataclasses.replace(tracks, rows=rows)
 
 
 def mirrored_road(road: Road) -> Road:

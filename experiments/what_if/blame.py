@@ -22,7 +22,6 @@ from behaviors.labels import Behavior
 from experiments.score.rows import Cell
 from experiments.what_if.outcomes import INCIDENTS
 from sim.episode.incidents import incidents
-from sim.episode.rows import TrajectoryRows
 from sim.frames import Event, Frame, Tracks
 from sim.scenario import AgentSpec, Scenario
 from sim.sumo.branches import Trunk
@@ -99,7 +98,7 @@ def judge(
 def _incidents(frames: Sequence[Frame], scenario: Scenario) -> tuple[Event, ...]:
     if len(frames) < 2:
         return ()
-    return incidents(TrajectoryRows.of(Tracks.from_frames(frames)), scenario.road)
+    return incidents(Tracks.from_frames(frames), scenario.road)
 
 
 def _same_again(event: Event, frames: Sequence[Frame], scenario: Scenario) -> bool:

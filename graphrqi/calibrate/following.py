@@ -18,7 +18,6 @@ from scipy.signal import savgol_filter
 
 from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 
@@ -160,11 +159,10 @@ def _leaders(tracks: Tracks, road: Road | None) -> tuple[IntArray, FloatArray, B
         for column in range(t):
             leader[:, column], gap[:, column] = inferred_leaders(tracks, column)
         return leader, gap, tracks.valid & (leader >= 0)
-    rows = TrajectoryRows.of(tracks)
-    seen = observe(rows, road)
-    at = rows.row_index.agent, rows.row_index.step
+    index, seen = tracks.rows.index, observe(tracks, road)
+    at = index.agent, index.step
     has = (seen.leader >= 0) & (seen.gap < FARTHEST_M)
-    leader[at] = np.where(has, rows.row_index.agent[seen.leader], -1)
+    leader[at] = np.where(has, index.agent[seen.leader], -1)
     gap[at] = np.where(has, seen.gap, np.inf)
     clear = (seen.stop_distance > FARTHEST_M) & (seen.crossing_distance > FARTHEST_M)
     inside = seen.stop_distance < 0.0

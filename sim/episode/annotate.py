@@ -12,8 +12,7 @@ from behaviors.traits import detect
 from sim.episode.detector_inputs import detector_inputs, with_encounters
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
-from sim.frames import Event, FloatArray, IntArray
+from sim.frames import Event, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.safety import Conflicts, conflicts
 
@@ -49,51 +48,49 @@ class Annotations:
     conflicts: Conflicts
 
 
-def annotate(steps: TrajectoryRows, road: Road, *, recorded: bool = False) -> Annotations:
+def annotate(tracks: Tracks, road: Road, *, recorded: bool = False) -> Annotations:
     """Find every event and every shown trait.
 
     Args:
-        steps: an episode or a recording.
+        tracks: an episode or a recording.
         road: where it happened.
         recorded: as in `sim.episode.incidents.incidents`.
     """
-    observed = observe(steps, road)
-    inputs = detector_inputs(steps, road, observed)
-    met = conflicts(steps.tracks, road)
-    events = incidents(steps, road, observed, inputs, met, recorded=recorded)
+    observed = observe(tracks, road)
+    inputs = detector_inputs(tracks, road, observed)
+    met = conflicts(tracks, road)
+    events = incidents(tracks, road, observed, inputs, met, recorded=recorded)
     seen = observed.lane, observed.s, observed.leader, observed.gap
     del observed  # a fifth of the memory, which the detectors need
-    inputs = with_encounters(steps.ids, inputs, events)
-    return Annotations(inputs, events, shown_traits(steps.ids, inputs), *seen, met)
+    inputs = with_encounters(tracks.ids, inputs, events)
+    return Annotations(inputs, events, shown_traits(tracks.ids, inputs), *seen, met)
 
 
-def annotated_parts(
-    steps: TrajectoryRows, road: Road
-) -> Iterator[tuple[TrajectoryRows, Annotations]]:
+def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annotations]]:
     """Annotate a recording, whose frames may have breaks between them.
 
     Parts between breaks are annotated separately, because the motion in a break is unknown.
     Parts whose frames are more than `MAX_STEP_S` apart are not annotated.
 
     Args:
-        steps: a recording.
+        tracks: a recording.
         road: where it happened.
 
     Yields:
         Each part with what was found in it, in order of time.
     """
-    for part in steps.between_breaks():
+    for part in tracks.between_breaks():
         if part.time_s.size >= MIN_FRAMES and part.step_s <= MAX_STEP_S:
             yield part, annotate(part, road, recorded=True)
 
 
 def annotate_recording(
-    steps: TrajectoryRows, road: Road
+    tracks: Tracks, road: Road
 ) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
     """Find the events and shown traits of the `annotated_parts` of a recording.
 
     Args:
-        steps: a recording.
+        tracks: a recording.
         road: where it happened.
 
     Returns:
@@ -101,7 +98,7 @@ def annotate_recording(
     """
     events: list[Event] = []
     shown: list[ShownTrait] = []
-    for _, found in annotated_parts(steps, road):
+    for _, found in annotated_parts(tracks, road):
         events += found.events
         shown += found.shown_traits
     return tuple(events), tuple(shown)

@@ -161,7 +161,7 @@ class FrameBuffer:
         here = self._valid[self._row, self._end - 1] if self._count else np.empty(0, dtype=bool)
         row, ids = self._row[here], self._ids[here]
         fixed = self._fixed[row]
-        return Tracks(
+        return Tracks.of_dense(
             ids=ids,
             names=tuple(map(str, ids.tolist())),
             kind=fixed[:, 0].astype(np.int8),

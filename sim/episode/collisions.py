@@ -12,9 +12,8 @@ import numpy as np
 from behaviors.detector_inputs import ShownTrait
 from sim.episode.contacts import Contact
 from sim.episode.observables import Observables
-from sim.episode.rows import TrajectoryRows
 from sim.episode.yielding import ROLLING_MPS, could_stop
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, FloatArray, IntArray
+from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
 
 RECENT_S: Final = 8.0
@@ -46,7 +45,7 @@ their lane stay 0.7 m from it)."""
 
 
 def collisions(
-    steps: TrajectoryRows, touches: Sequence[Contact]
+    tracks: Tracks, touches: Sequence[Contact]
 ) -> list[tuple[tuple[int, int], IntArray]]:
     """The pairs that collided, and the columns in which they touch.
 
@@ -55,7 +54,7 @@ def collisions(
     wait.
 
     Args:
-        steps: an episode or a recording, with the engine's events.
+        tracks: an episode or a recording, with the engine's events.
         touches: overlaps of outlines.
 
     Returns:
@@ -63,51 +62,51 @@ def collisions(
     """
     flags: dict[tuple[int, int], BoolArray] = {}
     pairs: dict[tuple[int, int], tuple[int, int]] = {}
-    for event in steps.events:
+    for event in tracks.events:
         if event.kind in (EventKind.COLLISION, EventKind.CONTACT) and event.other is not None:
             pair = (min(event.agent, event.other), max(event.agent, event.other))
             pairs.setdefault(pair, (event.agent, event.other))
-            at = _column(steps, event.time_s)
-            flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))[at] = True
+            at = _column(tracks, event.time_s)
+            flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))[at] = True
     for contact in touches:
         one, two = contact.agents
-        pair = (int(steps.ids[one]), int(steps.ids[two]))
-        if pair not in flags and PEDESTRIAN in (steps.kind[one], steps.kind[two]):
+        pair = (int(tracks.ids[one]), int(tracks.ids[two]))
+        if pair not in flags and PEDESTRIAN in (tracks.kind[one], tracks.kind[two]):
             continue
-        touch = flags.setdefault(pair, np.zeros(steps.time_s.size, dtype=bool))
+        touch = flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))
         touch[contact.begin : contact.end] = True
     found = []
     for pair, touch in flags.items():
         columns = np.flatnonzero(touch)
-        anew = np.flatnonzero(np.diff(columns) > round(APART_S / steps.step_s)) + 1
+        anew = np.flatnonzero(np.diff(columns) > round(APART_S / tracks.step_s)) + 1
         found += [(pairs.get(pair, pair), part) for part in np.split(columns, anew)]
     return sorted(found, key=lambda one: (int(one[1][0]), one[0]))
 
 
-def _column(steps: TrajectoryRows, time_s: float) -> int:
+def _column(tracks: Tracks, time_s: float) -> int:
     """The column of a time, or the last."""
-    return min(int(np.searchsorted(steps.time_s, time_s - 1e-6)), steps.time_s.size - 1)
+    return min(int(np.searchsorted(tracks.time_s, time_s - 1e-6)), tracks.time_s.size - 1)
 
 
 class _Party:
     """One of the two parties of a collision, at the column in which they first touch."""
 
     def __init__(
-        self, steps: TrajectoryRows, road: Road, observed: Observables, id: int, column: int
+        self, tracks: Tracks, road: Road, observed: Observables, id: int, column: int
     ) -> None:
-        self.id, self.index = id, int(np.searchsorted(steps.ids, id))
-        self.row = steps.row_index.row(self.index, column)  # -1 where it was not seen
-        self.is_pedestrian = bool(steps.kind[self.index] == PEDESTRIAN)
-        self._steps, self._road, self._observed, self._column = steps, road, observed, column
+        self.id, self.index = id, int(np.searchsorted(tracks.ids, id))
+        self.row = tracks.rows.index.row(self.index, column)  # -1 where it was not seen
+        self.is_pedestrian = bool(tracks.kind[self.index] == PEDESTRIAN)
+        self._tracks, self._road, self._observed, self._column = tracks, road, observed, column
 
     def until_now(self, values: FloatArray, empty: float = np.nan) -> FloatArray:
         """(column + 1, ...) its values at each time, ``empty`` where it was not seen."""
-        return self._steps.row_index.over(values, self.index, 0, self._column + 1, empty)
+        return self._tracks.rows.index.over(values, self.index, 0, self._column + 1, empty)
 
     @cached_property
     def speed(self) -> FloatArray:
         """(column + 1,) its speed at each time, m/s."""
-        return self.until_now(self._steps.speed)
+        return self.until_now(self._tracks.rows.speed)
 
     @property
     def stands(self) -> bool:
@@ -118,8 +117,8 @@ class _Party:
     def connection(self) -> int:
         """The connection that it drives at a junction; -1 if no part of it is inside."""
         inside = self.row >= 0 and self._observed.stop_distance[self.row] < 0
-        soon = round(RECENT_S / self._steps.step_s) if inside else 0
-        rows = self._steps.row_index.rows(self.index, self._column, self._column + soon + 1)
+        soon = round(RECENT_S / self._tracks.step_s) if inside else 0
+        rows = self._tracks.rows.index.rows(self.index, self._column, self._column + soon + 1)
         links = self._road.connection_of_lane[self._observed.lane[rows]]
         at = np.flatnonzero(links >= 0)
         return int(links[at[0]]) if at.size else -1
@@ -137,7 +136,7 @@ class _Party:
         lane = int(observed.lane[row]) if row >= 0 else -1
         if lane < 0 or self._road.lanes[lane].internal:
             return False
-        length, width = self._steps.length[self.index], self._steps.width[self.index]
+        length, width = self._tracks.length[self.index], self._tracks.width[self.index]
         if observed.s[row] < length / 2 + TURNED_M:
             return False
         half = (width + length * abs(float(np.sin(observed.lane_heading[row])))) / 2
@@ -148,14 +147,14 @@ class _Party:
         """Whether it ran into the other, which had stood there long enough to be braked for."""
         if self._column == 0 or not self.speed[-2] > other.speed[-2]:
             return False
-        away = (xy := other.until_now(self._steps.xy)) - xy[-1]
+        away = (xy := other.until_now(self._tracks.rows.xy)) - xy[-1]
         stood = np.isfinite(self.speed) & (np.hypot(away[:, 0], away[:, 1]) < STOOD_M)
         before = np.flatnonzero(~stood)
-        reaction = round(REACTION_S / self._steps.step_s)
+        reaction = round(REACTION_S / self._tracks.step_s)
         braked = (int(before[-1]) + 1 if before.size else 0) + reaction
         if braked >= self._column:
             return False
-        left_m = float(self.speed[braked:-1].sum()) * self._steps.step_s
+        left_m = float(self.speed[braked:-1].sum()) * self._tracks.step_s
         return could_stop(float(self.speed[braked]), left_m)
 
 
@@ -164,7 +163,7 @@ class Crashes:
     """Finds the causes of an episode's collisions.
 
     Attributes:
-        steps: the episode or recording.
+        tracks: the episode or recording.
         road: where it happened.
         observed: its observables.
         events: what was found before, in any order.
@@ -172,7 +171,7 @@ class Crashes:
         forbidden: (m,) where pedestrians walk though they may not.
     """
 
-    steps: TrajectoryRows
+    tracks: Tracks
     road: Road
     observed: Observables
     events: Sequence[Event]
@@ -192,10 +191,10 @@ class Crashes:
         Returns:
             The collision; ``agent`` caused it, ``rule`` says why.
         """
-        column = _column(self.steps, time_s)
-        parties = [_Party(self.steps, self.road, self.observed, id, column) for id in pair]
+        column = _column(self.tracks, time_s)
+        parties = [_Party(self.tracks, self.road, self.observed, id, column) for id in pair]
         for cut in reversed(self.cuts):
-            cutter, victim = int(self.steps.ids[cut.agent]), int(self.steps.ids[cut.other])
+            cutter, victim = int(self.tracks.ids[cut.agent]), int(self.tracks.ids[cut.other])
             if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
                 break
         else:
@@ -222,14 +221,14 @@ class Crashes:
                         return party, rule
         for party, other in (parties, parties[::-1]):
             if party.is_pedestrian:
-                rows = self.steps.row_index.rows(party.index, column - 1, column + 1)
+                rows = self.tracks.rows.index.rows(party.index, column - 1, column + 1)
                 if self.forbidden[rows].any():
                     return party, "walked where or when one may not"
-                if (other.speed[-1 - round(1.0 / self.steps.step_s) :] < ROLLING_MPS).all():
+                if (other.speed[-1 - round(1.0 / self.tracks.step_s) :] < ROLLING_MPS).all():
                     return party, "walked into a vehicle that stood"
                 return other, "did not yield to a pedestrian"
         if cut is not None:
-            return of[int(self.steps.ids[cut.agent])], CUT_IN
+            return of[int(self.tracks.ids[cut.agent])], CUT_IN
         return self._between_vehicles(*parties)
 
     def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:
@@ -251,7 +250,7 @@ class Crashes:
             return (two if one.stands else one), "ran into somebody who stood"
         is_behind = False  # as it is where one of the two was not seen
         if one.row >= 0 and two.row >= 0:
-            heading, xy = self.steps.heading[one.row], self.steps.xy
+            heading, xy = self.tracks.rows.heading[one.row], self.tracks.rows.xy
             facing = np.array([np.cos(heading), np.sin(heading)])
             is_behind = float((xy[two.row] - xy[one.row]) @ facing) < 0
         return (two if is_behind else one), "followed too closely"

@@ -10,8 +10,7 @@ import numpy as np
 
 from behaviors.detector_inputs import DetectorInputs, RuleEncounter
 from sim.episode.observables import Observables, observe
-from sim.episode.rows import TrajectoryRows
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, says_stop
+from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, Tracks, says_stop
 from sim.road import Road
 from sim.road.lane_coordinates import along
 from sim.road.lane_graph import LaneGraph
@@ -47,19 +46,19 @@ def with_encounters(
 
 
 def detector_inputs(
-    steps: TrajectoryRows, road: Road, observed: Observables | None = None
+    tracks: Tracks, road: Road, observed: Observables | None = None
 ) -> DetectorInputs:
     """Inputs of the detectors without the rules that applied (`with_encounters` adds them).
 
     Args:
-        steps: an episode or a recording.
+        tracks: an episode or a recording.
         road: where it happened.
-        observed: the observables of ``steps``, if the caller has them.
+        observed: the observables of ``tracks``, if the caller has them.
 
     Returns:
-        Arrays with the rows of ``steps``.
+        Arrays with the rows of ``tracks``.
     """
-    observed = observe(steps, road) if observed is None else observed
+    observed = observe(tracks, road) if observed is None else observed
     graph = LaneGraph.of(road)
     edges = {edge: i for i, edge in enumerate(dict.fromkeys(lane.edge for lane in road.lanes))}
     edge_of = np.array([*(edges[lane.edge] for lane in road.lanes), -1], dtype=np.int64)
@@ -70,14 +69,14 @@ def detector_inputs(
     for link in road.connections:
         at = road.lane_index[link.from_lane]
         held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
-    off_crossing, on_red = _jaywalkers(steps, road)
+    off_crossing, on_red = _jaywalkers(tracks, road)
     return DetectorInputs(
-        row_index=steps.row_index,
-        time_s=steps.time_s,
-        drives=np.asarray(steps.kind != PEDESTRIAN),
-        length=steps.length,
-        width=steps.width,
-        speed=steps.speed,
+        row_index=tracks.rows.index,
+        time_s=tracks.time_s,
+        drives=np.asarray(tracks.kind != PEDESTRIAN),
+        length=tracks.length,
+        width=tracks.width,
+        speed=tracks.rows.speed,
         limit=np.where(np.isnan(observed.limit), np.inf, observed.limit),
         edge=edge_of[lane],
         lane=lane,
@@ -97,15 +96,18 @@ def detector_inputs(
     )
 
 
-def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray]:
+def _jaywalkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
     """(m,) rows of pedestrians on the carriageway off any crossing, and on one entered on red."""
-    row_index = steps.row_index
-    off, on_red = np.zeros(steps.speed.size, dtype=bool), np.zeros(steps.speed.size, dtype=bool)
-    rows = np.flatnonzero(steps.walking)
+    row_index = tracks.rows.index
+    off, on_red = (
+        np.zeros(tracks.rows.speed.size, dtype=bool),
+        np.zeros(tracks.rows.speed.size, dtype=bool),
+    )
+    rows = np.flatnonzero(tracks.walking)
     if not rows.size:
         return off, on_red
-    xy = steps.xy[rows]
-    place = LaneGraph.of(road).project(xy, steps.heading[rows])
+    xy = tracks.rows.xy[rows]
+    place = LaneGraph.of(road).project(xy, tracks.rows.heading[rows])
     width = np.array([lane.width_m for lane in road.lanes])
     internal = np.array([lane.internal for lane in road.lanes])
     on_road = (np.abs(place.offset) < width[place.lane] / 2) & ~internal[place.lane]
@@ -113,14 +115,14 @@ def _jaywalkers(steps: TrajectoryRows, road: Road) -> tuple[BoolArray, BoolArray
         u, across, total = along(crossing.centerline, xy)
         near = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > -2.0) & (u < total + 2.0)
         on_road &= ~near
-        if not 0 <= crossing.signal < steps.signals.shape[0]:  # recordings show no signals
+        if not 0 <= crossing.signal < tracks.signals.shape[0]:  # recordings show no signals
             continue
-        inside = np.zeros(steps.speed.size, dtype=bool)
+        inside = np.zeros_like(off)
         inside[rows] = near & (u > 0.3) & (u < total - 0.3)
         for run in row_index.runs(inside):
             entered = int(row_index.step[run.start])
             # the entry of pedestrians present in the first frame is unknown
-            if entered > 0 and steps.signals[crossing.signal, entered] == Signal.RED.code:
+            if entered > 0 and tracks.signals[crossing.signal, entered] == Signal.RED.code:
                 on_red[run] = True
     off[rows[on_road]] = True
     return off, on_red

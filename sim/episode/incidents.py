@@ -18,9 +18,8 @@ from sim.episode.collisions import Crashes, collisions
 from sim.episode.contacts import contacts
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import Observables, observe
-from sim.episode.rows import TrajectoryRows
 from sim.episode.yielding import ROLLING_MPS, crossings_passed
-from sim.frames import Event, EventKind, FloatArray, IntArray, Signal
+from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, Tracks
 from sim.road import Road
 from sim.safety import (
     CONFLICT_KINDS,
@@ -39,7 +38,7 @@ STOP_ZONE_M: Final = 8.0
 
 
 def incidents(
-    steps: TrajectoryRows,
+    tracks: Tracks,
     road: Road,
     observed: Observables | None = None,
     inputs: DetectorInputs | None = None,
@@ -50,11 +49,11 @@ def incidents(
     """All events of an episode or recording.
 
     Args:
-        steps: the trajectories; of their own events, collisions and removals are used.
+        tracks: the trajectories; of their own events, collisions and removals are used.
         road: where it happened.
-        observed: the observables of ``steps``, if the caller has them.
+        observed: the observables of ``tracks``, if the caller has them.
         inputs: what `sim.episode.detector_inputs.detector_inputs` gives, if the caller has it.
-        met: the conflicts of ``steps``, if the caller has them.
+        met: the conflicts of ``tracks``, if the caller has them.
         recorded: whether sizes and positions were measured, not simulated: then two outlines that
             overlap are a measurement error, not a collision.
 
@@ -62,48 +61,48 @@ def incidents(
         Events in order of time; a collision is one event, ``agent`` is the party that caused it
         and ``rule`` says why.
     """
-    observed = observe(steps, road) if observed is None else observed
+    observed = observe(tracks, road) if observed is None else observed
     found = [
-        *_lines_passed(steps, road, observed),
-        *crossings_passed(steps, road, observed),
-        *_wrong_way(steps, observed),
-        *near_misses(conflicts(steps.tracks, road) if met is None else met),
+        *_lines_passed(tracks, road, observed),
+        *crossings_passed(tracks, road, observed),
+        *_wrong_way(tracks, observed),
+        *near_misses(conflicts(tracks, road) if met is None else met),
     ]
-    collided = collisions(steps, () if recorded else contacts(steps))
+    collided = collisions(tracks, () if recorded else contacts(tracks))
     if collided:
-        inputs = detector_inputs(steps, road, observed) if inputs is None else inputs
+        inputs = detector_inputs(tracks, road, observed) if inputs is None else inputs
         forbidden = inputs.off_crossing | inputs.on_red
-        crashes = Crashes(steps, road, observed, found, cutting_in(inputs), forbidden)
+        crashes = Crashes(tracks, road, observed, found, cutting_in(inputs), forbidden)
     for pair, columns in collided:
-        collision = crashes.cause(pair, float(steps.time_s[columns[0]]))
-        end_s = float(steps.time_s[columns[-1]])
+        collision = crashes.cause(pair, float(tracks.time_s[columns[0]]))
+        end_s = float(tracks.time_s[columns[-1]])
         found.append(dataclasses.replace(collision, end_s=end_s))
     # an engine's events of other kinds are found again by the rules above
-    found += [event for event in steps.events if event.kind is EventKind.REMOVAL]
+    found += [event for event in tracks.events if event.kind is EventKind.REMOVAL]
     return tuple(sorted(found, key=lambda e: (e.time_s, e.agent, e.kind)))
 
 
-def _lines_passed(steps: TrajectoryRows, road: Road, observed: Observables) -> list[Event]:
+def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Event]:
     """Red lights run, stop lines rolled over, and both obeyed."""
     stops = np.zeros(len(road.lanes) + 1, dtype=bool)
     for link in road.connections:
         stops[road.lane_index[link.from_lane]] |= link.must_stop
-    row_index, distance = steps.row_index, observed.stop_distance
+    row_index, distance = tracks.rows.index, observed.stop_distance
     red = observed.signal == Signal.RED.code
-    grace = round(GRACE_S / steps.step_s)
+    grace = round(GRACE_S / tracks.step_s)
     passed = (distance[:-1] >= 0) & (distance[:-1] < 10.0) & ~row_index.begins[1:]
     passed &= (distance[1:] < 0) | (distance[1:] > 30.0)
     last = np.flatnonzero(passed)  # the last row before each line
     found = []
     for row, zone in zip(last.tolist(), _zones(row_index, distance, last), strict=True):
         number, column = int(row_index.agent[row]), int(row_index.step[row])
-        agent, time_s = int(steps.ids[number]), float(steps.time_s[column + 1])
+        agent, time_s = int(tracks.ids[number]), float(tracks.time_s[column + 1])
         if row_index.over(red, number, max(column - grace, 0), column + 1, False).all():
             found.append(Event(EventKind.RED_RUN, time_s, agent))
-        elif _stood_at_red(steps, observed, zone):
+        elif _stood_at_red(tracks, observed, zone):
             found.append(Event(EventKind.STOPPED, time_s, agent, rule="red light"))
         if stops[observed.lane[row]]:
-            rolled = steps.speed[zone].min() > ROLLING_MPS
+            rolled = tracks.rows.speed[zone].min() > ROLLING_MPS
             kind = EventKind.STOP_ROLLED if rolled else EventKind.STOPPED
             found.append(Event(kind, time_s, agent, rule="" if rolled else "stop line"))
     return found
@@ -119,19 +118,19 @@ def _zones(row_index: RowIndex, distance: FloatArray, last: IntArray) -> list[sl
     return [slice(b, row + 1) for b, row in zip(begins.tolist(), last.tolist(), strict=True)]
 
 
-def _stood_at_red(steps: TrajectoryRows, observed: Observables, zone: slice) -> bool:
+def _stood_at_red(tracks: Tracks, observed: Observables, zone: slice) -> bool:
     """Whether the agent stood first in line at a red light before it passed the line."""
     red = observed.signal[zone] == Signal.RED.code
     first = observed.gap[zone] > observed.stop_distance[zone]
-    return bool((red & first & (steps.speed[zone] < ROLLING_MPS)).any())
+    return bool((red & first & (tracks.rows.speed[zone] < ROLLING_MPS)).any())
 
 
-def _wrong_way(steps: TrajectoryRows, observed: Observables) -> list[Event]:
-    wrong = (np.abs(observed.lane_heading) > np.pi / 2) & (steps.speed > ROLLING_MPS)
+def _wrong_way(tracks: Tracks, observed: Observables) -> list[Event]:
+    wrong = (np.abs(observed.lane_heading) > np.pi / 2) & (tracks.rows.speed > ROLLING_MPS)
     found = []
-    for run in steps.row_index.runs(wrong, round(1.0 / steps.step_s)):
-        metres = float(steps.speed[run].sum()) * steps.step_s
-        agent, time_s = steps.agent_and_time(run.start)
+    for run in tracks.rows.index.runs(wrong, round(1.0 / tracks.step_s)):
+        metres = float(tracks.rows.speed[run].sum()) * tracks.step_s
+        agent, time_s = tracks.agent_and_time(run.start)
         found.append(Event(EventKind.WRONG_WAY, time_s, agent, distance_m=metres))
     return found
 

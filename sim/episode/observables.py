@@ -19,8 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sim.episode.rows import BLOCK_ROWS, TrajectoryRows
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal, Tracks
 from sim.road import LanePosition, Road, lane_coordinates, lane_search
 from sim.road.lane_graph import LaneGraph
 
@@ -34,7 +33,7 @@ of the kerb)."""
 
 @dataclass(frozen=True, slots=True)
 class Observables:
-    """Observables of n agents of a `Frame`, or of the n rows of `TrajectoryRows`.
+    """Observables of n agents of a `Frame`, or of the n rows of `Tracks`.
 
     Distances are +inf and indices -1 where there is nothing; for pedestrians everything is.
 
@@ -79,11 +78,11 @@ class Observables:
     crossing_waiting: BoolArray
 
 
-def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
+def observe(traffic: Frame | Tracks, road: Road) -> Observables:
     """Everything `Observables` lists, for one frame or a whole episode.
 
     Args:
-        traffic: a frame, or the steps of an episode or a recording.
+        traffic: a frame, or an episode or a recording.
         road: where it happens.
 
     Returns:
@@ -108,11 +107,12 @@ def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
             traffic.kind == PEDESTRIAN, traffic.signals[:, None],
             np.zeros(n, np.int64), np.arange(n), np.array([0, n]),
         )  # fmt: skip
-    row_index, whole = traffic.row_index, dict[str, Any]()
-    for rows, first, begins in row_index.time_blocks(BLOCK_ROWS):
+    seen, whole = traffic.rows, dict[str, Any]()
+    row_index = seen.index
+    for rows, first, begins in row_index.time_blocks():
         agent, end = row_index.agent[rows], first + begins.size - 1
         part = _observe(
-            road, traffic.xy[rows], traffic.heading[rows], traffic.speed[rows],
+            road, seen.xy[rows], seen.heading[rows], seen.speed[rows],
             traffic.length[agent], (traffic.kind == PEDESTRIAN)[agent],
             traffic.signals[:, first:end], row_index.step[rows] - first, np.arange(rows.size),
             begins,
@@ -123,7 +123,7 @@ def observe(traffic: Frame | TrajectoryRows, road: Road) -> Observables:
                 there = values >= 0
                 values[there] = rows[values[there]]
             if name not in whole:
-                whole[name] = np.empty(traffic.speed.size, values.dtype)
+                whole[name] = np.empty(seen.speed.size, values.dtype)
             whole[name][rows] = values
     return Observables(**whole)
 

@@ -97,8 +97,8 @@ class Window:
         """The tracks of the agents that count at the last time; they keep their whole past."""
         if not tracks.time_s.size:
             return tracks
-        seen = tracks.as_rows()
-        at = seen.at(-1)
+        seen = tracks.rows
+        at = seen.index.at(-1)
         if not at.size:
             return tracks
         rows = seen.index.agent[at]

@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from sim.episode.observables import Observables
-from sim.episode.rows import TrajectoryRows
-from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, says_stop
+from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, Tracks, says_stop
 from sim.road import Crossing, Road
 from sim.road.lane_coordinates import along
 
@@ -71,45 +70,45 @@ class Walk(NamedTuple):
         return -2 * half < to_path < PATH_S * WALKING_MPS
 
 
-def crossings_passed(steps: TrajectoryRows, road: Road, observed: Observables) -> list[Event]:
+def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Event]:
     """Events of vehicles that let a pedestrian go first at a crossing, or did not.
 
     Args:
-        steps: an episode or a recording.
+        tracks: an episode or a recording.
         road: where it happened.
         observed: its observables.
     """
-    walking, row_index = steps.walking, steps.row_index
+    walking, row_index = tracks.walking, tracks.rows.index
     walkers = np.flatnonzero(walking)
     if not walkers.size:
         return []
     found = []
     driving = np.flatnonzero(~walking)
-    xy = steps.xy[driving]
-    longest = float(steps.length.max())
+    xy = tracks.rows.xy[driving]
+    longest = float(tracks.length.max())
     links = road.connection_of_lane[observed.lane]
     for crossing in road.crossings:
         if crossing.signal < 0 and not crossing.priority:
             continue
-        walks = _walks(steps, crossing, walkers)
+        walks = _walks(tracks, crossing, walkers)
         if not walks:
             continue
         near = driving[_near(crossing, xy, longest / 2)]
-        facing = steps.heading[near]
+        facing = tracks.rows.heading[near]
         forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
-        front = steps.xy[near] + 0.5 * steps.length[row_index.agent[near], None] * forward
+        front = tracks.rows.xy[near] + 0.5 * tracks.length[row_index.agent[near], None] * forward
         u, across, total = along(crossing.centerline, front)
         inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
-        on = np.zeros(steps.speed.size, dtype=bool)
+        on = np.zeros(tracks.rows.speed.size, dtype=bool)
         on[near[inside]] = True
         for run in row_index.runs(on):
             if row_index.begins[run.start]:
                 continue
             path = float(u[np.searchsorted(near, run.start)])
-            verdict = _verdict(steps, road, observed, walks, run.start, path, links)
+            verdict = _verdict(tracks, road, observed, walks, run.start, path, links)
             if verdict is not None:
                 kind, other = verdict
-                agent, time_s = steps.agent_and_time(run.start)
+                agent, time_s = tracks.agent_and_time(run.start)
                 found.append(Event(kind, time_s, agent, other))
     return found
 
@@ -121,30 +120,30 @@ def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> IntArray:
     return np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
 
 
-def _walks(steps: TrajectoryRows, crossing: Crossing, walkers: IntArray) -> list[Walk]:
+def _walks(tracks: Tracks, crossing: Crossing, walkers: IntArray) -> list[Walk]:
     """Every walk over a crossing that was not begun on red; ``walkers`` are pedestrians' rows."""
-    row_index = steps.row_index
-    u = np.full(steps.speed.size, np.nan)
-    u[walkers], across, total = along(crossing.centerline, steps.xy[walkers])
+    row_index = tracks.rows.index
+    u = np.full(tracks.rows.speed.size, np.nan)
+    u[walkers], across, total = along(crossing.centerline, tracks.rows.xy[walkers])
     on = np.zeros(u.size, dtype=bool)
     on[walkers] = np.abs(across) <= crossing.width_m / 2 + 1.0
     on &= (u > ON_CROSSING_M) & (u < total - ON_CROSSING_M)
     found = []
     for run in row_index.runs(on, 10):
         agent, begin = int(row_index.agent[run.start]), int(row_index.step[run.start])
-        lit = 0 <= crossing.signal < steps.signals.shape[0]  # recordings show no signals
-        if lit and steps.signals[crossing.signal, begin] == Signal.RED.code:
+        lit = 0 <= crossing.signal < tracks.signals.shape[0]  # recordings show no signals
+        if lit and tracks.signals[crossing.signal, begin] == Signal.RED.code:
             continue
         direction = float(np.sign(u[run.stop - 1] - u[run.start]))
         if direction != 0.0:
             at = row_index.over(u, agent, 0, row_index.times, np.nan)
             last = int(row_index.step[run.stop - 1])
-            found.append(Walk(int(steps.ids[agent]), begin, last, at, direction))
+            found.append(Walk(int(tracks.ids[agent]), begin, last, at, direction))
     return found
 
 
 def _verdict(
-    steps: TrajectoryRows,
+    tracks: Tracks,
     road: Road,
     observed: Observables,
     walks: Sequence[Walk],
@@ -162,9 +161,9 @@ def _verdict(
     Returns the kind of event and the pedestrian's id; None without an encounter. The vehicle's
     front comes to the crossing in ``row``, at ``path`` m along it.
     """
-    row_index, step_s = steps.row_index, steps.step_s
+    row_index, step_s = tracks.rows.index, tracks.step_s
     agent, entry = int(row_index.agent[row]), int(row_index.step[row])
-    half = steps.width[agent] / 2 + 0.3
+    half = tracks.width[agent] / 2 + 0.3
     yielded: tuple[EventKind, int] | None = None
     for walk in walks:
         person, begin, end, u, direction = walk
@@ -174,7 +173,7 @@ def _verdict(
         if come < row_index.first[agent] or row_index.step[come] != begin:
             continue  # unless the vehicle was lost from sight in between
 
-        speed = steps.speed[come : row + 1]
+        speed = tracks.rows.speed[come : row + 1]
         left_m = float(speed.sum()) * step_s - np.cumsum(speed) * step_s
         if walk.blocks(path, half, entry):
             if could_stop(float(speed[0]), float(left_m[0])):
@@ -195,7 +194,7 @@ def _verdict(
         if not walk.blocks(path, half, begin + since + round(pulled_s / step_s)):
             continue
         until = begin + clear + round(FORESIGHT_S / step_s)
-        if not _others_cross(steps, road, links, come + since, row, until):
+        if not _others_cross(tracks, road, links, come + since, row, until):
             yielded = EventKind.YIELDED, person
     return yielded
 
@@ -219,12 +218,12 @@ def _unhindered_s(speed: float, distance: float, limit: float) -> float:
 
 
 def _others_cross(
-    steps: TrajectoryRows, road: Road, links: IntArray, since: int, entry: int, until: int
+    tracks: Tracks, road: Road, links: IntArray, since: int, entry: int, until: int
 ) -> bool:
     """Whether another vehicle was on a connection that crosses or joins this vehicle's."""
-    row_index = steps.row_index
+    row_index = tracks.rows.index
     agent, begin = int(row_index.agent[entry]), int(row_index.step[since])
-    soon = int(row_index.step[entry]) + round(5.0 / steps.step_s)
+    soon = int(row_index.step[entry]) + round(5.0 / tracks.step_s)
     near = links[row_index.rows(agent, begin, soon)]
     mine = near[near >= 0]
     if not mine.size:

@@ -143,12 +143,12 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
     Returns:
         The same agents; headings and speeds are told anew from the motion.
     """
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agent, xy = rows.index.agent, rows.xy.copy()
     rotation, shift = np.eye(2), np.zeros(2)
     turn, step = np.eye(2), np.zeros(2)
     for t in range(1, tracks.time_s.size):
-        before, here = rows.at(t - 1), rows.at(t)
+        before, here = rows.index.at(t - 1), rows.index.at(t)
         _, one, other = np.intersect1d(agent[before], agent[here], return_indices=True)
         if one.size >= MIN_AGENTS:
             turn, step = rigid_motion(rows.xy[before[one]], rows.xy[here[other]])
@@ -156,4 +156,4 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
         rotation = rotation @ turn
         xy[here] = rows.xy[here] @ rotation.T + shift
     heading, speed = row_motion(agent, xy, tracks.time_s[rows.index.step], 0.0)
-    return tracks.changed(replace(rows, xy=xy, heading=heading, speed=speed))
+    return replace(tracks, rows=replace(rows, xy=xy, heading=heading, speed=speed))

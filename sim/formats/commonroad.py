@@ -99,7 +99,7 @@ def _lit(tracks: Tracks, road: Road) -> Tracks:
         [code for plan in road.signal_plans for code in plan.state_at(float(time_s))]
         for time_s in tracks.time_s
     ]
-    return tracks.changed(signals=np.array(shown, dtype=np.int8).T)
+    return replace(tracks, signals=np.array(shown, dtype=np.int8).T)
 
 
 def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:

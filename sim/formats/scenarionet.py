@@ -310,7 +310,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
         The dictionary; numbers are 0 where an agent is not valid.
     """
     t = tracks.time_s.size
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agents: dict[str, Any] = {}
     for i, label in enumerate(tracks.names):
         at = rows.index.rows(i)

@@ -294,13 +294,13 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
     ids = [quoteattr(label) for label in tracks.names]
     types = [quoteattr(f"type-{label}") for label in tracks.names]
     element = ["person" if kind == PEDESTRIAN else "vehicle" for kind in tracks.kind]
-    seen = tracks.as_rows()
+    seen = tracks.rows
     front = seen.xy + 0.5 * tracks.length[seen.index.agent, None] * np.stack(
         [np.cos(seen.heading), np.sin(seen.heading)], axis=1
     )
     for step, time_s in enumerate(tracks.time_s.tolist()):
         lines.append(f'    <timestep time="{time_s!r}">')
-        for at in seen.at(step).tolist():
+        for at in seen.index.at(step).tolist():
             row = int(seen.index.agent[at])
             x, y = front[at].tolist()
             lines.append(

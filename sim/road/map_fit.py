@@ -98,7 +98,7 @@ def map_fit(road: Road, tracks: Tracks) -> MapFit:
     Returns:
         The share inside, and how speeds compare with limits.
     """
-    rows = tracks.as_rows()
+    rows = tracks.rows
     drives = (tracks.kind != PEDESTRIAN)[rows.index.agent]
     moving = np.flatnonzero(drives & (rows.speed >= MOVING_MPS))
     if moving.size > MOST_POINTS:

@@ -59,7 +59,7 @@ class Driven:
     @classmethod
     def of(cls, tracks: Tracks) -> Driven:
         """State of the rows of tracks."""
-        rows = tracks.as_rows()
+        rows = tracks.rows
         agent, time_s = rows.index.agent, tracks.time_s[rows.index.step]
         usual_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 1.0
         begins = rows.index.begins.copy()
@@ -103,7 +103,7 @@ def shared_places(driven: Driven, within_s: float) -> Shared:
     Each piece is compared with the others' of the last seconds, and for each other body the least
     time counts. Among bodies that went the same way only the last counts, which is the leader.
     """
-    by_time, _ = driven.index.by_time()
+    by_time, _ = driven.index.by_time
     time_s = driven.time_s[by_time]
     longest_s = within_s + float(driven.piece_s.max(initial=0.0))
     found = [Shared(*np.empty((2, 0), np.int64), *np.empty((2, 0)))]
@@ -223,7 +223,7 @@ def areas_ahead(driven: Driven, within_s: float) -> IntArray:
     way = within_s * driven.bodies.speed[:, None] * ahead
     middle, reach = xy + 0.5 * way, np.hypot(*half.T) + 0.5 * np.hypot(*way.T)
     bodies = np.concatenate([xy, ahead, way, half], axis=1)
-    order, begins = driven.index.by_time()
+    order, begins = driven.index.by_time
     found = [np.empty((0, 2), np.int64)]
     for begin, end in pairwise(begins.tolist()):
         rows = order[begin:end]

@@ -189,7 +189,7 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
         >>> time_s = np.arange(0.0, 6.0, 0.1)
         >>> east = np.stack([10.0 * time_s - 20.0, 0.0 * time_s], axis=1)
         >>> still = np.zeros((2, 60))
-        >>> tracks = Tracks(
+        >>> tracks = Tracks.of_dense(
         ...     ids=[3, 8], names=("3", "8"), kind=[0, 0], length=[5.0, 5.0], width=[2.0, 2.0],
         ...     time_s=time_s, xy=[east, (east - [18.0, 0.0])[:, ::-1]],
         ...     heading=still + [[0.0], [np.pi / 2]], speed=still + 10.0, valid=still == 0.0,
@@ -291,7 +291,7 @@ def _moments(
     count = end - begin + 1
     number = np.repeat(np.arange(count.size), count)
     step = np.arange(number.size) - np.repeat(np.cumsum(count) - count - begin, count)
-    rows, there = zip(*(tracks.as_rows().find(each[number], step) for each in agents), strict=True)
+    rows, there = zip(*(tracks.rows.index.find(each[number], step) for each in agents), strict=True)
     both = there[0] & there[1]
     return number[both], np.stack(rows)[:, both]
 

@@ -274,20 +274,6 @@ class Dataset:
         """
         return read_conflicts(self._place, entry)
 
-    def load_episode(self, identity: str) -> Episode:
-        """Read the episode of an id, as `read` does.
-
-        Args:
-            identity: the id of one of `episodes`.
-
-        Raises:
-            InputError: if no such episode exists, or it cannot be read.
-        """
-        found = self.entries(self.catalogue.filter(pc.equal(self.catalogue["id"], identity)))
-        if not found:
-            raise InputError(f"{self.path}: found no episode {identity!r}, expected one of its ids")
-        return self.read(found[0])
-
     def road(self, entry: EpisodeEntry) -> Road | None:
         """The road an episode happened on.
 

@@ -16,12 +16,11 @@ from behaviors.labels import BEHAVIORS, Behavior, Style, Trait
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from behaviors.row_index import RowIndex
 from sim.files import Place
-from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
+from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, TrackRows, Tracks
 from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.scenario import AgentSpec
 from sim.store.schema import CONFLICTS, MAX_STEPS, TABLES, EpisodeEntry
 from sim.store.shards import ShardName, read_rows
-from sim.track_rows import TrackRows
 
 WORDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {
     "agents": {"kind": KINDS, "behavior": BEHAVIORS, "style": tuple(Style)},
@@ -74,8 +73,8 @@ def read_tables(
     seen = np.flatnonzero(np.diff(rows.index.first))
     behavior = _codes(agents, "behavior", BEHAVIORS)[seen]
     names = agents.column("name").to_pylist()
-    tracks = Tracks.of_rows(
-        rows if seen.size == ids.size else rows.part(seen, slice(None)),
+    tracks = Tracks(
+        rows=rows.taken(*rows.index.part(seen, slice(None))),
         ids=ids[seen],
         names=tuple(names[i] for i in seen),
         kind=_codes(agents, "kind", KINDS)[seen],

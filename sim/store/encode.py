@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
-from sim.frames import SIGNALS, EventKind, Tracks
+from sim.frames import SIGNALS, EventKind, TrackRows, Tracks
 from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.scenario import AgentSpec
 from sim.store.schema import (
@@ -27,7 +28,6 @@ from sim.store.schema import (
     steps_schema,
     table_schema,
 )
-from sim.track_rows import TrackRows
 
 
 def rounded(tracks: Tracks) -> Tracks:
@@ -36,13 +36,13 @@ def rounded(tracks: Tracks) -> Tracks:
     Args:
         tracks: as an engine gives them.
     """
-    rows = tracks.as_rows()
+    rows = tracks.rows
     heading = _multiples(rows.heading, HEADING_QUANTUM)
     # pi itself rounds to a multiple above pi, and -pi is outside (-pi, pi].
     heading -= HEADING_QUANTUM * (heading > np.pi)
     heading += HEADING_QUANTUM * (heading < -np.pi)
     xy, speed = (_multiples(values, POSITION_QUANTUM) for values in (rows.xy, rows.speed))
-    return tracks.changed(TrackRows(rows.index, xy, heading, speed))
+    return replace(tracks, rows=TrackRows(rows.index, xy, heading, speed))
 
 
 def _multiples(values: NDArray[np.float64], quantum: float) -> NDArray[np.float64]:
@@ -73,7 +73,7 @@ def encode(
     Raises:
         InputError: if a number is not finite, or there are too many rows.
     """
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agent, step = tracks.ids[rows.index.agent], rows.index.step
     if agent.size > MAX_STEPS:
         raise InputError(f"steps: found {agent.size} rows, expected at most {MAX_STEPS}")
@@ -179,7 +179,7 @@ def derived(values: NDArray[np.float64], exact: bool) -> pa.Array:
 
 def _acceleration(tracks: Tracks) -> NDArray[np.float64]:
     """(m,) change of speed since the agent's step before, m/s²; NaN where it was not seen then."""
-    rows = tracks.as_rows()
+    rows = tracks.rows
     found = np.full(rows.speed.size, np.nan)
     at = np.flatnonzero(~rows.index.begins)
     time_s = tracks.time_s[rows.index.step]

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +20,6 @@ from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
 from sim.episode.annotate import Annotations, annotate
-from sim.episode.rows import TrajectoryRows
 from sim.files import Place, local_path, new_folder, place_of, temporary_folder
 from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
@@ -138,16 +138,16 @@ class EpisodeWriter:
         met: Conflicts | None = None
         if road is not None and tracks.time_s.size > 2:
             where = read_road_file(road)
-            found = annotate(TrajectoryRows.of(tracks), where)
+            found = annotate(tracks, where)
             tracks, shown, met = (
-                tracks.changed(events=found.events),
+                replace(tracks, events=found.events),
                 found.shown_traits,
                 found.conflicts,
             )
             known = _known(tracks, found, where)
         if since_s is not None:
             first = int(np.searchsorted(tracks.time_s, since_s + 1e-9))
-            later = pa.array(tracks.as_rows().index.step >= first)
+            later = pa.array(tracks.rows.index.step >= first)
             known = {name: column.filter(later) for name, column in known.items()}
             shown = tuple(trait for trait in shown if trait.begin_s > since_s)
             tracks = tracks.part(np.arange(tracks.ids.size), slice(first, None))
@@ -179,7 +179,9 @@ class EpisodeWriter:
         """
         n = tracks.ids.size
         codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
-        first = tracks.as_rows().first_steps()
+        index, first = tracks.rows.index, np.zeros(n, dtype=np.int64)
+        present = np.diff(index.first) > 0
+        first[present] = index.step[index.first[:-1][present]]
         agents = [
             AgentSpec(
                 id=int(tracks.ids[i]),
@@ -233,7 +235,7 @@ class EpisodeWriter:
         names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
         kept = {} if road is None else dict([self._keep_road(road)])
         sha256 = next((file.sha256 for file in kept.values()), None)
-        index = tracks.as_rows().index
+        index = tracks.rows.index
         entry = EpisodeEntry(
             **meta.model_dump(),
             id=_identity(meta, drawn or agents, sha256, tracks if exact else None),
@@ -278,7 +280,7 @@ def _identity(
     content = hashlib.sha256(json.dumps(made_from, sort_keys=True, allow_nan=False).encode())
     content.update(repr(list(agents)).encode())
     if recorded is not None:
-        rows = recorded.as_rows()
+        rows = recorded.rows
         for values in (recorded.time_s, recorded.signals, rows.index.agent, rows.index.step,
                        rows.xy, rows.heading, rows.speed):  # fmt: skip
             content.update(np.ascontiguousarray(values).tobytes())
@@ -305,7 +307,7 @@ def _checked(frames: Iterable[Frame]) -> Iterator[Frame]:
 
 def _known(tracks: Tracks, found: Annotations, road: Road) -> dict[str, pa.Array]:
     """The columns of steps that come from the road."""
-    agent = tracks.ids[tracks.as_rows().index.agent]
+    agent = tracks.ids[tracks.rows.index.agent]
     lane = pa.array(found.lane, pa.int32(), mask=found.lane < 0)
     lane_ids = pa.array([lane.id for lane in road.lanes], pa.string())
     return {

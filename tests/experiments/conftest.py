@@ -46,7 +46,7 @@ def make_scene():
         kind = np.zeros(agents, dtype=np.int8)
         kind[1] = AgentKind.TRUCK.code
         truth = (np.arange(agents) % len(BEHAVIORS)).astype(np.int8)
-        tracks = Tracks(
+        tracks = Tracks.of_dense(
             ids=ids,
             names=(name, *(f"car-{i}" for i in ids[1:])),
             kind=kind,

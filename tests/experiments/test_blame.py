@@ -12,7 +12,6 @@ from experiments.what_if.blame import judge
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.incidents import incidents
-from sim.episode.rows import TrajectoryRows
 from sim.frames import EventKind, Tracks
 from sim.scenario import sample_agents
 
@@ -24,7 +23,7 @@ def test_an_impatient_follower_answers_for_its_near_miss() -> None:
     seed = Task(config, "four_way_intersection", 0).seed
     agents = sample_agents(scenario, seed)
     tracks = Tracks.from_frames(get_engine("sumo")(scenario, agents, seed))
-    found = incidents(TrajectoryRows.of(tracks), scenario.road)
+    found = incidents(tracks, scenario.road)
     near = [e for e in found if e.kind in (EventKind.NEAR_MISS, EventKind.COLLISION)]
     assert len(near) == 1
     told = list(judge(scenario, agents, seed, bystanders=1))

@@ -11,7 +11,6 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from scenarios import SCENARIOS
 from sim.episode.annotate import annotate, annotate_recording
-from sim.episode.rows import TrajectoryRows
 from sim.formats.common.motion import doubt_of_times
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
@@ -26,7 +25,7 @@ def recorded(time_s: np.ndarray, x: np.ndarray, kind: AgentKind = AgentKind.CAR)
     """One agent that goes east; recordings have no signals."""
     t = time_s.size
     xy = np.stack([x, np.full(t, -1.6)], axis=1)[None]
-    return Tracks(
+    return Tracks.of_dense(
         ids=[0], names=("a",), kind=[KINDS.index(kind)], length=[4.5], width=[1.8], time_s=time_s,
         xy=xy, heading=np.zeros((1, t)), speed=np.full((1, t), 5.0), valid=np.ones((1, t)),
         signals=np.empty((0, t), dtype=np.int8),
@@ -41,12 +40,12 @@ def with_gap(gap_s: float) -> Tracks:
 
 def test_parts_between_breaks_are_looked_at_by_themselves(road: Road) -> None:
     tracks = with_gap(300.0)
-    parts = list(TrajectoryRows.of(tracks).between_breaks())
+    parts = list(tracks.between_breaks())
     assert [part.time_s.size for part in parts] == [30, 30]
     assert [part.step_s for part in parts] == pytest.approx([0.1, 0.1])
-    alone = [annotate(TrajectoryRows.of(tracks.part(np.array([0]), s)), road, recorded=True)
+    alone = [annotate(tracks.part(np.array([0]), s), road, recorded=True)
              for s in (slice(30), slice(30, None))]  # fmt: skip
-    events, shown = annotate_recording(TrajectoryRows.of(tracks), road)
+    events, shown = annotate_recording(tracks, road)
     assert events == alone[0].events + alone[1].events
     assert shown == alone[0].shown_traits + alone[1].shown_traits
     # a driver seen for 3 s shows nothing that takes 15 s
@@ -56,7 +55,7 @@ def test_parts_between_breaks_are_looked_at_by_themselves(road: Road) -> None:
 @pytest.mark.parametrize("step_s", [10.1, 400.0])
 def test_nothing_is_told_from_frames_that_are_far_apart(road: Road, step_s: float) -> None:
     tracks = recorded(np.arange(20) * step_s, np.arange(20) - 90.0)
-    assert annotate_recording(TrajectoryRows.of(tracks), road) == ((), ())
+    assert annotate_recording(tracks, road) == ((), ())
 
 
 @pytest.mark.parametrize("gap_s", [1e3, 1e8])

@@ -13,7 +13,7 @@ def convoy(n: int = 4, seconds: float = 20.0) -> Tracks:
     """Cars 8 m apart at the same speed, each of another behaviour."""
     time_s = np.arange(round(seconds * 10)) / 10.0
     x = np.arange(n)[:, None] * 8.0 + 10.0 * time_s
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(n) * 2,
         names=tuple("abcdef"[:n]),
         kind=np.zeros(n, dtype=np.int8),

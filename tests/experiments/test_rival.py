@@ -24,7 +24,7 @@ def platoon(headway_s: float = 2.0) -> Tracks:
     x = 20.0 + 10.0 * time_s + np.array([[0.0], [10.0 * headway_s + 5.0]])
     xy = np.stack([x, np.full_like(x, lane.centerline[0, 1])], axis=2)
     flat = np.zeros_like(x)
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(2), names=("a", "b"), kind=np.zeros(2), length=np.full(2, 5.0),
         width=np.full(2, 1.8), time_s=time_s, xy=xy, heading=flat, speed=flat + 10.0,
         valid=flat == 0.0, signals=np.zeros((2, 100), dtype=np.int8),

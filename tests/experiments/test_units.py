@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.data.scene_check import check_scene
-from experiments.data.units import image_scale, in_metres, unit_of
+from experiments.data.units import image_scale, in_metres
 from sim.frames import Tracks
 
 
@@ -33,7 +33,7 @@ def street(metres: float = 0.05, horizon: float = np.inf, n: int = 30, seed: int
     across = 3.0 * rng.integers(-2, 3, n)[:, None] + 0.0 * way
     size = 2.2 / np.median(here, axis=1)
     xy = np.stack([np.rint(320.0 + across / here), np.rint(height)], axis=2)
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(n),
         names=tuple(map(str, range(n))),
         kind=np.zeros(n, dtype=np.int8),
@@ -77,7 +77,7 @@ def test_unseen_agents_and_gaps_stay_unknown():
     valid[0], valid[1, 50:90] = False, False
     hidden = np.where(valid[..., None], video.xy, np.nan)
     found = in_metres(*(lambda t: (t, image_scale(t)))(
-        dataclasses.replace(video, valid=valid, xy=hidden)
+        video.with_dense(valid=valid, xy=hidden)
     ))  # fmt: skip
     assert np.isnan(found.xy[0]).all()
     assert np.isnan(found.speed[1, 50:90]).all()
@@ -88,14 +88,9 @@ def test_unseen_agents_and_gaps_stay_unknown():
 def test_other_units_given_as_metres_are_named(factor, unit):
     true = in_metres(street(), image_scale(street()))
     cars = dataclasses.replace(true, length=np.full(30, 4.6), width=np.full(30, 1.8))
-    wrong = dataclasses.replace(
-        cars, xy=factor * cars.xy, speed=factor * cars.speed,
+    wrong = cars.with_dense(
+        xy=factor * cars.xy, speed=factor * cars.speed,
         length=factor * cars.length, width=factor * cars.width,
     )  # fmt: skip
     found = check_scene(wrong)
     assert any(f"{unit} seem to be metres" in said for said in found.doubts)
-
-
-@pytest.mark.parametrize("ratio", [0.4, 0.9, 1.0, 2.4, float("nan")])
-def test_kinds_that_differ_are_no_other_unit(ratio):
-    assert unit_of(ratio) is None

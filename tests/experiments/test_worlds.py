@@ -1,6 +1,5 @@
 """Random worlds: drawn by seed, driven, stored as seen, and usable like any dataset."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +108,7 @@ def driving(n: int = 50, t: int = 400) -> Tracks:
     """Cars of 5 m that drive eastwards at 10 m/s for 40 s, one behind the other."""
     xy = np.zeros((n, t, 2))
     xy[..., 0] = np.arange(t) * 1.0 + 20.0 * np.arange(n)[:, None]
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(n), names=tuple(map(str, range(n))), kind=np.zeros(n), length=np.full(n, 5.0),
         width=np.full(n, 2.0), time_s=np.arange(t) * 0.1, xy=xy, heading=np.zeros((n, t)),
         speed=np.full((n, t), 10.0), valid=np.ones((n, t), dtype=bool), signals=np.zeros((0, t)),
@@ -166,9 +165,7 @@ def test_other_frame_rates_show_the_same_motion(rate_hz: float, frames: int):
     swerving = tracks.xy + np.sin(tracks.time_s)[None, :, None] * np.array([0.0, 2.0])
     shown = np.ones((3, 400), dtype=bool)
     shown[1, 100:150] = False
-    tracks = dataclasses.replace(
-        tracks, xy=np.where(shown[..., None], swerving, np.nan), valid=shown
-    )
+    tracks = tracks.with_dense(xy=np.where(shown[..., None], swerving, np.nan), valid=shown)
     seen = frame_rate(tracks, rate_hz, np.random.default_rng(0))
     assert seen.time_s.size == frames
     assert np.diff(seen.time_s) == pytest.approx(np.full(frames - 1, 1 / rate_hz))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from sklearn.metrics import roc_auc_score
@@ -56,7 +58,7 @@ def test_an_encounter_and_its_outcome_are_seen(road, yields):
     way = np.abs(tracks.xy[0, :, 0] - (road.crossings[0].centerline[:, 0].mean() - 4.25))
     event = Event(kind, float(tracks.time_s[way.argmin()]), 0, 1)
     asked = dict.fromkeys(range(55, 65), NOBODY)
-    (found,) = yield_chances(tracks.changed(events=(event,)), road, asked)
+    (found,) = yield_chances(dataclasses.replace(tracks, events=(event,)), road, asked)
     assert found[0] == pytest.approx(YIELDS.mean())
     assert found[1] == yields
     assert len(yield_chances(tracks, road, asked)) == 0  # no event, no answer

@@ -100,7 +100,7 @@ def recording(gap_m: float, seconds: float, jump_at: int | None = None) -> Track
         x[0, jump_at:] += 20.0
     xy = np.stack([x, np.zeros_like(x)], axis=2)
     shape = x.shape
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(2), names=("a", "b"), kind=np.full(2, KINDS.index(AgentKind.CAR)),
         length=np.full(2, 4.5), width=np.full(2, 1.8), time_s=time_s, xy=xy,
         heading=np.zeros(shape), speed=np.full(shape, 10.0), valid=np.ones(shape, dtype=bool),

@@ -169,7 +169,7 @@ def test_what_leaves_all_paths_is_predicted_as_without_a_map(crossing):
     nowhere = join_lanes(raw, ahead, free, np.ones(1), np.zeros(1), TIME_S)
     assert nowhere is free  # nobody is trusted
     assert not np.allclose(sure.xy, without.xy)
-    away = replace(history, xy=history.xy + 1000.0)
+    away = history.with_dense(xy=history.xy + 1000.0)
     np.testing.assert_array_equal(
         predict_recorded(away, 50, network(lanes), crossing).xy,
         predict_recorded(away, 50, network(lanes)).xy,

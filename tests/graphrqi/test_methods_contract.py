@@ -27,7 +27,7 @@ def platoons(seed: int, agents: int = 18, seconds: float = 12.0) -> Tracks:
     x = 12.0 * (np.arange(agents) // 3)[:, None] + speed[:, None] * time_s + wave
     y = 3.2 * (np.arange(agents) % 3)[:, None] + 0.1 * behavior[:, None] * wave
     there = np.ones((agents, time_s.size), dtype=bool)
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(agents) * 3,
         names=tuple(f"car {i}" for i in range(agents)),
         kind=np.zeros(agents, dtype=np.int8),
@@ -45,8 +45,7 @@ def platoons(seed: int, agents: int = 18, seconds: float = 12.0) -> Tracks:
 
 def renumbered(tracks: Tracks, order: np.ndarray) -> Tracks:
     """The same traffic, rows in another order under ids that keep ascending."""
-    return dataclasses.replace(
-        tracks,
+    return tracks.with_dense(
         names=tuple(tracks.names[i] for i in order),
         xy=tracks.xy[order],
         heading=tracks.heading[order],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from sim.frames import Tracks
 def drivers(n: int = 6, seconds: float = 21.0) -> Tracks:
     time_s = np.arange(round(seconds * 10)) / 10.0
     x = np.arange(n)[:, None] * 20.0 + 8.0 * time_s
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(n),
         names=tuple(map(str, range(n))),
         kind=np.zeros(n, dtype=np.int8),
@@ -46,8 +44,7 @@ def test_every_length_asked_for_is_cut(every_s):
 def at_times(time_s: np.ndarray, n: int = 3) -> Tracks:
     """Drivers at constant speed, seen at these times."""
     x = np.arange(n)[:, None] * 20.0 + 8.0 * time_s
-    return dataclasses.replace(
-        drivers(n),
+    return drivers(n).with_dense(
         time_s=time_s,
         xy=np.stack([x, np.zeros_like(x)], axis=2),
         heading=np.zeros_like(x),

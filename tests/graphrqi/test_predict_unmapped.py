@@ -73,8 +73,8 @@ def shaken(tracks: Tracks, noise_m=0.1, seed=0) -> Tracks:
     rng = np.random.default_rng(seed)
     xy = tracks.xy + rng.normal(0.0, noise_m, tracks.xy.shape)
     step = np.diff(xy, axis=1, prepend=xy[:, :1] - (xy[:, 1:2] - xy[:, :1])) / tracks.step_s
-    return replace(
-        tracks, xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
+    return tracks.with_dense(
+        xy=xy, speed=np.hypot(step[..., 0], step[..., 1]),
         heading=np.arctan2(step[..., 1], step[..., 0]),
     )  # fmt: skip
 
@@ -204,7 +204,7 @@ def test_noise_moves_the_base_less_than_constant_velocity():
 
 def test_wrong_speeds_do_not_count():
     tracks = recording([0.0], [12.0])
-    wrong = replace(tracks, speed=np.full_like(tracks.speed, 3.0))
+    wrong = tracks.with_dense(speed=np.full_like(tracks.speed, 3.0))
     assert Motion.of(wrong).speed == pytest.approx([12.0], rel=0.05)
 
 
@@ -227,7 +227,7 @@ def test_accelerations_that_did_not_last_do_not_count():
     way = np.cumsum(speed * 0.1, axis=1)
     xy = tracks.xy.copy()
     xy[..., 0] = xy[:, :1, 0] + way
-    jumping = replace(tracks, xy=xy, speed=speed)
+    jumping = tracks.with_dense(xy=xy, speed=speed)
     steady = Motion.of(recording([0.0], [8.0], accel=1.0))
     assert abs(steady.accel[0]) > 0.8 * abs(steady.accel_now[0])
     assert np.all(np.abs(Motion.of(jumping).accel) < 0.6)
@@ -243,7 +243,7 @@ def test_gaps_in_a_track_are_bridged():
     tracks = recording([0.0, 60.0], [10.0, 10.0])
     valid = tracks.valid.copy()
     valid[0, [3, 4, 18, 19]] = False
-    gappy = replace(tracks, valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
+    gappy = tracks.with_dense(valid=valid, xy=np.where(valid[..., None], tracks.xy, np.nan))
     assert base_ends(gappy)[0] == pytest.approx([50.0, 0.0], abs=1e-3)
     assert np.isfinite(features_of(gappy, Motion.of(gappy))).all()
 
@@ -291,7 +291,7 @@ def test_a_scene_that_is_turned_and_moved_is_predicted_the_same():
     angle, shift = 2.1, np.array([500.0, -80.0])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     heading = (tracks.heading + angle + np.pi) % (2 * np.pi) - np.pi
-    moved = replace(tracks, xy=tracks.xy @ turn.T + shift, heading=heading)
+    moved = tracks.with_dense(xy=tracks.xy @ turn.T + shift, heading=heading)
     again = predict(moved, NOBODY, None)
     assert again.xy == pytest.approx(told.xy @ turn.T + shift, abs=1e-3)
     assert again.probability == pytest.approx(told.probability, abs=1e-4)

@@ -13,7 +13,6 @@ import pytest
 from scenarios import SCENARIOS
 from sim.episode.annotate import annotate
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import AgentKind, Event
 from sim.road import Road
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
@@ -153,12 +152,12 @@ def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:
     (entry,) = dataset.episodes()
     road, tracks = dataset.road(entry), dataset.read(entry).tracks
     assert road is not None
-    steps = TrajectoryRows.of(tracks)
+    steps = tracks
     seen = observe(steps, road)
     # parked cars are beside the lanes, and some come from beyond the map
-    moves = (steps.kind == AgentKind.CAR.code)[steps.row_index.agent] & (steps.speed > 2.0)
+    moves = (steps.kind == AgentKind.CAR.code)[steps.rows.index.agent] & (steps.rows.speed > 2.0)
     x0, y0, x1, y1 = road.bounds
-    moves &= ((steps.xy >= (x0, y0)) & (steps.xy <= (x1, y1))).all(axis=1)
+    moves &= ((steps.rows.xy >= (x0, y0)) & (steps.rows.xy <= (x1, y1))).all(axis=1)
     assert moves.sum() > 100
     assert seen.on_road[moves].mean() > 0.8
     assert np.nanmedian(np.abs(seen.offset[moves])) < 0.7

@@ -24,7 +24,7 @@ def drive(time_s: np.ndarray, behavior: tuple[int, ...] | None = (4, -1, 1)) -> 
     time_s = np.asarray(time_s, dtype=np.float64)
     speed = np.array([10.0, 11.0, 12.0])[:, None] * np.ones(time_s.size)
     xy = np.stack([speed * time_s, np.arange(3)[:, None] * 4.0 + 0 * speed], axis=2)
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(3),
         names=("9", "a", "b"),
         kind=np.zeros(3, dtype=np.int8),

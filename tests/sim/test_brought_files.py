@@ -181,7 +181,7 @@ def test_right_files_are_not_doubted(tmp_path: Path) -> None:
 def test_exact_duplicates_count_once(tmp_path: Path, times: int) -> None:
     frame = own()
     found = one(put(tmp_path, pandas.concat([frame] * times)))
-    assert found.tracks.as_rows().speed.size == len(frame)
+    assert found.tracks.rows.speed.size == len(frame)
     assert f"{(times - 1) * len(frame)} rows" in found.doubts[0]
 
 

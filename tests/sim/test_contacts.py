@@ -1,10 +1,7 @@
-import dataclasses
-
 import numpy as np
 import pytest
 
 from sim.episode.contacts import Contact, contacts
-from sim.episode.rows import TrajectoryRows
 from sim.frames import Tracks
 
 
@@ -12,7 +9,7 @@ def scene(xy, heading=None, **changes):
     """Boxes of 4 m by 2 m at (N, T, 2) places."""
     xy = np.asarray(xy, dtype=float)
     n, t = xy.shape[:2]
-    tracks = Tracks(
+    tracks = Tracks.of_dense(
         ids=np.arange(n),
         names=tuple(map(str, range(n))),
         kind=np.zeros(n),
@@ -25,7 +22,7 @@ def scene(xy, heading=None, **changes):
         valid=np.ones((n, t), dtype=bool),
         signals=np.zeros((0, t)),
     )
-    return TrajectoryRows.of(dataclasses.replace(tracks, **changes))
+    return tracks.with_dense(**changes)
 
 
 @pytest.mark.parametrize(

@@ -234,7 +234,7 @@ def tracks(number: int) -> Tracks:
     steps = 5 + number
     xy = np.full((2, steps, 2), 100.0 * number)
     xy[..., 0] += np.arange(steps)
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.array([3, 8]), names=("a", "b"), kind=np.zeros(2, dtype=np.int8),
         length=np.full(2, 4.0), width=np.full(2, 2.0), time_s=0.1 * np.arange(steps), xy=xy,
         heading=np.zeros((2, steps)), speed=np.full((2, steps), 10.0),

@@ -11,7 +11,6 @@ from behaviors.labels import Behavior
 from scenarios import SCENARIOS
 from sim.engines import ENGINES, get_engine
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, Tracks
 from sim.scenario import sample_agents
 
@@ -97,11 +96,11 @@ def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
     seen = Tracks.from_frames(
         get_engine(engine)(scenario, agents, 0), {a.id: a.behavior for a in agents}
     )
-    steps = TrajectoryRows.of(seen)
+    steps = seen
     facts = observe(steps, scenario.road)
     headway = {}
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
-        rows = (seen.behavior == behavior.code)[steps.row_index.agent]
-        near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (steps.speed[rows] > 2.0)
+        rows = (seen.behavior == behavior.code)[steps.rows.index.agent]
+        near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (steps.rows.speed[rows] > 2.0)
         headway[behavior] = float(np.median(facts.headway[rows][near]))
     assert headway[Behavior.TIMID] > 1.5 * headway[Behavior.THREATENING]

@@ -389,7 +389,7 @@ def episode(steps: int = 120) -> Tracks:
     speed = np.stack([13 + 0 * t, 5 + 0 * t, 7 + 0 * t, 1.3 + 0 * t])
     valid = np.ones((4, steps), dtype=bool)
     valid[2, 60:] = False
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(4),
         names=("0", "1", "2", "3"),
         kind=np.array([0, 2, 3, 5], dtype=np.int8),

@@ -14,7 +14,6 @@ from scenarios import SCENARIOS
 from scenarios.networks.build import find_program
 from sim.engines import get_engine
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
 from sim.highway.engine import network_of, run
 from sim.highway.motion import CLEAR_AFTER_S
@@ -229,7 +228,7 @@ def test_keeps_to_its_path_through_the_junction(turn):
     agent = driver(Behavior.CAREFUL, route=("east_in", turn))
     scenario = SCENARIOS["four_way_intersection"](duration_s=75.0)
     seen = Tracks.from_frames(run(scenario, [agent], 0))
-    facts = observe(TrajectoryRows.of(seen), scenario.road)
+    facts = observe(seen, scenario.road)
     assert np.nanmax(np.abs(facts.offset)) < 0.9
     assert np.isin(turn, [scenario.road.lanes[i].edge for i in facts.lane if i >= 0])
 

@@ -7,7 +7,6 @@ from scenarios.networks.build import SHIPPED, net_of
 from sim.episode.annotate import shown_traits
 from sim.episode.detector_inputs import detector_inputs, with_encounters
 from sim.episode.incidents import incidents
-from sim.episode.rows import TrajectoryRows
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.road.net import read_road
 
@@ -40,21 +39,19 @@ def tracks_of(road, paths, *, kinds=None, signal=Signal.GREEN, events=()):
     for i, k in (kinds or {}).items():
         kind[i] = k.code
     walks = kind == AgentKind.PEDESTRIAN.code
-    return TrajectoryRows.of(
-        Tracks(
-            ids=np.arange(n),
-            names=tuple(map(str, range(n))),
-            kind=kind,
-            length=np.where(walks, 0.3, 4.5),
-            width=np.where(walks, 0.5, 1.8),
-            time_s=np.arange(1, t + 1) * STEP_S,
-            xy=xy,
-            heading=np.where(moving > 0.05, heading, heading[:, :1]),
-            speed=moving,
-            valid=np.ones((n, t), dtype=bool),
-            signals=np.full((len(road.signal_groups), t), signal.code),
-            events=events,
-        )
+    return Tracks.of_dense(
+        ids=np.arange(n),
+        names=tuple(map(str, range(n))),
+        kind=kind,
+        length=np.where(walks, 0.3, 4.5),
+        width=np.where(walks, 0.5, 1.8),
+        time_s=np.arange(1, t + 1) * STEP_S,
+        xy=xy,
+        heading=np.where(moving > 0.05, heading, heading[:, :1]),
+        speed=moving,
+        valid=np.ones((n, t), dtype=bool),
+        signals=np.full((len(road.signal_groups), t), signal.code),
+        events=events,
     )
 
 

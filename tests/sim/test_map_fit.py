@@ -35,7 +35,7 @@ def traffic(road: Road, vehicles: int = 12, of_limit: float = 1.0) -> Tracks:
         s = (5.0 * k + 0.1 * speed * np.arange(STEPS)) % room_m
         xy, heading = LaneGraph.of(road).position(np.full(STEPS, lane), s, np.full(STEPS, 0.3))
         rows.append((xy, heading, np.full(STEPS, speed)))
-    return Tracks(
+    return Tracks.of_dense(
         ids=np.arange(vehicles),
         names=tuple(str(k) for k in range(vehicles)),
         kind=np.zeros(vehicles, dtype=np.int8),
@@ -66,9 +66,9 @@ def test_traffic_on_its_own_map(road: Road) -> None:
 def test_a_map_turned_or_of_another_place_does_not_fit(road: Road) -> None:
     tracks = traffic(road)
     turn = np.array([[math.cos(0.6), -math.sin(0.6)], [math.sin(0.6), math.cos(0.6)]])
-    turned = dataclasses.replace(tracks, xy=tracks.xy @ turn.T, heading=tracks.heading + 0.6)
+    turned = tracks.with_dense(xy=tracks.xy @ turn.T, heading=tracks.heading + 0.6)
     assert not map_fit(road, turned).fits
-    backwards = dataclasses.replace(tracks, heading=tracks.heading + math.pi)
+    backwards = tracks.with_dense(heading=tracks.heading + math.pi)
     assert map_fit(road, backwards).share < 0.5
 
 
@@ -87,7 +87,7 @@ def exported(folder: Path, tracks: Tracks) -> Path:
 
 def test_a_shifted_map_is_refused_until_the_shift_is_given(road: Road, tmp_path: Path) -> None:
     tracks = traffic(road)
-    file = exported(tmp_path / "in", dataclasses.replace(tracks, xy=tracks.xy + np.array(SHIFT_M)))
+    file = exported(tmp_path / "in", tracks.with_dense(xy=tracks.xy + np.array(SHIFT_M)))
     with pytest.raises(InputError, match=r"net\.xml: the map does not fit .* --shift X,Y"):
         import_recordings(file, tmp_path / "out", net=road.source, quiet=True)
     import_recordings(file, tmp_path / "out", net=road.source, quiet=True, shift_m=SHIFT_M)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.road import Connection, Crossing, Lane, Road
 from sim.road.lane_coordinates import along
@@ -148,11 +147,11 @@ def test_tracks_give_at_each_instant_what_each_frame_gives(junction):
             frame(xy, rng.uniform(0, 14, 20), rng.normal(0, 0.1, 20), time_s=0.1 * step,
                   kind=(np.arange(20) % 7 == 0) * PEDESTRIAN, signals=rng.integers(0, 3, 2))
         )  # fmt: skip
-    steps = TrajectoryRows.of(Tracks.from_frames(frames))
-    together, agent = observe(steps, junction), steps.row_index.agent
+    steps = Tracks.from_frames(frames)
+    together, agent = observe(steps, junction), steps.rows.index.agent
     for step, one in enumerate(frames):
         alone = observe(one, junction)
-        here = steps.row_index.step == step
+        here = steps.rows.index.step == step
         for name in ("gap", "lane", "signal", "crossing_occupied", "s"):
             assert np.array_equal(
                 getattr(together, name)[here], getattr(alone, name), equal_nan=name == "s"

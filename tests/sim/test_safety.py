@@ -313,7 +313,7 @@ def tracks_of(paths, kinds=None, sizes=None, times=None, **changes):
         "valid": np.isfinite(paths[..., 0]),
         "signals": np.zeros((0, steps)),
     }
-    return Tracks(**(facts | changes))
+    return Tracks.of_dense(**(facts | changes))
 
 
 def line(times, x, y, degrees, speed, acceleration=0.0):

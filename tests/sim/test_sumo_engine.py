@@ -13,7 +13,6 @@ from scenarios import SCENARIOS, get_scenario
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
-from sim.episode.rows import TrajectoryRows
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
 from sim.road.lane_graph import LaneGraph
 from sim.road.net import signal_code
@@ -121,7 +120,7 @@ def test_a_timid_driver_keeps_a_longer_headway_than_a_threatening_one():
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
         scenario = short(mix=f"{behavior}=1", duration_s=90.0, flow=2400.0, pedestrians_per_h=0.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
-        seen, speed = observe(TrajectoryRows.of(tracks), scenario.road), tracks.speed[tracks.valid]
+        seen, speed = observe(tracks, scenario.road), tracks.speed[tracks.valid]
         follows = (np.abs(seen.closing) < 1.0) & (speed > 4.0) & (seen.headway < 8.0)
         headway[behavior] = float(np.median(seen.headway[follows]))
     assert headway[Behavior.TIMID] > 2.5 * headway[Behavior.THREATENING]
@@ -132,7 +131,7 @@ def test_red_lights_are_run_by_the_reckless_only():
     for mix in ("reckless=1", "careful=.4,cautious=.3,timid=.3"):
         scenario = get_scenario("four_way_intersection")(mix=mix, duration_s=120.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
-        events = incidents(TrajectoryRows.of(tracks), scenario.road)
+        events = incidents(tracks, scenario.road)
         runs[mix] = sum(e.kind is EventKind.RED_RUN for e in events)
         if mix.startswith("careful"):
             assert not any(e.kind is EventKind.COLLISION for e in events)
@@ -147,10 +146,10 @@ def test_only_the_reckless_drive_on_the_wrong_side():
         mix = f"{behavior}=.5,timid=.5"
         scenario = get_scenario("two_way_road")(mix=mix, duration_s=200.0, flow=400.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 2), 2))
-        steps = TrajectoryRows.of(tracks)
+        steps = tracks
         seen = observe(steps, scenario.road)
         wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
-        metres[behavior] = float(steps.speed[wrong].sum()) * 0.1
+        metres[behavior] = float(steps.rows.speed[wrong].sum()) * 0.1
     assert metres[Behavior.RECKLESS] > 50.0
     assert metres[Behavior.IMPATIENT] == 0.0
 
@@ -159,7 +158,7 @@ def test_threatening_drivers_cut_in_and_the_careful_do_not():
     scenario = short(mix="threatening=.5,careful=.5", duration_s=150.0, flow=2400.0)
     agents = sample_agents(scenario, 0)
     tracks = Tracks.from_frames(run(scenario, agents, 0))
-    cuts = cutting_in(detector_inputs(TrajectoryRows.of(tracks), scenario.road))
+    cuts = cutting_in(detector_inputs(tracks, scenario.road))
     behavior = {a.id: a.behavior for a in agents}
     who = [behavior[int(tracks.ids[cut.agent])] for cut in cuts]
     assert who.count(Behavior.THREATENING) > 20
@@ -174,7 +173,7 @@ def test_the_conservative_cause_no_collision_with_a_vehicle():
     style = {a.id: None if a.behavior is None else a.behavior.style for a in agents}
     assert not [
         e
-        for e in incidents(TrajectoryRows.of(tracks), scenario.road)
+        for e in incidents(tracks, scenario.road)
         if e.kind is EventKind.COLLISION and style[e.agent] is Style.CONSERVATIVE
     ]
 
@@ -190,7 +189,7 @@ def test_who_lets_others_finish_stays_before_the_line_until_the_junction_is_clea
     crossing = lone(scenario, id=1, route=("east_in", "west_out"), profile=careful, depart_s=7.0)
     tracks = Tracks.from_frames(run(scenario, [turning, crossing], 0))
     inside = np.zeros(tracks.valid.shape, dtype=bool)
-    inside[tracks.valid] = observe(TrajectoryRows.of(tracks), scenario.road).stop_distance < 0
+    inside[tracks.valid] = observe(tracks, scenario.road).stop_distance < 0
     assert inside.any(axis=1).all()
     assert inside.all(axis=0).any() == at_once
 

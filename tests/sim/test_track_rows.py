@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from experiments.data.exchange import export_dataset, import_recordings
 from sim.formats import read_recordings
 from sim.frames import KINDS, Tracks
 from sim.store.dataset import open_dataset
-from sim.track_rows import TrackRows
 
 ONCE = 8_000
 """Agents that are seen once each, at a time of their own: 6.4 * 10^7 agents times times."""
@@ -30,7 +30,7 @@ def sparse(n: int, t: int, seed: int = 0) -> Tracks:
         values[~valid] = np.nan
         return values
 
-    return Tracks(
+    return Tracks.of_dense(
         ids=3 * np.arange(n), names=tuple(f"a{i}" for i in range(n)),
         kind=np.arange(n) % len(KINDS), length=np.full(n, 4.5), width=np.full(n, 1.8),
         time_s=0.1 * np.arange(t), xy=some(2), heading=some(), speed=np.abs(some()), valid=valid,
@@ -48,23 +48,19 @@ def same(one: Tracks, two: Tracks) -> bool:
 
 def test_rows_and_arrays_are_the_same_tracks() -> None:
     dense = sparse(7, 11)
-    rows = dense.changed()
+    rows = replace(dense)
     assert not {"xy", "heading", "speed", "valid"} & set(vars(rows)), "filled when asked for"
     assert same(dense, rows)
     assert not rows.xy.flags.writeable
     assert same(pickle.loads(pickle.dumps(rows)), dense)
     assert same(copy.deepcopy(rows), dense)
-    with pytest.raises(AttributeError, match="has no attribute speeds"):
-        rows.speeds  # noqa: B018
 
 
 @pytest.mark.parametrize("columns", [slice(2, 9), slice(None), slice(1, 11, 3), [0, 4, 5, 10]])
 def test_a_part_of_rows_is_the_part_of_the_arrays(columns: slice | list[int]) -> None:
     dense = sparse(7, 11)
     agents = np.array([0, 1, 4, 6])
-    part = dense.changed().part(
-        agents, columns if isinstance(columns, slice) else np.array(columns)
-    )
+    part = replace(dense).part(agents, columns if isinstance(columns, slice) else np.array(columns))
     for name in ("xy", "heading", "speed", "valid"):
         expected = getattr(dense, name)[agents][:, columns]
         assert np.array_equal(getattr(part, name), expected, equal_nan=True)
@@ -73,7 +69,7 @@ def test_a_part_of_rows_is_the_part_of_the_arrays(columns: slice | list[int]) ->
 
 def test_frames_and_windows_hold_who_is_present() -> None:
     dense = sparse(7, 11)
-    rows = dense.changed()
+    rows = replace(dense)
     for step, frame in enumerate(rows.frames()):
         seen = np.flatnonzero(dense.valid[:, step])
         assert frame.ids.tolist() == dense.ids[seen].tolist()
@@ -90,10 +86,7 @@ def test_frames_and_windows_hold_who_is_present() -> None:
 def test_agents_seen_once_each_cost_what_was_seen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def dense(rows: TrackRows, name: str) -> None:
-        raise AssertionError(f"{name} was filled")
-
-    monkeypatch.setattr(TrackRows, "dense", dense)
+    monkeypatch.setattr("sim.frames.MAX_CELLS", 0)
     path = tmp_path / "a.csv"
     lines = [f"{1000 + k / 10:.1f},t{k},OTHERS,{k % 97}.5,{k % 89},PIT" for k in range(ONCE)]
     lines.append("1000.1,t0,OTHERS,1.5,0,PIT")  # files without an agent seen twice are refused
@@ -105,5 +98,5 @@ def test_agents_seen_once_each_cost_what_was_seen(
     export_dataset(tmp_path / "data", tmp_path / "out", "sumo-fcd", quiet=True)
     assert (entry.agents, entry.frames, entry.agent_steps) == (ONCE, ONCE, ONCE + 1)
     (back,) = read_recordings(next((tmp_path / "out").rglob(f"{entry.id}.xml")), "sumo-fcd")
-    assert back.tracks.as_rows().speed.size == ONCE + 1
-    np.testing.assert_allclose(back.tracks.as_rows().xy, tracks.as_rows().xy, atol=1e-9)
+    assert back.tracks.rows.speed.size == ONCE + 1
+    np.testing.assert_allclose(back.tracks.rows.xy, tracks.rows.xy, atol=1e-9)

@@ -32,7 +32,6 @@ NOISE_M: Final = (0.01, 0.5)
 NOISE_CORRELATION_S: Final = (0.0, 0.2, 0.5, 1.0)
 """Time in which an error of position falls to 1/e, s; 0: white."""
 
-
 LOSSES: Final = (0.0, 0.0, 0.05, 0.15, 0.3)
 """Shares of frames, and of single detections, that are missing, drawn with equal chances."""
 
@@ -108,10 +107,9 @@ class Sensor:
         seen = self._in_its_axes(seen)
         seen = seen.part(np.flatnonzero(seen.valid.any(axis=1)), slice(None))
         heading, speed = motion(seen.xy, seen.time_s, 0.0)
-        return dataclasses.replace(
-            seen,
-            heading=np.where(seen.valid, heading, np.nan),
-            speed=np.where(seen.valid, speed, np.nan),
+        return seen.with_dense(
+            heading=heading,
+            speed=speed,
             signals=seen.signals if self.has_map else seen.signals[:0],
             events=(),
         )
@@ -131,7 +129,7 @@ class Sensor:
         length, width = tracks.length, tracks.width
         if not self.has_sizes:
             length, width = np.full_like(length, CAR_LENGTH_M), np.full_like(width, CAR_WIDTH_M)
-        return dataclasses.replace(tracks, xy=xy, length=scale * length, width=scale * width)
+        return tracks.with_dense(xy=xy, length=scale * length, width=scale * width)
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:

@@ -38,7 +38,6 @@ LANE_CHANGES_S: Final = (0.0, 1.0, 2.5, 4.0)
 SIMULATION_STEPS_S: Final = (0.1, 0.1, 0.2, 0.25)
 """Longest steps of the simulation, drawn with equal chances, s."""
 
-
 HIGHWAY_ENV: Final = "highway-env"
 """Prefix of the names of the other engine's laws."""
 

@@ -81,7 +81,7 @@ def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | 
     """
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("episode", _at(0.0, "begin"))
-    rows = tracks.as_rows()
+    rows = tracks.rows
     for agent in range(len(tracks.ids)):
         what = f"agent {int(tracks.ids[agent])}"  # names in recordings may be anything
         entities.add_scenario_object(what, _entity(tracks, agent))

@@ -140,7 +140,7 @@ class _Steps:
 
     @classmethod
     def of(cls, tracks: Tracks) -> _Steps:
-        rows = tracks.as_rows()
+        rows = tracks.rows
         agent, step = rows.index.agent, rows.index.step
         at = np.flatnonzero(~rows.index.begins[1:])
         moved = rows.xy[at + 1] - rows.xy[at]
@@ -174,7 +174,7 @@ def _places(tracks: Tracks, steps: _Steps) -> list[str]:
     low, high = SPEEDS_MPS
     if low <= fast <= high:
         return []
-    xy = tracks.as_rows().xy
+    xy = tracks.rows.xy
     extent = float(np.ptp(xy, axis=0).max())
     in_degrees = bool((np.abs(xy) <= (180.0, 90.0)).all())
     for by, cause in PLACES.items():
@@ -236,7 +236,7 @@ def _headings(tracks: Tracks, steps: _Steps, heading: FloatArray) -> list[str]:
 
 def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
     """(m,) rows of pedestrians who ride in a vehicle, while they are within its outline."""
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agent, step = rows.index.agent, rows.index.step
     inside = np.zeros(agent.size, dtype=bool)
     walks = (tracks.kind == PEDESTRIAN)[agent]

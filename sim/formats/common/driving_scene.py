@@ -112,7 +112,7 @@ def recording_of(scene: DrivingScene) -> Recording:
         notes.append(f"left out, because they are not road-agents: {scene.left_out} objects")
     tracks = recording.tracks
     if road is not None:
-        tracks = tracks.changed(signals=_signals(scene, lights))
+        tracks = replace(tracks, signals=_signals(scene, lights))
         notes.append("widths of lanes are told from neighbours, or assumed to be 3.5 m")
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")

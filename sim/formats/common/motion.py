@@ -129,7 +129,7 @@ def displacement_over_speed(tracks: Tracks) -> float:
     Returns:
         The median over the agents; NaN where too little moves to compare.
     """
-    rows = tracks.as_rows()
+    rows = tracks.rows
     agent, step = rows.index.agent, rows.index.step
     at = np.flatnonzero(~rows.index.begins[1:])
     if tracks.time_s.size < 2 or not at.size:
@@ -177,9 +177,9 @@ def at_rate(tracks: Tracks, rate_hz: float) -> Tracks:
         tracks: as read, at two times at least.
         rate_hz: frames per second that the recording really has.
     """
-    first, rows = tracks.time_s[0], tracks.as_rows()
+    first, rows = tracks.time_s[0], tracks.rows
     time_s = first + (tracks.time_s - first) / (rate_hz * tracks.step_s)
     agent, step = rows.index.agent, rows.index.step
     before, after = (row_motion(agent, rows.xy, t[step], 0.0)[1] for t in (tracks.time_s, time_s))
     speed = np.where(np.isclose(rows.speed, before, rtol=1e-9), after, rows.speed)
-    return tracks.changed(rows=replace(rows, speed=speed), time_s=time_s)
+    return replace(tracks, rows=replace(rows, speed=speed), time_s=time_s)

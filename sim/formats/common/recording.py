@@ -21,10 +21,9 @@ from behaviors.row_index import RowIndex
 from sim.formats.common.doubts import Stated, doubts_of, inside_vehicles
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
-from sim.frames import MAX_MAGNITUDE, AgentKind, Tracks
+from sim.frames import MAX_MAGNITUDE, AgentKind, TrackRows, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
-from sim.track_rows import TrackRows
 
 FloatArray = NDArray[np.float64]
 
@@ -199,7 +198,7 @@ def recorded(
         doubts += doubts_of(tracks, stated)
         inside = inside_vehicles(tracks)
         if inside.any():
-            riders = np.unique(tracks.as_rows().index.agent[inside]).size
+            riders = np.unique(tracks.rows.index.agent[inside]).size
             doubts.append(f"{riders} riders are left out while they are inside a vehicle")
             tracks = _without(tracks, inside)
     return Recording(
@@ -311,8 +310,8 @@ def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tup
         ahead_m = rows.ahead_lengths * sizes[agent, 0]
         xy = xy - ahead_m[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     kinds = [AgentKind.CAR] * len(rows.names) if rows.kinds is None else rows.kinds
-    tracks = Tracks.of_rows(
-        TrackRows(RowIndex.of_rows(agent, step, n, t), xy, heading, speed),
+    tracks = Tracks(
+        rows=TrackRows(RowIndex.of_rows(agent, step, n, t), xy, heading, speed),
         ids=np.arange(n),
         names=tuple(names[i] for i in order),
         kind=np.array([kinds[i].code for i in chosen], dtype=np.int8),
@@ -327,12 +326,13 @@ def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tup
 
 def _without(tracks: Tracks, dropped: NDArray[np.bool_]) -> Tracks:
     """The tracks without some rows, and without agents that have no others."""
-    seen = tracks.as_rows()
+    seen = tracks.rows
     kept = np.flatnonzero(~dropped)
     agents, agent = np.unique(seen.index.agent[kept], return_inverse=True)
     index = RowIndex.of_rows(agent, seen.index.step[kept], agents.size, tracks.time_s.size)
-    return tracks.changed(
-        TrackRows(index, seen.xy[kept], seen.heading[kept], seen.speed[kept]),
+    return replace(
+        tracks,
+        rows=seen.taken(kept, index),
         ids=np.arange(agents.size),
         names=tuple(tracks.names[i] for i in agents),
         kind=tracks.kind[agents],

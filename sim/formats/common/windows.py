@@ -48,12 +48,12 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
             f"step_s: found {tracks.step_s:g}, expected a divisor of {PERIOD_S} for this format"
         )
     following = _following(tracks.time_s)
-    rows = tracks.as_rows()
+    index = tracks.rows.index
     column, window = 0, list[int]()
     while column < tracks.time_s.size:
         window.append(column)
         if len(window) == steps:
-            seen = np.unique(np.concatenate([rows.index.agent[rows.at(step)] for step in window]))
+            seen = np.unique(np.concatenate([index.agent[index.at(step)] for step in window]))
             yield tracks.part(seen, np.array(window))
             window = []
         if following[column] < 0:  # a gap: the next time begins a new window
