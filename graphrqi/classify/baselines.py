@@ -39,6 +39,8 @@ class Logistic(Calibrated):
         num_classes: C.
     """
 
+    tempers = False
+
     def __init__(self, num_classes: int) -> None:
         super().__init__(num_classes)
         self._inputs = Standardisation(np.zeros(0), np.ones(0))

@@ -74,6 +74,9 @@ class Calibrated:
         num_classes: C.
     """
 
+    tempers = True
+    """Whether a temperature is fitted at all."""
+
     _temperature = 1.0
 
     def __init__(self, num_classes: int) -> None:
@@ -86,7 +89,7 @@ class Calibrated:
             held = validation if known.all() else (validation[0][known], validation[1][known])
         self._learn(features, codes, held, seed)
         self._temperature = 1.0
-        if held is not None:
+        if held is not None and self.tempers:
             found = self._untempered(held[0])
             self._temperature = best_temperature(found, held[1], self._trained)
 
