@@ -15,8 +15,7 @@ from experiments.console.tables import show_table, write_rows
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.report.findings import findings
-from experiments.report.page import write_report
-from experiments.report.source import read_source
+from experiments.report.page import read_source, write_report
 from experiments.score.answers import scores_table
 from experiments.score.labels import answer_episodes, scored_answers
 from experiments.score.predict import errors_table, predict_dataset

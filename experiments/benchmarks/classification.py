@@ -7,16 +7,14 @@
 - ``across-scenarios``: trained on one scenario, scored on the others.
 - ``across-traffic``: trained on usual traffic, scored on other flows, mixes, limits and roads.
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
-- ``noise``: usual traffic seen with noise, at other frame rates, and with lost frames.
-- ``parts``: trees on a driver's own motion, then with its neighbours, the spectrum, the inferred
-  law, and the estimated mix of drivers; each is compared with the one before.
+- ``noise``: usual traffic seen by the model that ships with noise, at other frame rates, and with
+  lost frames.
 - ``leak-probe``: a forest that sees an agent's number and the time and nothing else; it has to stay
   at chance, and its interval has to hold chance.
 
 Whole tracks are also scored by the plain rival ``nine-numbers`` (`experiments.rival`), trained on
 the same drivers. Under ``inductive`` the ``ceiling`` is a forest that sees the drivers' true
-parameters. Training and test data share no episode. Intervals are by bootstrap over episodes;
-differences are of paired bootstraps.
+parameters. Training and test data share no episode. Intervals are by bootstrap over episodes.
 """
 
 from __future__ import annotations
@@ -44,17 +42,13 @@ from experiments.benchmarks.classified import (
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.rival import PlainRival, whole_track_samples
-from experiments.score.answers import Answers, score_answers, score_difference, scores_table
+from experiments.score.answers import Answers, score_answers, scores_table
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import TRAINING_LIMITS_MPS
 from graphrqi.classify import CLASSIFIERS, Classifier
-from graphrqi.features.drivers import DriverObserver
-from graphrqi.features.raw_quantities import PARTS
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
-from graphrqi.places.prior_shift import PriorShift
 from graphrqi.samples import Samples
-from sim.frames import FloatArray
 from sim.store.dataset import open_dataset
 from sim.store.schema import Split
 
@@ -73,7 +67,7 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
 }  # fmt: skip
 """Options of `GenerateConfig` for traffic outside the training data, each with its baseline."""
 
-WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, float("inf"))
+WINDOWS_S: Final = (1.0, 3.0, 10.0, float("inf"))
 """Lengths of observation that are scored, s; the last is a whole track."""
 
 MAIN_S: Final = (10.0, float("inf"))
@@ -102,7 +96,6 @@ class Data:
         episodes: of each scenario that are learned from; others are made in proportion.
         duration_s: of each, s.
         jobs: processes; None for one per core.
-        given: a dataset to learn from instead; None makes one.
     """
 
     folder: Path
@@ -110,7 +103,6 @@ class Data:
     episodes: int
     duration_s: float
     jobs: int | None
-    given: Path | None = None
 
     def _made(self, name: str, share: float = 0.8, **options: Any) -> Recordings:
         where = self.folder / name.replace(" ", "-").replace("/", "")
@@ -122,8 +114,6 @@ class Data:
     @cached_property
     def base(self) -> Recordings:
         """Training data, and the unseen episodes beside it."""
-        if self.given is not None:
-            return Recordings(open_dataset(self.given), self.jobs)
         return self._made("base", 1.0, seed=11, limits_mps=TRAINING_LIMITS_MPS)
 
     @cached_property
@@ -162,15 +152,14 @@ def _scored(answers: Answers, majority: int, keys: Mapping[str, Cell]) -> list[R
     return score_answers(answers, keys, majority, breakdown=False) if answers.truth.size else []
 
 
-def _rival_beside(
+def _rival_rows(
     rival: PlainRival, data: Recordings, asked: Samples, keys: tuple[str, str, str], majority: int
-) -> tuple[list[Row], Samples, Answers]:
-    """The rival's rows on the drivers whose whole tracks are scored, these, and its answers."""
+) -> list[Row]:
+    """The rival's rows on these drivers, whose whole tracks are scored."""
     same = data.all_tracks.where(np.isin(drivers(data.all_tracks), drivers(asked)))
     protocol, scenario, variation = keys
-    answers = _answered(rival, same)
     named = keys_of(protocol, scenario, RIVAL, float("inf"), variation)
-    return _scored(answers, majority, named), same, answers
+    return _scored(_answered(rival, same), majority, named)
 
 
 def _model_rows(
@@ -187,7 +176,7 @@ def _model_rows(
             keys = keys_of(protocol, scenario, model.method.name, window_s, variation)
             rows += _scored(_answered(model, part), majority, keys)
         whole = here.where(np.isinf(here.window_s))
-        rows += _rival_beside(rival, data, whole, (protocol, scenario, variation), majority)[0]
+        rows += _rival_rows(rival, data, whole, (protocol, scenario, variation), majority)
     return rows
 
 
@@ -218,15 +207,14 @@ def _streamed_rows(
         whole = data.of(scenario, samples.where(np.isinf(samples.window_s)))
         if rival is not None and len(whole):
             keyed = (protocol, scenario, variation)
-            rows += _rival_beside(rival, data, whole, keyed, majority_of(whole))[0]
+            rows += _rival_rows(rival, data, whole, keyed, majority_of(whole))
     return rows
 
 
 def inductive(data: Data) -> Iterator[list[Row]]:
-    """Every method at every length of observation; ours minus each other; rival and ceiling."""
+    """Every method at every length of observation; rival and ceiling."""
     base = data.base
     rival = PlainRival(base.training_tracks)
-    ours: dict[tuple[str, float], Answers] = {}
     for method in data.methods:
         model, majority = base.fitted(method)
         samples = base.scored(method, WINDOWS_S)
@@ -235,24 +223,13 @@ def inductive(data: Data) -> Iterator[list[Row]]:
             here = base.of(scenario, samples)
             for window_s in WINDOWS_S:
                 part = here.where(here.window_s == window_s)
-                if not len(part):
-                    continue
-                answers = _answered(model, part)
-                keys = keys_of("inductive", scenario, method, window_s)
-                rows += _scored(answers, majority, keys)
-                if method == OURS:
-                    ours[scenario, window_s] = answers
-                elif window_s in MAIN_S and (scenario, window_s) in ours:
-                    keys = keys_of("inductive", scenario, OURS, window_s, f"minus {method}")
-                    rows += score_difference(ours[scenario, window_s], answers, keys)
+                if len(part):
+                    keys = keys_of("inductive", scenario, method, window_s)
+                    rows += _scored(_answered(model, part), majority, keys)
             whole = here.where(np.isinf(here.window_s))
-            if method == OURS and len(whole):
+            if method == data.methods[0] and len(whole):
                 place = ("inductive", scenario, "")
-                beside, same, theirs = _rival_beside(rival, base, whole, place, majority)
-                both = np.isin(drivers(whole), drivers(same))  # both are in order of driver
-                own = ours[scenario, float("inf")].where(both)
-                keys = keys_of("inductive", scenario, OURS, float("inf"), f"minus {RIVAL}")
-                rows += [*beside, *score_difference(own, theirs, keys)]
+                rows += _rival_rows(rival, base, whole, place, majority)
         yield rows
     yield ceiling(base)
 
@@ -287,78 +264,6 @@ def _profiles(data: Recordings, split: Split) -> Samples:
     ]
     numbers, codes, episode = (np.array(column) for column in zip(*found, strict=True))
     return whole_track_samples(numbers, codes, episode, np.arange(len(found)))
-
-
-LADDER: Final[dict[str, tuple[str, ...]]] = {
-    "motion": ("motion",),
-    "with interaction": ("motion", "interaction"),
-    "with spectrum": ("motion", "interaction", "spectrum"),
-    "with law": PARTS,
-}
-"""Parts of the features that trees are trained on, from few to all."""
-
-LADDER_S: Final = (3.0, 10.0, float("inf"))
-"""Lengths of observation at which parts are compared, s; the last is a whole track."""
-
-
-def parts(data: Data) -> Iterator[list[Row]]:
-    """Gain of trees by each part of the features, and of their answers by the estimated mix."""
-    base, rival = data.base, PlainRival(data.base.training_tracks)
-    columns = METHODS[OURS].observer("graphrqi").feature_names
-    training, scored = base.training(OURS), base.scored(OURS, LADDER_S)
-    held, majority = base.validation(OURS), majority_of(training)
-    before: dict[tuple[str, float], Answers] = {}
-    for name, chosen in LADDER.items():
-        wanted = [columns.index(column) for column in DriverObserver(parts=chosen).feature_names]
-        known, asked = (_columns(samples, wanted) for samples in (training, scored))
-        trees = CLASSIFIERS["boosted"](len(BEHAVIORS), **METHODS[OURS].options)
-        apart = None
-        if held is not None:
-            apart = _columns(held, wanted).features.astype(np.float64), held.codes
-        trees.fit(known.features.astype(np.float64), known.codes, apart, 0)
-        found = {name: _answered(trees, asked)}
-        if chosen == PARTS:
-            shifted = _under_the_mix(found[name].probability, asked, training)
-            found["under the mix"] = Answers.known(shifted, asked.codes, asked.episode)
-        for rung, answers in found.items():
-            rows: list[Row] = []
-            for scenario in base.dataset.scenarios:
-                here = base.scenario[asked.episode] == scenario
-                for window_s in LADDER_S:
-                    at = here & (asked.window_s == window_s)
-                    one = answers.where(at)
-                    keys = keys_of("parts", scenario, rung, window_s)
-                    rows += _scored(one, majority, keys)
-                    if (scenario, window_s) in before:
-                        rows += score_difference(
-                            one, before[scenario, window_s],
-                            keys_of("parts", scenario, rung, window_s, "minus the one before"),
-                        )  # fmt: skip
-                    before[scenario, window_s] = one
-                if rung == "motion":
-                    whole = base.of(scenario, asked.where(np.isinf(asked.window_s)))
-                    place = ("parts", scenario, "")
-                    rows += _rival_beside(rival, base, whole, place, majority)[0]
-            yield rows
-
-
-def _columns(samples: Samples, wanted: Sequence[int]) -> Samples:
-    """The same samples with some of their features."""
-    return dataclasses.replace(samples, features=samples.features[:, wanted])
-
-
-def _under_the_mix(answers: FloatArray, asked: Samples, training: Samples) -> FloatArray:
-    """(n, 6) answers corrected for the shares of behaviours so far in each episode."""
-    count = np.bincount(training.codes, minlength=len(BEHAVIORS))
-    out = answers.copy()
-    for episode, window_s in {*zip(asked.episode.tolist(), asked.window_s.tolist(), strict=True)}:
-        rows = np.flatnonzero((asked.episode == episode) & (asked.window_s == window_s))
-        shift = PriorShift(count / count.sum())
-        for time_s in np.unique(asked.time_s[rows]):
-            now = rows[asked.time_s[rows] == time_s]
-            shift.observe(float(time_s), asked.agent[now], answers[now])
-            out[now] = shift.corrected(answers[now])
-    return out
 
 
 def across_scenarios(data: Data) -> Iterator[list[Row]]:
@@ -402,14 +307,11 @@ def across_engines(data: Data) -> Iterator[list[Row]]:
 
 
 def noise(data: Data) -> Iterator[list[Row]]:
-    """Usual traffic seen by worse sensors, by what was trained here and by what ships."""
-    models = {"trained here": data.base.fitted(data.methods[0])[0], "shipped": load_model(OURS)}
-    for trained, model in models.items():
-        for disturbance in (None, *NOISE):
-            about = "undisturbed" if disturbance is None else f"{disturbance[0]} {disturbance[1]:g}"
-            yield _streamed_rows(
-                data.usual, model, None, "noise", f"{trained}, {about}", disturbance
-            )
+    """Usual traffic seen by worse sensors, by what ships."""
+    model = load_model(OURS)
+    for disturbance in (None, *NOISE):
+        about = "undisturbed" if disturbance is None else f"{disturbance[0]} {disturbance[1]:g}"
+        yield _streamed_rows(data.usual, model, None, "noise", about, disturbance)
 
 
 def leak_probe(data: Data) -> Iterator[list[Row]]:
@@ -437,7 +339,6 @@ def leak_probe(data: Data) -> Iterator[list[Row]]:
 PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
     "shipped": shipped,
     "inductive": inductive,
-    "parts": parts,
     "leak-probe": leak_probe,
     "across-scenarios": across_scenarios,
     "across-traffic": across_traffic,
@@ -453,7 +354,6 @@ def measure(
     episodes: int = 15,
     duration_s: float = 150.0,
     jobs: int | None = None,
-    given: Path | None = None,
     out: Path | None = None,
 ) -> Iterator[list[Row]]:
     """Measure protocol after protocol.
@@ -465,7 +365,6 @@ def measure(
         episodes: of each scenario that are learned from; others are made in proportion.
         duration_s: of each episode, s.
         jobs: processes; None for one per core.
-        given: a dataset to learn from and score on; None makes one.
         out: where datasets are made, and used again; None for a temporary folder.
 
     Yields:
@@ -479,7 +378,7 @@ def measure(
         lookup(METHODS, method, "method")
     names = tuple(methods) or (OURS, *(name for name in METHODS if name != OURS))
     with tempfile.TemporaryDirectory() as scratch:
-        data = Data(out or Path(scratch), names, episodes, duration_s, jobs, given)
+        data = Data(out or Path(scratch), names, episodes, duration_s, jobs)
         for protocol in wanted:
             yield from protocol(data)
 

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.benchmarks import yielding
-from experiments.benchmarks.statistics import prediction_keys
-from experiments.benchmarks.yielding import (
-    NO_ENCOUNTERS,
-    EncounterChances,
-    encounter_chances,
-    score_chances,
-)
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.metrics import Statistic, bootstrap, ratio
+from experiments.score.metrics import bootstrap, ratio
 from experiments.score.predictions import (
     EVERY_S,
     HORIZONS_S,
@@ -35,7 +27,7 @@ from experiments.score.predictions import (
     score_episode,
     score_predictions,
 )
-from experiments.score.rows import Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, chosen_predictor
@@ -50,10 +42,12 @@ SCENARIOS: Final = ("straight_road", "four_way_intersection")
 SEED: Final = 9_172_026
 """Seed of the episodes predicted on: no shipped model was trained on them."""
 
-MAP_FREE: Final = ("constant-velocity", "graphrqi-predict")
+OURS: Final = "graphrqi-predict"
+
+MAP_FREE: Final = ("constant-velocity", OURS)
 """Predictors that are compared without a map."""
 
-QUICK: Final = ("constant-velocity", "car-following", "lstm", "graphrqi-predict")
+QUICK: Final = ("constant-velocity", "car-following", "lstm", OURS)
 """Predictors of a small run: one of each kind, and those whose ratios are given."""
 
 DEAF: Final = (
@@ -62,24 +56,14 @@ DEAF: Final = (
 """Predictors that no belief changes: they are scored once, beside the classifier's beliefs."""
 
 RATIOS: Final = (
-    ("graphrqi-predict", "classifier", "ade_m", "constant-velocity", "classifier"),
-    ("graphrqi-predict", "classifier", "ade_m", "car-following-blind", "classifier"),
-    ("graphrqi-predict", "classifier", "ade_m", "lstm", "classifier"),
-    ("graphrqi-predict", "classifier", "ade_m", "graphrqi-predict", "uniform"),
-    ("graphrqi-predict", "classifier", "rmse_m", "constant-velocity", "classifier"),
-    ("graphrqi-predict", "classifier", "collisions", "constant-velocity", "classifier"),
-    ("graphrqi-predict", "shuffled", "ade_m", "graphrqi-predict", "uniform"),
-    ("car-following", "shuffled", "ade_m", "car-following-blind", "classifier"),
+    ("ade_m", "constant-velocity", "classifier"),
+    ("ade_m", "car-following-blind", "classifier"),
+    ("ade_m", "lstm", "classifier"),
+    ("ade_m", OURS, "uniform"),
+    ("rmse_m", "constant-velocity", "classifier"),
 )
-"""Predictor and its beliefs, metric, and the predictor and beliefs by whose figure it is divided,
-at the longest horizon."""
-
-GAINS: Final = (
-    ("graphrqi-predict", "graphrqi-predict", "uniform"),
-    ("car-following", "car-following-blind", "classifier"),
-)
-"""Predictors, and what they are compared with: ``label_gain_share`` is the share of the true
-labels' gain that the classifier's beliefs reach."""
+"""Metric, and the predictor and its beliefs by whose figure that of `OURS` is divided, at the
+longest horizon."""
 
 Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
@@ -107,27 +91,10 @@ BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
 posteriors."""
 
 
-@dataclass(frozen=True)
-class EpisodeResult:
-    """Contribution of one episode.
-
-    Attributes:
-        errors: of predictors that are given the road.
-        map_free: of predictors without it.
-        chances: what was said about who yields, by beliefs.
-    """
-
-    errors: Figures
-    map_free: Figures
-    chances: Mapping[str, EncounterChances]
-
-
 def measure(
     episodes: int = 10,
     duration_s: float | None = None,
     predictors: Sequence[str] = (),
-    model: str = DEFAULT_MODEL,
-    told: Sequence[str] = (),
     jobs: int | None = None,
 ) -> Iterator[list[Row]]:
     """Predict on fresh episodes of both scenarios with several beliefs about the drivers.
@@ -136,20 +103,15 @@ def measure(
         episodes: per scenario.
         duration_s: of each, s; None for the scenario's own.
         predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
-        model: the classifier whose beliefs are used.
-        told: names of the beliefs, keys of `BELIEFS`; () for all. The classifier's are always
-            among them.
         jobs: processes; None for one per core.
 
     Yields:
-        The rows of each scenario: errors with the road and without it; ratios; and who yields.
+        The rows of each scenario: errors with the road and without it; ratios; and how well
+        beliefs say who yields.
     """
     names = list(predictors or PREDICTORS)
     for name in names:
         chosen_predictor(name)
-    for kind in told:
-        lookup(BELIEFS, kind, "beliefs")
-    kinds = [kind for kind in BELIEFS if not told or kind in (*told, "classifier")]
     with tempfile.TemporaryDirectory(prefix="graphrqi-bench-") as scratch:
         folder = Path(scratch) / "data"
         config = GenerateConfig(
@@ -158,22 +120,21 @@ def measure(
         generate(config, folder, jobs=jobs, quiet=True)
         dataset = open_dataset(folder)
         for scenario in SCENARIOS:
-            arguments = [(folder, e, names, kinds, model) for e in dataset.episodes(None, scenario)]
-            found = list(in_parallel(predicted_episode, arguments, jobs))
+            arguments = [(folder, e, names) for e in dataset.episodes(None, scenario)]
+            mapped, map_free, chances = zip(
+                *in_parallel(predicted_episode, arguments, jobs), strict=True
+            )
             rows: list[Row] = []
-            for split, results in (
-                ("unseen", [one.errors for one in found]),
-                ("unseen, no map", [one.map_free for one in found]),
-            ):
-                for kind in kinds:
+            for split, results in (("unseen", mapped), ("unseen, no map", map_free)):
+                for kind in BELIEFS:
                     chosen = [_with_beliefs(one, kind) for one in results]
                     keys = {"scenario": scenario, "split": split, "beliefs": kind}
                     if chosen[0]:
                         rows += score_predictions(chosen, keys)
                 rows += compare(results, scenario, split)
-            for kind in kinds:
-                said = score_chances([one.chances[kind] for one in found], scenario, "unseen")
-                rows += [{"beliefs": kind, **row} for row in said]
+            for kind in BELIEFS:
+                keys = {"scenario": scenario, "split": "unseen", "beliefs": kind}
+                rows += yielding.auc_row([one[kind] for one in chances], keys)
             yield rows
 
 
@@ -183,68 +144,48 @@ def _with_beliefs(figures: Figures, kind: str) -> dict[str, Errors]:
 
 
 def predicted_episode(
-    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], kinds: Sequence[str], model: str
-) -> EpisodeResult:
-    """Errors and yielding chances of predictors in one episode, with each kind of beliefs."""
+    folder: Path, entry: EpisodeEntry, predictors: Sequence[str]
+) -> tuple[Figures, Figures, dict[str, FloatArray]]:
+    """Errors with the road and without it, and chances of yielding, with each kind of beliefs."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
+    assert road is not None
     scored = sorted(instants(tracks, max(HORIZONS_S), EVERY_S))
     stops = {*scored, *instants(tracks, max(HORIZONS_S), yielding.EVERY_S)}
-    believed = beliefs(tracks, load_model(model), sorted(stops))
+    believed = beliefs(tracks, load_model(DEFAULT_MODEL), sorted(stops))
     errors: dict[tuple[str, str], Errors] = {}
-    map_free: dict[tuple[str, str], Errors] = {}
-    chances: dict[str, EncounterChances] = {}
-    for kind in kinds:
+    chances: dict[str, FloatArray] = {}
+    for kind, make in BELIEFS.items():
         posteriors = {
-            stop: BELIEFS[kind](tracks.window(stop, 1), posterior)
-            for stop, posterior in believed.items()
+            stop: make(tracks.window(stop, 1), posterior) for stop, posterior in believed.items()
         }
         moments = {stop: posteriors[stop] for stop in scored}
         names = [name for name in predictors if kind == "classifier" or name not in DEAF]
         found = score_episode(tracks, moments, road, names)
         errors |= {(name, kind): one for name, one in found.items()}
-        chances[kind] = (
-            NO_ENCOUNTERS if road is None else encounter_chances(tracks, road, posteriors, names)
-        )
-        if kind == "classifier":
-            found = score_episode(tracks, moments, None, MAP_FREE)
-            map_free = {(name, kind): one for name, one in found.items()}
-    return EpisodeResult(errors, map_free, chances)
+        chances[kind] = yielding.yield_chances(tracks, road, posteriors)
+    moments = {stop: believed[stop] for stop in scored}
+    found = score_episode(tracks, moments, None, MAP_FREE)
+    return errors, {(name, "classifier"): one for name, one in found.items()}, chances
 
 
 def compare(episodes: Sequence[Figures], scenario: str, split: str) -> list[Row]:
-    """Ratios of predictors' figures, with intervals over episodes."""
+    """Ratios of our predictor's figures to others', with intervals over episodes."""
     rows: list[Row] = []
-
-    def total(which: tuple[str, str], metric: str) -> FloatArray:
-        return np.array([e[which].total[0, -1, MEASURES.index(metric)] for e in episodes])
-
-    def add(
-        which: tuple[str, str], metric: str, statistic: Statistic, sums: list[FloatArray]
-    ) -> None:
-        found = bootstrap(statistic, np.stack(sums, axis=1))
-        if not np.isfinite(found[0]):
-            return
-        count = int(sum(e[which].count[0] for e in episodes))
-        name, kind = which
-        keys = prediction_keys(scenario, name, max(HORIZONS_S), split)
-        rows.append(tidy_row({"beliefs": kind, **keys}, metric, *found, count))
-
-    there = set(episodes[0]) if episodes else set()
-    for name, kind, metric, other, others in RATIOS:
-        if {(name, kind), (other, others)} <= there:
-            statistic = root_ratio if metric == "rmse_m" else ratio
-            sums = [total((name, kind), metric), total((other, others), metric)]
-            against = other if other != name else f"{others}_beliefs"
-            add((name, kind), f"{metric}_over_{against}", statistic, sums)
-    for name, other, others in GAINS:
-        compared = ((other, others), (name, "classifier"), (name, "truth"))
-        if set(compared) <= there:
-            sums = [total(which, "ade_m") for which in compared]
-            add((name, "classifier"), "label_gain_share", _gain_share, sums)
+    ours = (OURS, "classifier")
+    for metric, *other in RATIOS:
+        theirs = (other[0], other[1])
+        if not episodes or not {ours, theirs} <= set(episodes[0]):
+            continue
+        at = MEASURES.index(metric)
+        sums = [[e[which].total[0, -1, at] for which in (ours, theirs)] for e in episodes]
+        found = bootstrap(root_ratio if metric == "rmse_m" else ratio, np.array(sums))
+        if np.isfinite(found[0]):
+            against = f"{theirs[1]}_beliefs" if theirs[0] == OURS else theirs[0]
+            keys: dict[str, Cell] = {
+                "beliefs": ours[1], "scenario": scenario, "predictor": OURS,
+                "horizon_s": max(HORIZONS_S), "behavior": "all", "split": split,
+            }  # fmt: skip
+            n = int(sum(e[ours].count[0] for e in episodes))
+            rows.append(tidy_row(keys, f"{metric}_over_{against}", *found, n))
     return rows
-
-
-def _gain_share(sums: FloatArray) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((sums[..., 0] - sums[..., 1]) / (sums[..., 0] - sums[..., 2]))

@@ -6,7 +6,7 @@ videos out, over the `SETTINGS`; the held-out labels take no part in anything. F
 standardised within each video (its labels are not needed for that), so neither pixels nor cameras
 are compared.
 
-Balanced accuracy, macro-F1 and the recalls are of answers at even odds (posterior over the shares
+Balanced accuracy and macro-F1 are of answers at even odds (posterior over the shares
 of the training classes); weighted accuracy is of the most likely class, for which it is meant. The
 AUC compares agents of the same video only. Intervals are by bootstrap over agents: five videos are
 too few to resample.
@@ -26,18 +26,16 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
-from experiments.benchmarks.statistics import auc_within
 from experiments.benchmarks.unit_free import standardised, unit_free_features
 from experiments.data.parallel import in_parallel
 from experiments.rival import nine_numbers
 from experiments.score.metrics import (
+    RESAMPLES,
+    RESAMPLING_SEED,
     balanced_accuracy,
     bootstrap,
-    calibration_error,
     confusion,
     macro_f1,
-    recall_of,
-    reliability,
     weighted_accuracy,
 )
 from experiments.score.rows import Cell, Row, tidy_row
@@ -46,11 +44,7 @@ from graphrqi.features.observer import Observer
 from graphrqi.methods import METHODS
 from sim.formats import traf
 from sim.formats.common.recording import CAR_LENGTH_M
-from sim.frames import Tracks
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-CodeArray = NDArray[np.int8]
+from sim.frames import CodeArray, FloatArray, IntArray, Tracks
 
 SETTINGS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
     ("logistic", {"inverse_penalty": 0.001}),
@@ -63,10 +57,9 @@ SETTINGS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
 
 TASKS: Final[dict[int, tuple[int, ...]]] = {
     2: tuple(0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS),
-    4: tuple(i if b.style is Style.AGGRESSIVE else 3 for i, b in enumerate(BEHAVIORS)),
     6: tuple(range(len(BEHAVIORS))),
 }
-"""Classes of each task, by number of classes: the style; the aggressive ones and the rest; all."""
+"""Classes of each task, by number of classes: the style, or all."""
 
 EVERY_FRAMES: Final = 3
 """Frames of video per step of an observer (8 steps a second)."""
@@ -88,9 +81,6 @@ class Video:
     name: str
     codes: CodeArray
     features: Mapping[str, FloatArray]
-
-
-# --- views: what a method sees of a track's whole life -------------------------------------------
 
 
 def _unit_free(tracks: Tracks) -> FloatArray:
@@ -150,9 +140,6 @@ VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
 """Features by name of the method whose they are; ``unit-free`` are made for such recordings."""
 
 
-# --- reading ------------------------------------------------------------------------------------
-
-
 def read_video(
     path: Path, annotations: Path, views: Sequence[str], rule: Resolution = "lenient"
 ) -> Video | None:
@@ -175,12 +162,7 @@ def read_traf(
     """Read every annotated video in a folder with ``tracks`` and ``annotations``."""
     paths = sorted((folder / "tracks").glob("*_gt.txt"))
     arguments = [(path, folder / "annotations", tuple(views), rule) for path in paths]
-    if not arguments:
-        return []
     return [video for video in in_parallel(read_video, arguments, jobs) if video is not None]
-
-
-# --- learning and scoring -----------------------------------------------------------------------
 
 
 def _posterior(
@@ -228,7 +210,7 @@ def _chosen(training: Sequence[Video], view: str, task: int) -> int:
 
 
 def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
-    """Rows of one view on one task: of each video, left out in turn, and of all together."""
+    """Rows of one view on one task, over all videos, each left out in turn."""
     classes = np.array(TASKS[task], dtype=np.int8)
     folds = []
     for number, video in enumerate(videos):
@@ -239,19 +221,9 @@ def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
         n = video.codes.size
         majority = np.full(n, shares.argmax(), dtype=np.int64)
         folds.append((classes[video.codes], probability, even, majority, np.full(n, number)))
-    keys: dict[str, Cell] = {
-        "dataset": "traf", "protocol": "leave-one-video-out", "method": view, "classes": task,
-    }  # fmt: skip
-    rows: list[Row] = []
-    for video, fold in zip(videos, folds, strict=True):
-        rows += _rows(fold, task, {**keys, "fold": video.name})
-    together = tuple(np.concatenate(column) for column in zip(*folds, strict=True))
-    return rows + _rows(together, task, {**keys, "fold": "all"})
-
-
-def _rows(answers: tuple[Any, ...], task: int, keys: Mapping[str, Cell]) -> list[Row]:
-    """Every metric of some answers, with intervals over agents."""
-    truth, probability, even, majority, video = answers
+    truth, probability, even, majority, video_of = (
+        np.concatenate(column) for column in zip(*folds, strict=True)
+    )
     agent = np.arange(truth.size)
     at_even_odds = confusion(truth, even.argmax(axis=1), agent, task)
     likely = confusion(truth, probability.argmax(axis=1), agent, task)
@@ -261,20 +233,53 @@ def _rows(answers: tuple[Any, ...], task: int, keys: Mapping[str, Cell]) -> list
         "balanced_accuracy": bootstrap(balanced_accuracy, at_even_odds),
         "weighted_accuracy": bootstrap(weighted_accuracy, likely),
         "majority_weighted_accuracy": bootstrap(weighted_accuracy, constant),
-        "ece": bootstrap(calibration_error, reliability(truth, probability, agent)),
     }
-    classes: dict[int, tuple[str, ...]] = {
-        2: tuple(Style), 4: (*BEHAVIORS[:3], Style.CONSERVATIVE), 6: tuple(BEHAVIORS)
-    }  # fmt: skip
-    for code in np.unique(truth).tolist():
-        values[f"recall_{classes[task][code]}"] = bootstrap(recall_of(code), at_even_odds)
     if task == 2:
-        values["auc"] = auc_within(probability[:, 0], truth == 0, video)
-    return [
-        tidy_row(keys, metric, *value, int(truth.size))
-        for metric, value in values.items()
-        if not np.isnan(value[0])
-    ]
+        values["auc"] = auc_within(probability[:, 0], truth == 0, video_of)
+    keys: dict[str, Cell] = {
+        "dataset": "traf", "protocol": "leave-one-video-out", "method": view, "classes": task,
+    }  # fmt: skip
+    return [tidy_row(keys, name, *value, int(truth.size)) for name, value in values.items()]
+
+
+def auc_within(
+    score: FloatArray, positive: NDArray[np.bool_], group: IntArray
+) -> tuple[float, float, float]:
+    """Area under the ROC curve over pairs from the same group, with an interval over samples.
+
+    Args:
+        score: (n,) larger for positives.
+        positive: (n,) truth.
+        group: (n,) which video or episode each belongs to; only pairs inside one count.
+
+    Returns:
+        Value, low, high; NaN where no group has both kinds.
+
+    Examples:
+        >>> where = np.array([0, 0, 0, 1, 1])
+        >>> truth = np.array([True, False, False, True, False])
+        >>> auc_within(np.array([0.9, 0.1, 0.95, 0.2, 0.1]), truth, where)[0].__round__(3)
+        0.667
+    """
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    won, pairs = np.zeros(RESAMPLES + 1), np.zeros(RESAMPLES + 1)
+    for each in np.unique(group):
+        here = group == each
+        up, down = score[here & positive], score[here & ~positive]
+        beats = (up[:, None] > down) + 0.5 * (up[:, None] == down)
+        weights = [np.ones((RESAMPLES + 1, part.size)) for part in (up, down)]
+        for weight, part in zip(weights, (up, down), strict=True):
+            if part.size:
+                weight[1:] = rng.multinomial(
+                    part.size, np.full(part.size, 1.0 / part.size), size=RESAMPLES
+                )
+        won += ((weights[0] @ beats) * weights[1]).sum(axis=1)
+        pairs += weights[0].sum(axis=1) * weights[1].sum(axis=1)
+    if pairs[0] == 0:
+        return float("nan"), float("nan"), float("nan")
+    area = won / pairs
+    low, high = np.quantile(area[1:], [0.025, 0.975])
+    return float(area[0]), float(low), float(high)
 
 
 def measure(

@@ -1,4 +1,4 @@
-"""Predictors on recordings that nothing was trained on: each dataset or place is left out in turn.
+"""Predictors on recordings that nothing was trained on: each dataset is left out in turn.
 
 The networks for recordings are trained on all others (``left-out``) and predict the one left out;
 the base, the Kalman filter, constant velocity and the weights that ship stand beside them, with and
@@ -12,16 +12,13 @@ datasets say nothing about new places.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
 from experiments.score.metrics import bootstrap, ratio, summed
-from experiments.score.predictions import hits, off_road, set_measures
 from experiments.score.rows import Cell, Row, tidy_row
 from experiments.training.recorded import (
     PER_DATASET,
@@ -48,7 +45,7 @@ from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import RecordedNetwork
 from graphrqi.predict.recorded.predictor import predict_recorded
-from sim.frames import BoolArray, FloatArray, Tracks
+from sim.frames import FloatArray, Tracks
 from sim.road import Road
 
 NOISES_M: Final = (0.0, 0.1)
@@ -68,68 +65,45 @@ SHIPPED, LEFT_OUT = "graphrqi-predict", "left-out"
 Told = Callable[[Tracks, Road | None], Prediction]
 """A predictor of the bench: the past and the map in, futures out."""
 
-SETS: Final = ("min_ade_m", "coverage_90", "collisions", "off_road")
-"""What is known of all futures of a case, up to the last horizon."""
-
 _AT: Final = np.round(TIME_S / STEP_S).astype(np.int64) - 1
 _STEPS: Final = int(_AT[-1]) + 1
 
 
 def measure(
-    data: Path,
-    leave_out: str = "dataset",
-    epochs: int = 4,
-    seed: int = 0,
-    per_dataset: int = PER_DATASET,
+    data: Path, epochs: int = 4, seed: int = 0, per_dataset: int = PER_DATASET
 ) -> Iterator[list[Row]]:
-    """Score predictors on recordings, each dataset or place left out of the training in turn.
+    """Score predictors on recordings, each dataset left out of the training in turn.
 
     Args:
-        data: a folder of datasets of recordings, or one of them.
-        leave_out: ``dataset``, ``place``, or ``nothing``: then nothing is trained here.
+        data: a folder of datasets of recordings; or one of them, for which nothing is trained.
         epochs: of each training.
         seed: of trainings and noise.
         per_dataset: about how many agents at instants are learned from in each.
 
     Yields:
-        The rows of each part that was left out, the part with the worst ratio first.
+        The rows of each dataset.
 
     Raises:
-        InputError: if the option is wrong, or there is nothing to score.
+        InputError: if there is nothing to read.
     """
-    if leave_out not in ("dataset", "place", "nothing"):
-        raise InputError(f"leave_out: found {leave_out!r}, expected dataset, place or nothing")
     parts: dict[str, list[RecordedPlace]] = {}
     for one in read_sources([data]):
-        parts.setdefault(one.place if leave_out == "place" else one.dataset, []).append(one)
+        parts.setdefault(one.dataset, []).append(one)
     examples: dict[str, DatasetExamples] = {}
-    if leave_out != "nothing" and len(parts) > 1:
-        for number, name in enumerate(sorted(parts)):
-            found = gather_examples(parts[name], number, seed, per_dataset)
-            if found is not None:
-                examples[name] = found
-    rows = []
+    for number, name in enumerate(sorted(parts) if len(parts) > 1 else ()):
+        found = gather_examples(parts[name], number, seed, per_dataset)
+        if found is not None:
+            examples[name] = found
     for name in sorted(parts):
         others = [found for other, found in examples.items() if other != name]
         network = fit_network(others, epochs, seed) if others else None
-        rows.append(list(score_part(name, parts[name], network, seed)))
-    yield from sorted((one for one in rows if one), key=_worst, reverse=True)
-
-
-def _worst(rows: Sequence[Row]) -> float:
-    """The largest ratio of our predictor for all that move."""
-    return max(
-        (float(row["value"] or 0.0) for row in rows
-         if row["metric"] == "ratio_to_cv" and row["class"] == "moving"
-         and row["predictor"] in (SHIPPED, LEFT_OUT)),
-        default=0.0,
-    )  # fmt: skip
+        yield list(score_part(parts[name], network, seed))
 
 
 def score_part(
-    name: str, places: Sequence[RecordedPlace], network: RecordedNetwork | None, seed: int
+    places: Sequence[RecordedPlace], network: RecordedNetwork | None, seed: int
 ) -> Iterator[Row]:
-    """Rows of one part: every predictor, with and without noise."""
+    """Rows of one dataset: every predictor, with and without noise."""
     predictors: dict[str, Told] = {
         "constant-velocity": lambda history, road: keep_velocity(history, _STEPS),
         "kalman": lambda history, road: keep_filtered_motion(history, _STEPS),
@@ -146,8 +120,8 @@ def score_part(
             learned = mapped and predictor in (SHIPPED, LEFT_OUT)
             for with_map in (False, True) if learned else (False,):
                 keys: dict[str, Cell] = {
-                    "dataset": places[0].dataset, "family": places[0].family, "place": name,
-                    "predictor": predictor, "map": with_map, "noise_m": noise_m,
+                    "dataset": places[0].dataset, "predictor": predictor, "map": with_map,
+                    "noise_m": noise_m,
                 }  # fmt: skip
                 yield from _rows(keys, places, told, with_map, noise_m, seed)
 
@@ -166,7 +140,6 @@ def _rows(
 ) -> Iterator[Row]:  # fmt: skip
     """The figures of a predictor, by class of vehicles and horizon."""
     cases: list[tuple[FloatArray, ...]] = []
-    ms = []
     every_s, first = scored_every_s(places), 0
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, index))
@@ -177,19 +150,18 @@ def _rows(
             if not counts.any():
                 continue
             history = with_noise(clean, noise_m, rng, 1) if noise_m else clean
-            road = one.road if with_map else None
-            begun = time.perf_counter()
-            futures = told(history, road)
-            ms.append(1e3 * (time.perf_counter() - begun))
-            steady = np.linalg.norm(steady_motion(history, TIME_S) - truth, axis=-1)
+            best = told(history, one.road if with_map else None).best[:, _AT]
+            errors, steady = (
+                np.linalg.norm(each - truth, axis=-1)
+                for each in (best, steady_motion(history, TIME_S))
+            )
             vehicle = first + np.searchsorted(one.tracks.ids, clean.ids)
             kinds = np.stack([vehicle, classes_of(clean), moving(clean)], axis=1)
-            errors, sets = _errors(history, futures, truth, counts, one.road)
-            cases.append((errors, steady[counts], kinds[counts], sets))
+            cases.append((errors[counts], steady[counts], kinds[counts]))
         first += one.tracks.ids.size
     if not cases:
         return
-    errors, steady, kinds, sets = (np.concatenate(each) for each in zip(*cases, strict=True))
+    errors, steady, kinds = (np.concatenate(each) for each in zip(*cases, strict=True))
     groups = {"moving": kinds[:, 2] > 0}
     groups |= {name: kinds[:, 1] == code for code, name in enumerate(CLASSES)}
     for name, rows in groups.items():
@@ -200,34 +172,9 @@ def _rows(
             upto = int(np.searchsorted(TIME_S, horizon_s - 1e-9)) + 1
             ours, theirs = (one[rows, :upto].mean(axis=1) for one in (errors, steady))
             here: dict[str, Cell] = {**keys, "class": name, "horizon_s": horizon_s}
-            sums = summed(vehicle, ours, theirs)
-            yield tidy_row(here, "ratio_to_cv", *bootstrap(ratio, sums), n)
-            sums = summed(vehicle, ours, np.ones(n))
-            yield tidy_row(here, "ade_m", *bootstrap(ratio, sums), n)
-        for number, metric in enumerate(SETS):
-            if np.isfinite(sets[rows, number]).all():
-                sums = summed(vehicle, sets[rows, number], np.ones(n))
+            for metric, below in (("ratio_to_cv", theirs), ("ade_m", np.ones(n))):
+                sums = summed(vehicle, ours, below)
                 yield tidy_row(here, metric, *bootstrap(ratio, sums), n)
-    nothing = float("nan")
-    here = {**keys, "class": "moving", "horizon_s": HORIZONS_S[-1]}
-    yield tidy_row(here, "ms_per_scene", float(np.median(ms)), nothing, nothing, len(ms))
-
-
-def _errors(
-    history: Tracks, told: Prediction, truth: FloatArray, counts: BoolArray, road: Road | None
-) -> tuple[FloatArray, FloatArray]:
-    """(m, KNOTS) errors of the likeliest futures of those who count, m, and their (m, SETS)."""
-    rows = np.flatnonzero(counts)
-    apart = np.linalg.norm(told.xy[rows][:, :, _AT] - truth[rows, None], axis=-1)
-    best = told.probability[rows].argmax(axis=1)
-    sets = [
-        apart.mean(axis=2).min(axis=1),
-        set_measures(told, rows, int(_AT[-1]), truth[rows, -1])[0],
-        hits(history, told.best[:, _AT])[rows].any(axis=1),
-        off_road(road, told, rows, int(_AT[-1])),
-    ]
-    columns = np.stack([np.asarray(one, dtype=np.float64) for one in sets], axis=1)
-    return apart[np.arange(rows.size), best], columns
 
 
 def scored_every_s(places: Sequence[RecordedPlace]) -> float:

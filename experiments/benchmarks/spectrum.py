@@ -1,9 +1,8 @@
 """How quick and how right the eigenvalue algorithms are: the paper's runtime table, measured.
 
 All solvers run interleaved, in one process and one thread, on the same sequences of traffic graphs,
-each starting from its own last answer. The sequences are computed by a formula: vehicles at
-constant speed on a one-way road or on the arms of a crossing. Those of a ``city`` are what SUMO's
-vehicles do on a grid of streets with signals.
+each starting from its own last answer: vehicles at constant speed on a one-way road or on the arms
+of a crossing.
 
 Source of the table: Chandra et al., GraphRQI (ICRA 2020), which prints complexities, a speed-up
 of 2 over the best rival, cubic convergence and storage O(d).
@@ -11,17 +10,17 @@ of 2 over the best rival, cubic convergence and storage O(d).
 
 from __future__ import annotations
 
-import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from itertools import product
-from typing import Final, cast
+from typing import Any, Final
 
 import numpy as np
 
 from behaviors.errors import InputError, lookup
-from experiments.benchmarks.graph_sequences import check_layout, graph_sequence
+from experiments.benchmarks.graph_sequences import LAYOUTS, graph_sequence
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.spectrum import SOLVERS, Spectrum
 from graphrqi.spectrum.contract import Pairs, Problem, Solver, check_arguments, eigensolver
@@ -43,16 +42,10 @@ DENSE_UP_TO: Final = 1000
 """Largest graph those are run on (a tenth of a second a step)."""
 
 STEP_BUDGET_S: Final = 2.0
-"""CPU time of a step, as expected from smaller graphs, above which a solver is skipped."""
+"""CPU time of a step from which on a solver is not run on larger graphs."""
 
-SEQUENCE_BUDGET_S: Final = 1.0
-"""CPU time that a solver gets per sequence; it always gets a step."""
-
-COMPARED: Final = ("graphrqi", "eigh", "lapack-dsyevr", "arpack", "primme")
-"""Solvers that are not cut short while their steps are no longer than QUICK_STEP_MS."""
-
-QUICK_STEP_MS: Final = 300.0
-"""See COMPARED (above eigh at 1000 vehicles)."""
+SEQUENCE_BUDGET_S: Final = 10.0
+"""CPU time that a solver gets per sequence; it always gets three steps."""
 
 SLOPE_FROM: Final = 400
 """Smallest graph that counts for the slopes: below, fixed costs rule."""
@@ -98,7 +91,7 @@ def primme(problem: Problem) -> Pairs:
 
 def measure(
     sizes: Sequence[int],
-    graphs: Sequence[str] = ("road", "crossing"),
+    graphs: Sequence[str] = LAYOUTS,
     solvers: Sequence[str] = (),
     steps: int = 60,
 ) -> Iterator[list[Row]]:
@@ -109,7 +102,7 @@ def measure(
 
     Args:
         sizes: numbers of vehicles.
-        graphs: road, crossing or city.
+        graphs: road or crossing.
         solvers: keys of ``SOLVERS``, "lapack-dsyevr", or "primme"; () for all that are installed.
         steps: observations of each sequence.
 
@@ -127,27 +120,23 @@ def measure(
     everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": dsyevr, "primme": primme}
     usual = [name for name in everything if name != "primme" or find_spec(name)]
     chosen = {name: lookup(everything, name, "solver") for name in solvers or usual}
-    for layout in graphs:  # before hours of work
-        check_layout(layout, sizes)
+    layouts = [lookup({name: name for name in LAYOUTS}, name, "graph") for name in graphs]
     ends: tuple[End, ...] = ("largest", "smallest")
     for end in ends:
         check_arguments(PAIRS, end, TOLERANCE)
-    rows: list[Row] = []
     with threadpool_limits(1):
-        _warm_up(chosen, ends)
-        for layout, kind, end in product(graphs, ("instantaneous", "accumulated"), ends):
-            costs: dict[str, list[tuple[int, float]]] = {name: [] for name in chosen}
+        _warm_up(chosen)
+        for layout, kind, end in product(layouts, ("instantaneous", "accumulated"), ends):
+            costs: dict[str, list[tuple[int, float]]] = defaultdict(list)
+            keys: dict[str, Cell] = {"d": None, "graph": layout, "kind": kind, "end": end}
             for d in sorted(sizes):
-                print(f"{layout}, {kind}, {end} end, {d} vehicles", file=sys.stderr, flush=True)
-                keys: dict[str, Cell] = {"d": d, "graph": layout, "kind": kind, "end": end}
-                part = list(_sequence_rows(chosen, costs, keys, steps))
-                rows += part
-                yield part
-    yield slope_rows(rows)
+                yield list(_sequence_rows(chosen, costs, {**keys, "d": d}, d, end, steps))
+            yield list(_slopes(costs, keys))
 
 
-def _warm_up(solvers: Mapping[str, Solver], ends: Sequence[End]) -> None:
+def _warm_up(solvers: Mapping[str, Solver]) -> None:
     """Load and compile everything once, untimed, also what large graphs need."""
+    ends: tuple[End, ...] = ("largest", "smallest")
     for end in ends:
         first, second = graph_sequence("road", "accumulated", 40, 2)
         for solver in solvers.values():
@@ -159,90 +148,47 @@ def _warm_up(solvers: Mapping[str, Solver], ends: Sequence[End]) -> None:
 
 
 def _sequence_rows(
-    solvers: Mapping[str, Solver],
-    costs: dict[str, list[tuple[int, float]]],
-    keys: dict[str, Cell],
-    steps: int,
-) -> Iterator[Row]:
+    solvers: Mapping[str, Solver], costs: dict[str, list[tuple[int, float]]],
+    keys: Mapping[str, Cell], d: int, end: End, steps: int,
+) -> Iterator[Row]:  # fmt: skip
     """The rows of one sequence; its costs are added to those of smaller graphs."""
-    d = int(cast("int", keys["d"]))
-    active: dict[str, Solver] = {}
-    for name, solver in solvers.items():
-        reason = why_not(name, d, costs[name])
-        if reason is None:
-            active[name] = solver
-            continue
-        print(f"{name}: skipped: {reason}", file=sys.stderr)
-        yield tidy_row({"solver": name, **keys}, "cpu_ms", None, None, None, 0)
-    end = cast("End", keys["end"])
-    last: dict[str, Spectrum | None] = dict.fromkeys(active)
-    cpu: dict[str, list[float]] = {name: [] for name in active}
-    spent, residual = dict.fromkeys(active, 0.0), dict.fromkeys(active, 0.0)
-    missed, certified = dict.fromkeys(active, 0), dict.fromkeys(active, 0)
+    found: dict[str, list[tuple[float, Spectrum, int]]] = {}
+    for name in solvers:
+        slow = bool(costs[name]) and costs[name][-1][1] > 1e3 * STEP_BUDGET_S
+        if slow or (name in DENSE and d > DENSE_UP_TO):
+            yield tidy_row({"solver": name, **keys}, "cpu_ms", None, n=0)
+        else:
+            found[name] = []
+    last: dict[str, Spectrum] = {}
     sequence = graph_sequence(str(keys["graph"]), str(keys["kind"]), d, steps + 2, 98 - steps)
-    for step, graph in enumerate(sequence):
-        found: dict[str, Spectrum] = {}
-        for name, solver in active.items():
-            done = cpu[name]
-            quick = name in COMPARED and bool(done) and float(np.median(done)) < QUICK_STEP_MS
-            if spent[name] > SEQUENCE_BUDGET_S and done and not quick:
+    for graph in sequence:
+        now: dict[str, tuple[float, Spectrum]] = {}
+        for name, done in found.items():
+            if len(done) > 2 and sum(ms for ms, *_ in done) > 1e3 * SEQUENCE_BUDGET_S:
                 continue
             begin = time.process_time()
-            spectrum = solver(graph, PAIRS, end, last[name], TOLERANCE, end == "smallest")
-            used = time.process_time() - begin
-            last[name] = found[name] = spectrum
-            spent[name] += used
-            if step >= 2 or (step == 1 and spent[name] > SEQUENCE_BUDGET_S):  # the first is cold
-                done.append(1e3 * used)
-                residual[name] = max(residual[name], float(spectrum.residuals.max(initial=0.0)))
-                certified[name] += spectrum.certified
-        reference = found.get("eigh", found.get("graphrqi"))
-        if reference is not None and step >= 1:
-            for name, spectrum in found.items():
-                missed[name] += missed_pairs(reference, spectrum)
-    for name in (name for name in active if cpu[name]):
-        key: dict[str, Cell] = {"solver": name, **keys}
-        n, median = len(cpu[name]), float(np.median(cpu[name]))
-        costs[name].append((d, median))
-        yield median_row(key, "cpu_ms", cpu[name])
-        yield tidy_row(key, "residual_max", residual[name], None, None, n)
-        yield tidy_row(key, "missed_pairs", missed[name], None, None, n)
-        yield tidy_row(key, "certified_share", certified[name] / n, None, None, n)
-        if cpu.get("eigh"):
-            ratio = float(np.median(cpu["eigh"])) / median
-            yield tidy_row(key, "ratio_to_eigh", ratio, None, None, n)
-
-
-def why_not(name: str, d: int, costs: Sequence[tuple[int, float]]) -> str | None:
-    """Why a solver is not run on graphs of a size.
-
-    Args:
-        name: of the solver.
-        d: vehicles.
-        costs: its (vehicles, ms per step) so far, by size.
-
-    Returns:
-        The reason, or None if it is run.
-
-    Examples:
-        >>> why_not("svd", 4000, [])
-        'needs d^2 numbers and d^3 time: run up to 1000 vehicles'
-        >>> why_not("lobpcg", 4000, [(100, 10.0), (1000, 1000.0)])
-        'a step would take 16 s, allowed are 2 s'
-    """
-    if name in DENSE and d > DENSE_UP_TO:
-        return f"needs d^2 numbers and d^3 time: run up to {DENSE_UP_TO} vehicles"
-    if not costs:
-        return None
-    size, cost = costs[-1]
-    power = 1.0
-    if len(costs) > 1:
-        before, cheaper = costs[-2]
-        power = max(power, float(np.log(cost / cheaper) / np.log(size / before)))
-    expected = 1e-3 * cost * (d / size) ** power
-    if expected > STEP_BUDGET_S:
-        return f"a step would take {expected:.0f} s, allowed are {STEP_BUDGET_S:.0f} s"
-    return None
+            last[name] = solvers[name](
+                graph, PAIRS, end, last.get(name), TOLERANCE, end == "smallest"
+            )
+            now[name] = 1e3 * (time.process_time() - begin), last[name]
+        _, reference = now.get("eigh") or now.get("graphrqi") or (0.0, None)
+        for name, (ms, spectrum) in now.items():
+            missed = 0 if reference is None else missed_pairs(reference, spectrum)
+            found[name].append((ms, spectrum, missed))
+    medians = {name: float(np.median([ms for ms, *_ in done[2:]])) for name, done in found.items()}
+    for name, done in found.items():
+        warm, key = done[2:], {"solver": name, **keys}
+        costs[name].append((d, medians[name]))
+        figures: dict[str, Any] = {
+            "cpu_ms": medians[name],
+            "residual_max": max(float(one.residuals.max(initial=0.0)) for _, one, _ in warm),
+            "missed_pairs": sum(missed for *_, missed in done[1:]),
+            "certified_share": float(np.mean([one.certified for _, one, _ in warm])),
+        }
+        if "eigh" in medians:
+            figures["ratio_to_eigh"] = medians["eigh"] / medians[name]
+        for metric, value in figures.items():
+            yield tidy_row(key, metric, value, n=len(warm))
 
 
 def missed_pairs(reference: Spectrum, found: Spectrum) -> int:
@@ -267,43 +213,22 @@ def missed_pairs(reference: Spectrum, found: Spectrum) -> int:
     return missing
 
 
-def median_row(key: Mapping[str, Cell], metric: str, values: Sequence[float]) -> Row:
-    """A median with the 95 % interval of its order statistics; none for fewer than six values."""
-    ordered = np.sort(np.asarray(values, dtype=np.float64))
-    n = ordered.size
-    reach = 0.98 * np.sqrt(n)
-    low = high = None
-    if n >= 6:
-        low = float(ordered[max(int(np.floor(n / 2 - reach)), 0)])
-        high = float(ordered[min(int(np.ceil(n / 2 + reach)), n - 1)])
-    return tidy_row(key, metric, float(np.median(ordered)), low, high, n)
-
-
-def slope_rows(rows: Sequence[Row]) -> list[Row]:
+def _slopes(
+    costs: Mapping[str, Sequence[tuple[int, float]]], keys: Mapping[str, Cell]
+) -> Iterator[Row]:
     """Slopes of cost against the number of vehicles, both in logarithms."""
-    groups: dict[tuple[Cell, ...], list[tuple[float, float]]] = {}
-    for row in rows:
-        d, value = row["d"], row["value"]
-        if row["metric"] == "cpu_ms" and value and int(cast("int", d)) >= SLOPE_FROM:
-            key = (row["solver"], row["graph"], row["kind"], row["end"])
-            groups.setdefault(key, []).append((float(cast("int", d)), float(value)))
-    found: list[Row] = []
-    for (solver, layout, kind, end), points in groups.items():
-        if len(points) > 1:
-            across, costs = np.log(np.array(points)).T
-            slope = float(np.polyfit(across, costs, 1)[0])
-            keys: dict[str, Cell] = {
-                "solver": solver, "d": None, "graph": layout, "kind": kind, "end": end,
-            }  # fmt: skip
-            found.append(tidy_row(keys, "slope", slope, None, None, len(points)))
-    return found
+    for solver, points in costs.items():
+        large = np.log([point for point in points if point[0] >= SLOPE_FROM])
+        if len(large) > 1:
+            slope = float(np.polyfit(large[:, 0], large[:, 1], 1)[0])
+            yield tidy_row({"solver": solver, **keys}, "slope", slope, n=len(large))
 
 
 def table(rows: Sequence[Row]) -> list[Row]:
     """One line per solver and sequence: ms of every d, worst residual, missed pairs and slope."""
     lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
+    names = ("graph", "kind", "end", "solver")
     for row in rows:
-        names = ("graph", "kind", "end", "solver")
         key = tuple(row[name] for name in names)
         line = lines.setdefault(key, dict(zip(names, key, strict=True)))
         metric, value = str(row["metric"]), row["value"]

@@ -93,9 +93,6 @@ def attention(
 def classification(
     protocol: Only = None,
     method: Only = None,
-    data: Annotated[
-        Path | None, option("Dataset to learn and score on [default: made].", metavar="FOLDER")
-    ] = None,
     out: Folder = None,
     episodes: Episodes = None,
     jobs: Jobs = None,
@@ -109,7 +106,7 @@ def classification(
     if quick:
         protocol = protocol or ["inductive", "leak-probe"]
         chosen, count, duration_s = chosen or [OURS, "majority"], 5, 60.0
-    parts = measure(protocol or (), chosen, episodes or count, duration_s, jobs, data, out)
+    parts = measure(protocol or (), chosen, episodes or count, duration_s, jobs, out)
     _show("classification", parts, json, table)
 
 
@@ -119,9 +116,6 @@ def real_data(
     task: Annotated[
         str, option("behavior, classification: beliefs without labels, or prediction.")
     ] = "behavior",
-    leave_out: Annotated[
-        str, option("Of prediction: dataset, place or nothing.", "--leave-out")
-    ] = "dataset",
     jobs: Jobs = None,
     quick: Quick = False,
     json: Json = None,
@@ -136,7 +130,7 @@ def real_data(
     if task == "classification":
         parts = recorded_beliefs.measure(data, jobs=jobs)
     elif task == "prediction":
-        parts = prediction.measure(data, leave_out, 1 if quick else 4)
+        parts = prediction.measure(data, 1 if quick else 4)
     else:
         views = ("majority", "leak-probe", "unit-free") if quick else tuple(behavior.VIEWS)
         tasks = (2,) if quick else tuple(behavior.TASKS)
@@ -150,11 +144,6 @@ def prediction(
         list[str] | None,
         option("A name or module:function; repeat for several [default: all names]."),
     ] = None,
-    model: Annotated[str, option("The classifier whose beliefs are used.")] = "graphrqi-plus",
-    beliefs: Annotated[
-        list[str] | None,
-        option("classifier, truth, shuffled or uniform; repeat for several [default: all]."),
-    ] = None,
     episodes: Episodes = None,
     jobs: Jobs = None,
     quick: Quick = False,
@@ -166,14 +155,14 @@ def prediction(
     names = predictor or (QUICK if quick else ())
     duration_s = 30.0 if quick else None
     count = episodes or (2 if quick else 10)
-    _show("prediction", measure(count, duration_s, names, model, beliefs or (), jobs), json)
+    _show("prediction", measure(count, duration_s, names, jobs), json)
 
 
 @bench.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")
 def spectrum(
     graph: Annotated[
         list[str] | None,
-        option("road, crossing or city; repeat for several [default: road, crossing]."),
+        option("road or crossing; repeat for several [default: both]."),
     ] = None,
     size: Annotated[
         list[int] | None, option("Vehicles; repeat for several [default: 25 to 20000].")
@@ -224,6 +213,6 @@ def generate(quick: Quick = False, json: Json = None) -> None:
 @bench.command(epilog="example: graphrqi bench conflicts --quick --json rows.json")
 def conflicts(quick: Quick = False, json: Json = None) -> None:
     """Compare our conflicts with those of SUMO's own device, in the same episodes."""
-    from experiments.benchmarks.ssm import measure
+    from experiments.benchmarks.conflicts import measure
 
     _show("conflicts", measure((0,), 60.0) if quick else measure(range(3), 120.0), json)

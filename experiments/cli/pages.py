@@ -66,17 +66,13 @@ def replay(
     labels: Annotated[
         Path | None, file_option("From classify (default: made here).", metavar="FILE.parquet")
     ] = None,
-    predictions: Annotated[
-        Path | None, file_option("From predict (default: made here).", metavar="FILE.parquet")
-    ] = None,
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     predictor: Annotated[
-        str | None,
-        option("See graphrqi list; none for no predictions (default: graphrqi-predict).",
-               metavar="NAME", names="predictor"),
-    ] = None,
+        str,
+        option("See graphrqi list; none for no predictions.", metavar="NAME", names="predictor"),
+    ] = "graphrqi-predict",
     color: Annotated[
         str | None,
         option("At first: true, predicted, confidence, speed or w.", metavar="MODE"),
@@ -93,15 +89,15 @@ def replay(
 ) -> None:  # fmt: skip
     """Make a page that plays an episode in a browser."""
     from experiments.console.notices import say
-    from experiments.replay.write import ReplayOptions, write_replay
+    from experiments.replay.write import write_replay
 
-    refuse_to_overwrite([source, labels, predictions, net], [out, picture])
-    options = ReplayOptions(
-        episode=episode, labels=labels, predictions=predictions, format=format, net=net,
-        model=model, predictor=predictor, color=color, begin_s=begin_s, end_s=end_s,
-        picture=picture,
+    refuse_to_overwrite([source, labels, net], [out, picture])
+    written = write_replay(
+        source, out, episode=episode, labels=labels, format=format, net=net, model=model,
+        predictor=predictor, color=color, begin_s=begin_s, end_s=end_s, picture=picture,
+        quiet=quiet,
     )  # fmt: skip
-    for path in write_replay(source, out, options, quiet):
+    for path in written:
         say(str(path))
 
 

@@ -48,9 +48,6 @@ def what_if(
         option("Instead, say whose careful driving would have prevented each collision and near "
                "miss.", "--blame"),
     ] = False,
-    bystanders: Annotated[
-        int, option("With --blame: drivers beside the two parties to try.", min=0)
-    ] = 4,
     picture: Annotated[
         Path | None,
         file_option("Draw the paths over the factual ones too: .png, .pdf or .svg."),
@@ -74,7 +71,7 @@ def what_if(
 
     drawn = traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed)
     if blame:
-        _show_blame(drawn, episode, bystanders, seed, json)
+        _show_blame(drawn, episode, seed, json)
         return
     if at_s is None or agent is None or out is None:
         missing = "--at-s" if at_s is None else "--agent" if agent is None else "--out"
@@ -100,22 +97,19 @@ def what_if(
         write_paths(dataset, picture)
 
 
-def _show_blame(
-    config: GenerateConfig, episode: int, bystanders: int, seed: int, json: Path | None
-) -> None:
+def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | None) -> None:
     """Print a line for each incident of an episode and driver who was tried."""
     from experiments.console.tables import show_table
     from experiments.generate.episode import Task
     from experiments.score.rows import melted, stamped
-    from experiments.what_if.blame import judge, verdict_rows
+    from experiments.what_if.blame import judge
     from sim.scenario import sample_agents
 
     task = Task(config, config.scenarios[0], episode)
     made = config.scenario(task.scenario, episode)
     agents = sample_agents(made, task.seed)
-    verdicts = list(judge(made, agents, task.seed, config.engine, bystanders))
-    if verdicts or json is not None:
-        lines = verdict_rows(verdicts)
+    lines = list(judge(made, agents, task.seed, config.engine))
+    if lines or json is not None:
         keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
         show_table(stamped(melted(lines, keys), "what-if --blame", seed), json, lines=lines)
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,6 +25,10 @@ EVERY_S: Final = 0.5
 MAX_LOOKS: Final = 3_000_000
 """Most beliefs that are kept: agents times instants. Longer recordings have fewer instants (a page
 of some megabytes)."""
+
+
+CHANCES: Final = [f"p_{b.value}" for b in BEHAVIORS]
+"""Columns of a labels file with the probability of each behaviour."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,27 +64,21 @@ def kept_steps(tracks: Tracks) -> IntArray:
     Returns:
         (S,) ascending; the first is 0.
     """
-    if not tracks.time_s.size:
-        return np.empty(0, dtype=np.int64)
-    span_s = float(tracks.time_s[-1] - tracks.time_s[0])
-    steps_s = np.diff(tracks.time_s)
-    if (steps_s > EVERY_S).any():  # nobody is looked at in a break
-        span_s = float(np.minimum(steps_s, EVERY_S).sum())
-    wanted = tracks.ids.size * span_s / EVERY_S
-    return sampled(tracks, EVERY_S * max(1, math.ceil(wanted / MAX_LOOKS)))
+    steps = sampled(tracks, EVERY_S)
+    return steps[:: max(1, -(-tracks.ids.size * steps.size // MAX_LOOKS))]
 
 
 def sampled(tracks: Tracks, every_s: float) -> IntArray:
     """Indices of the first frame in every interval of so many seconds.
 
     Args:
-        tracks: an episode with a frame at least.
+        tracks: an episode.
         every_s: length of the intervals, s.
 
     Returns:
         (S,) ascending; the first is 0.
     """
-    slot = np.floor((tracks.time_s - tracks.time_s[0]) / every_s + 1e-6)
+    slot = np.floor((tracks.time_s - tracks.time_s[:1]) / every_s + 1e-6)
     return np.flatnonzero(np.diff(slot, prepend=-1.0) > 0)
 
 
@@ -129,69 +126,41 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
     Raises:
         InputError: if the file is not a labels file or does not speak of this episode.
     """
-    chances = [f"p_{b!s}" for b in BEHAVIORS]
-    table = episode_table(path, ["agent", "time_s", *chances], episode, "labels")
-    agent = agent_rows(path, table["agent"].to_numpy(), episode, tracks)
-    steps = kept_steps(tracks)
-    times = tracks.time_s[steps]
-    time_s = table["time_s"].to_numpy()
-    column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
-    here = np.abs(times[column] - time_s) < 1e-3
-    told = table[chances].to_numpy(dtype=np.float32)
-    if not (np.abs(told.sum(axis=1) - 1.0) < 1e-3).all():
-        raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
-    probability = _nothing(tracks, steps)
-    probability[agent[here], column[here]] = told[here]
-    return Beliefs(tracks.ids, times, probability)
-
-
-def episode_table(path: Path, columns: list[str], episode: str, what: str) -> pd.DataFrame:
-    """What a Parquet file that this project writes says of one episode.
-
-    Args:
-        path: the file.
-        columns: those that are read, beside ``episode``.
-        episode: whose rows.
-        what: what the rows are, for messages.
-
-    Returns:
-        The rows.
-
-    Raises:
-        InputError: if the file is broken, lacks a column, or has no row of the episode.
-    """
     path.stat()  # which says in the system's words that there is no such file
-    table = guarded_call(path, _read_table, path, columns, episode, what)
+    table = guarded_call(path, _read_labels, path, episode)
     if table.empty:
-        raise InputError(f"{path}: found no row of episode {episode}, expected its {what}")
-    empty = [name for name in columns if table[name].isna().any()]
+        raise InputError(f"{path}: found no row of episode {episode}, expected its labels")
+    empty = [name for name in table if table[name].isna().any()]
     if empty:
         raise InputError(f"{path}: found an empty {empty[0]}, expected one in every row")
-    return table
-
-
-def _read_table(path: Path, columns: list[str], episode: str, what: str) -> pd.DataFrame:
-    """The rows of an episode, read in the guarded child."""
-    try:
-        return pd.read_parquet(path, columns=columns, filters=[("episode", "==", episode)])
-    except (ValueError, OSError, KeyError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"{path}: {said:.120}, expected a file of {what}") from None
-
-
-def agent_rows(path: Path, agent: IntArray, episode: str, tracks: Tracks) -> IntArray:
-    """(m,) row in an episode's tracks of each agent id (m,).
-
-    Raises:
-        InputError: if it names somebody whom the episode does not have.
-    """
-    row: IntArray = np.minimum(np.searchsorted(tracks.ids, agent), tracks.ids.size - 1)
+    believed = table[CHANCES].to_numpy(dtype=np.float32)
+    if not (np.abs(believed.sum(axis=1) - 1.0) < 1e-3).all():
+        raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
+    agent, time_s = table["agent"].to_numpy(), table["time_s"].to_numpy()
+    row = np.minimum(np.searchsorted(tracks.ids, agent), tracks.ids.size - 1)
     strangers = agent[tracks.ids[row] != agent]
     if strangers.size:
         raise InputError(
             f"{path}: found agent {strangers[0]}, expected one of {episode}'s {tracks.ids.size}"
         )
-    return row
+    steps = kept_steps(tracks)
+    times = tracks.time_s[steps]
+    column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
+    here = np.abs(times[column] - time_s) < 1e-3
+    probability = _nothing(tracks, steps)
+    probability[row[here], column[here]] = believed[here]
+    return Beliefs(tracks.ids, times, probability)
+
+
+def _read_labels(path: Path, episode: str) -> pd.DataFrame:
+    """The rows of an episode, read in the guarded child."""
+    try:
+        return pd.read_parquet(
+            path, columns=["agent", "time_s", *CHANCES], filters=[("episode", "==", episode)]
+        )
+    except (ValueError, OSError, KeyError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: {said:.120}, expected a file of labels") from None
 
 
 def _nothing(tracks: Tracks, steps: IntArray) -> NDArray[np.float32]:

@@ -1,17 +1,15 @@
-"""Predictions over the time of an episode: made here, or read from a predictions file."""
+"""Predictions over the time of an episode."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
-from experiments.replay.beliefs import Beliefs, agent_rows, episode_table, sampled
+from experiments.replay.beliefs import Beliefs, sampled
 from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
@@ -30,8 +28,7 @@ LEAST_PROBABILITY: Final = 0.02
 
 MAX_FUTURES: Final = 1_000_000
 """Most futures that a page keeps (some 15 MB). If there are more, each agent's likeliest future is
-kept, then the likeliest of the others; if each agent's likeliest alone are too many, there are
-fewer predictions."""
+kept; if these alone are too many, there are fewer predictions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,11 +100,11 @@ def _kept(time_s: float, rows: IntArray, prediction: Prediction) -> Forecast:
 
 
 def likeliest(forecasts: Sequence[Forecast], most: int = MAX_FUTURES) -> list[Forecast]:
-    """The likeliest futures, at least one of each agent in every prediction.
+    """All futures, or each agent's likeliest in every prediction if they are too many.
 
     Args:
         forecasts: in order of time.
-        most: how many futures are kept in all, where that many are enough.
+        most: how many futures are kept in all.
 
     Examples:
         >>> one = Forecast(1.0, np.array([4, 4, 7]), np.array([0.6, 0.4, 1.0]), np.array([0.5]),
@@ -117,58 +114,10 @@ def likeliest(forecasts: Sequence[Forecast], most: int = MAX_FUTURES) -> list[Fo
     """
     if sum(one.agent.size for one in forecasts) <= most:
         return list(forecasts)
-    first = [np.diff(one.agent, prepend=-1) != 0 for one in forecasts]
-    rest = np.concatenate([one.probability[~f] for one, f in zip(forecasts, first, strict=True)])
-    room = max(0, most - sum(int(f.sum()) for f in first))
-    least = np.partition(rest, rest.size - room)[rest.size - room] if room else np.inf
     return [
         dataclasses.replace(
             one, agent=one.agent[kept], probability=one.probability[kept], xy=one.xy[kept]
         )
-        for one, f in zip(forecasts, first, strict=True)
-        for kept in [f | (one.probability > least)]
-    ]
-
-
-def read_forecasts(
-    path: Path, episode: str, tracks: Tracks, predictor: str | None = None
-) -> tuple[str, list[Forecast]]:
-    """What a predictions file says of one episode.
-
-    Args:
-        path: the Parquet file.
-        episode: whose rows.
-        tracks: that episode.
-        predictor: whose predictions; None for the first in the file.
-
-    Returns:
-        The predictor's name and its predictions, in order of time.
-
-    Raises:
-        InputError: if the file is not a predictions file or does not speak of this episode.
-    """
-    columns = ["predictor", "agent", "time_s", "mode", "probability", "ahead_s", "x_m", "y_m"]
-    table = episode_table(path, columns, episode, "predictions")
-    name = predictor or str(table["predictor"].iloc[0])
-    ours = table[table["predictor"] == name]
-    if ours.empty:
-        names = ", ".join(sorted(table["predictor"].unique()))
-        raise InputError(f"{path}: found no predictor {name!r}, expected one of {names}")
-    agent = agent_rows(path, ours["agent"].to_numpy(), episode, tracks)
-    time_s, mode, probability, ahead_s, x, y = ours[columns[2:]].to_numpy(dtype=np.float64).T
-    ahead = np.unique(ahead_s)
-    order = np.lexsort((ahead_s, mode, -probability, agent, time_s))
-    if order.size % ahead.size or (ahead_s[order].reshape(-1, ahead.size) != ahead).any():
-        raise InputError(f"{path}: found futures with different ahead_s, expected the same in all")
-    first = order[:: ahead.size]
-    xy = np.empty((first.size, ahead.size, 2))
-    xy[..., 0] = x[order].reshape(-1, ahead.size)
-    xy[..., 1] = y[order].reshape(-1, ahead.size)
-    kept = probability[first] >= LEAST_PROBABILITY
-    first, xy = first[kept], xy[kept]
-    borders = np.flatnonzero(np.diff(time_s[first])) + 1
-    return name, [
-        Forecast(float(time_s[now[0]]), agent[now], probability[now], ahead, places)
-        for now, places in zip(np.split(first, borders), np.split(xy, borders), strict=True)
-        if now.size
+        for one in forecasts
+        for kept in [np.diff(one.agent, prepend=-1) != 0]
     ]

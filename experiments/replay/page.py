@@ -1,7 +1,8 @@
 """The replay page: one HTML file that needs no other file and no network.
 
-Style and script are inlined from ``page/``; the page's own security policy lets exactly these run
-and nothing be fetched, so that a name in hostile data can neither act nor call out.
+All arrays of a page become one zlib stream, which browsers inflate themselves; ``page/data.js``
+reads it. Style and script are inlined from ``page/``; the page's own security policy lets exactly
+these run and nothing be fetched, so that a name in hostile data can neither act nor call out.
 """
 
 from __future__ import annotations
@@ -9,25 +10,26 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.labels import BEHAVIORS, TRAITS
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.replay.packing import differences, pack, quantum
-from experiments.replay.ramp import ramp_color
 from experiments.replay.scene import ReplayScene
 from graphrqi.posterior import LABEL_PROBABILITY
 from sim.files import write_whole
 from sim.formats import FORMATS
-from sim.frames import KINDS, SIGNALS, Event, EventKind, FloatArray, IntArray, Tracks
+from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray, Tracks
 from sim.road.shapes import road_shapes
 
 SCRIPTS: Final = (
@@ -35,27 +37,36 @@ SCRIPTS: Final = (
 )  # fmt: skip
 """In the order in which they are joined."""
 
-POSITION_QUANTUM: Final = 0.01
-"""Places are kept to this, m or pixels (a twentieth of a pixel on a screen)."""
-
-FUTURE_QUANTUM: Final = 0.1
-"""Places of futures are kept to this, m or pixels (they are not known so well)."""
-
-TURN: Final = 4096
-"""Headings are kept as this many parts of a circle (0.09 degrees)."""
-
-SPEED_QUANTUM: Final = 0.05
-"""Speeds are kept to this, m/s (more than the panel shows)."""
+UNITS: Final = {"x": 0.01, "y": 0.01, "heading": 0.0015, "speed": 0.05, "future": 0.1}
+"""What places (m or pixels), headings (rad), speeds and places of futures are rounded to."""
 
 MODES: Final = ("true", "predicted", "confidence", "speed", "w")
 """What agents can be coloured by."""
 
 RAMP_STOPS: Final = 17
 
+RAMP_BEGIN: Final = 0.12
+"""Where in viridis the ramp begins (darker colours could not be seen on a dark road)."""
+
+
+def ramp_color(share: float) -> str:
+    """The colour of a share, 0 to 1, as in HTML: viridis without its darkest end.
+
+    Examples:
+        >>> ramp_color(1.0), ramp_color(7.0)
+        ('#fde725', '#fde725')
+    """
+    place = RAMP_BEGIN + (1.0 - RAMP_BEGIN) * min(max(share, 0.0), 1.0)
+    return str(to_hex(colormaps["viridis"](place)))
+
 
 def ramp() -> list[str]:
     """Colours of a scale from low to high; the page interpolates between them."""
     return [ramp_color(share) for share in np.linspace(0.0, 1.0, RAMP_STOPS)]
+
+
+DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i4": "Int32", "f4": "Float32"}
+"""Little-endian numbers that a browser reads as typed arrays."""
 
 
 def default_mode(scene: ReplayScene) -> str:
@@ -115,11 +126,10 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
     tracks = scene.tracks
     begin_s = float(tracks.time_s[0])
     arrays: dict[str, NDArray[Any]] = {"time": (tracks.time_s - begin_s).astype("f4")}
-    meta = _places(scene, arrays)
+    _places(tracks, arrays)
     _beliefs(scene, arrays)
-    meta |= _graph(scene, arrays)
-    meta |= _ghosts(scene, arrays)
-    meta |= _forecasts(scene, arrays, meta["quantum"])
+    _graph(scene, arrays)
+    meta: dict[str, Any] = {"ghosts": _ghosts(scene, arrays), "ahead": _forecasts(scene, arrays)}
     if tracks.signals.size:
         meta["signals"] = _signal_changes(tracks.signals)
     index, packed = pack(arrays)
@@ -138,6 +148,8 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "notes": list(scene.notes),
         "unit": scene.unit,
         "begin": begin_s,
+        "units": UNITS,
+        "extent": _extent(scene),
         "open": {"mode": mode, "at": _opening_s(scene) if begin_at_s is None else begin_at_s},
         "behaviors": [
             {"name": str(b), "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
@@ -156,7 +168,6 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
                 "agent": _row(tracks.ids, e.agent),
                 "other": -1 if e.other is None else _row(tracks.ids, e.other),
                 "rule": e.words if e.kind is EventKind.NEAR_MISS else e.rule,
-                "outlines": _outlines(tracks, e),
             }
             for e in tracks.events
         ],
@@ -176,24 +187,6 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "index": index,
         "packed": packed,
     }
-
-
-def _outlines(tracks: Tracks, event: Event) -> list[list[float]]:
-    """The outlines of both parties of a near miss at its time, as corners; else nothing."""
-    if event.kind is not EventKind.NEAR_MISS:
-        return []
-    step = min(int(np.searchsorted(tracks.time_s, event.time_s - 1e-6)), tracks.time_s.size - 1)
-    agents = [_row(tracks.ids, agent) for agent in (event.agent, event.other or 0)]
-    row, there = tracks.rows.index.find(np.array(agents), np.full(2, step))
-    if min(agents) < 0 or not there.all():
-        return []
-    rows = tracks.rows
-    long, wide = tracks.length[agents, None], tracks.width[agents, None]
-    ahead = np.stack([np.cos(rows.heading[row]), np.sin(rows.heading[row])], axis=1)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
-    signs = ((1, 1), (1, -1), (-1, -1), (-1, 1))
-    corners = [rows.xy[row] + (a * long * ahead + b * wide * left) / 2.0 for a, b in signs]
-    return _many(tuple(np.stack(corners, axis=1)))
 
 
 def _opening_s(scene: ReplayScene) -> float:
@@ -228,51 +221,33 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
                 "profile": None
                 if profile is None
                 else [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS],
-                "numbers": [],
             }
         )
     return found
 
 
-def _places(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The agents' places, as runs of steps without a gap."""
-    tracks = scene.tracks
+def _places(tracks: Tracks, arrays: dict[str, NDArray[Any]]) -> None:
+    """The agents' places, one after another, and the runs of steps without a gap."""
     seen = tracks.rows
-    agent, step, xy = seen.index.agent, seen.index.step, seen.xy
+    agent, step = seen.index.agent, seen.index.step
+    columns = {
+        "x": seen.xy[:, 0], "y": seen.xy[:, 1], "heading": np.unwrap(seen.heading),
+        "speed": seen.speed,
+    }  # fmt: skip
+    for name, values in columns.items():
+        arrays[name] = differences(values, UNITS[name])
     begins = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
-    inside = np.ones(agent.size, dtype=bool)
-    inside[begins] = False
-    low = xy.min(axis=0)
-    moved = np.diff(xy, axis=0, prepend=xy[:1])[inside]
-    unit = quantum(moved, POSITION_QUANTUM)
-    for name, values in (("x", xy[:, 0] - low[0]), ("y", xy[:, 1] - low[1])):
-        arrays[f"{name}First"], arrays[f"{name}Steps"] = differences(values, begins, unit)
-    turned = np.rint(seen.heading * (TURN / (2 * np.pi))).astype(np.int64)
-    change = np.diff(turned, prepend=turned[:1])
-    change = (change + TURN // 2) % TURN - TURN // 2
-    change[begins] = turned[begins]
-    arrays["headingSteps"] = change.astype(np.int16)
-    fastest = quantum(seen.speed, SPEED_QUANTUM)
-    _, arrays["speedSteps"] = differences(seen.speed, begins, fastest)
-    arrays["speedFirst"] = np.rint(seen.speed[begins] / fastest).astype("i2")
     arrays["runAgent"] = agent[begins].astype("u2")
     arrays["runStep"] = step[begins].astype("i4")
     arrays["runSize"] = np.diff(begins, append=agent.size).astype("i4")
-    return {
-        "quantum": unit,
-        "origin": [float(low[0]), float(low[1])],
-        "turn": TURN,
-        "speedQuantum": fastest,
-        "extent": _extent(scene, xy),
-    }
 
 
-def _extent(scene: ReplayScene, xy: FloatArray) -> list[float]:
+def _extent(scene: ReplayScene) -> list[float]:
     """x0, y0, x1, y1 of what is worth showing."""
     if scene.road is not None:
         return [round(v, 2) for v in scene.road.bounds]
-    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
-    return [round(float(v), 2) for v in (x0, y0, x1, y1)]
+    xy = scene.tracks.rows.xy
+    return _flat(np.stack([xy.min(axis=0), xy.max(axis=0)]))
 
 
 def _beliefs(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
@@ -282,7 +257,7 @@ def _beliefs(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
     arrays["belief"] = np.rint(np.nan_to_num(probability) * 255.0).astype("u1").ravel()
 
 
-def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
     """|w| as roots in 254ths of the largest, 255 for nobody; edges by sample."""
     w = scene.graph.w
     largest = np.nan_to_num(w).max(axis=0, initial=0.0)
@@ -292,43 +267,32 @@ def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any
     arrays["w"] = shown.astype("u1").ravel()
     arrays["wLargest"] = largest.astype("f4")
     edges = scene.graph.edges[np.argsort(scene.graph.edges[:, 2], kind="stable")]
-    for i, name in enumerate(("edgeA", "edgeB")):
-        arrays[name] = edges[:, i].astype("u2")
+    arrays["edgeA"], arrays["edgeB"] = edges[:, 0].astype("u2"), edges[:, 1].astype("u2")
     arrays["edgeBegin"], arrays["edgeEnd"] = edges[:, 2].astype("i4"), edges[:, 3].astype("i4")
-    return {}
 
 
-def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """The agents' places in the factual episode."""
+def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """Sizes of the agents of the factual episode; their places where these differ."""
     ghosts = scene.ghosts
     if ghosts is None:
-        return {"ghosts": []}
-    origin = scene.tracks.rows.xy.min(axis=0)
+        return []
     arrays["ghostOf"] = ghosts.ghost.astype("u2")
     arrays["ghostStep"] = ghosts.step.astype("i4")
-    arrays["ghostXY"] = (ghosts.xy - origin).astype("f4").ravel()
+    arrays["ghostXY"] = differences(ghosts.xy, UNITS["x"])
     arrays["ghostHeading"] = ghosts.heading.astype("f4")
     sizes = zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)
-    return {
-        "ghosts": [
-            {"kind": int(k), "length": round(float(a), 2), "width": round(float(b), 2)}
-            for k, a, b in sizes
-        ]
-    }
+    return [
+        {"kind": int(k), "length": round(float(a), 2), "width": round(float(b), 2)}
+        for k, a, b in sizes
+    ]
 
 
-def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]], unit: float) -> dict[str, Any]:
-    """Futures, each as its first place and how the steps between its places change."""
+def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[float]:
+    """Times ahead of the places of futures, s; futures one after another."""
     if not scene.forecasts:
-        return {"ahead": []}
-    origin = scene.tracks.rows.xy.min(axis=0)
-    xy = np.concatenate([f.xy for f in scene.forecasts]) - origin
-    steps = np.diff(xy, axis=1)
-    coarse = max(quantum(2.0 * steps, FUTURE_QUANTUM), unit)
-    whole = np.rint(xy / coarse).astype(np.int64)
-    arrays["futureFirst"] = whole[:, 0].astype("i4").ravel()
-    changes = np.diff(np.diff(whole, axis=1), axis=1, prepend=0)
-    arrays["futureChanges"] = changes.astype("i2").ravel()
+        return []
+    xy = np.concatenate([f.xy for f in scene.forecasts])
+    arrays["future"] = differences(xy.reshape(-1, 2), UNITS["future"])
     arrays["futureAgent"] = np.concatenate([f.agent for f in scene.forecasts]).astype("u2")
     likely = np.concatenate([f.probability for f in scene.forecasts])
     arrays["futureProbability"] = np.rint(likely * 255.0).astype("u1")
@@ -336,7 +300,7 @@ def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]], unit: float)
     arrays["forecastTime"] = times.astype("f4")
     begins = np.cumsum([0, *(f.agent.size for f in scene.forecasts)])
     arrays["forecastBegin"] = begins.astype("i4")
-    return {"ahead": scene.forecasts[0].ahead_s.tolist(), "futureQuantum": coarse}
+    return [float(each) for each in scene.forecasts[0].ahead_s]
 
 
 def _signal_changes(signals: NDArray[np.int8]) -> list[list[list[int]]]:
@@ -352,20 +316,53 @@ def _flat(shape: FloatArray) -> list[float]:
     return [round(v, 2) for v in shape.ravel().tolist()]
 
 
-def _many(shapes: Sequence[FloatArray]) -> list[list[float]]:
-    return [_flat(shape) for shape in shapes]
-
-
 def _road(scene: ReplayScene) -> dict[str, Any] | None:
     if scene.road is None:
         return None
     shapes = road_shapes(scene.road)
+    lines = ("paving", "asphalt", "dashes", "edges", "middles", "bars")
     return {
-        "paving": _many(shapes.paving),
-        "asphalt": _many(shapes.asphalt),
-        "dashes": _many(tuple(shapes.dashes)),
-        "edges": _many(shapes.edges),
-        "middles": _many(shapes.middles),
-        "bars": _many(shapes.bars),
+        **{name: [_flat(shape) for shape in getattr(shapes, name)] for name in lines},
         "stops": [{"line": _flat(stop.line), "signal": stop.signal} for stop in shapes.stops],
     }
+
+
+def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]:
+    """Put arrays into one text.
+
+    Args:
+        arrays: by name, each of a type in ``DTYPES``.
+
+    Returns:
+        What is where (by name: type, offset in bytes, count), and the text.
+
+    Examples:
+        >>> index, text = pack({"a": np.array([1, 2], dtype="<u2")})
+        >>> index, list(zlib.decompress(base64.b64decode(text)))
+        ({'a': ['Uint16', 0, 2]}, [1, 0, 2, 0])
+    """
+    index: dict[str, list[Any]] = {}
+    parts: list[bytes] = []
+    offset = 0
+    for name, array in arrays.items():
+        kind = array.dtype.newbyteorder("<").str.lstrip("<|")
+        data = np.ascontiguousarray(array, dtype=f"<{kind}").tobytes()
+        index[name] = [DTYPES[kind], offset, array.size]
+        data += bytes(-len(data) % 4)  # a typed array begins at a multiple of its size
+        parts.append(data)
+        offset += len(data)
+    return index, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode()
+
+
+def differences(values: FloatArray, unit: float) -> NDArray[np.int32]:
+    """Rounded values (n, ...) as differences along the first axis, as flat numbers.
+
+    Args:
+        values: the values.
+        unit: what they are rounded to.
+
+    Examples:
+        >>> differences(np.array([1.0, 1.5, 9.0]), 0.5).tolist()
+        [2, 1, 15]
+    """
+    return np.diff(np.rint(values / unit), axis=0, prepend=0).astype(np.int32).ravel()

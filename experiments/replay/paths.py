@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from behaviors.colors import COLORS
 from behaviors.labels import OWN_COLOR
 from experiments.figure_files import check_figure_file, write_figure
-from experiments.replay.pictures import ASPHALT, INK, MUTED, PAINT, PAVING
+from experiments.replay.pictures import INK, LONG, MUTED, draw_road
 from experiments.what_if.branches import branch_of, change_of
 from experiments.what_if.outcomes import INCIDENTS, branches_of, factual_of, new_incidents
-from sim.frames import Event, FloatArray, Tracks
+from sim.frames import FloatArray, Tracks
 from sim.road import Road
-from sim.road.shapes import road_shapes
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 AFFECTED_M: Final = 1.0
-"""Agents that are ever this far from where they factually were are drawn, m."""
+"""Agents that are ever this far from where they factually were are affected, m."""
 
 DRAWN_OTHERS: Final = 8
 """Most others that are drawn: those that differ most."""
@@ -30,29 +32,6 @@ FACTUAL: Final = "#7A8390"
 
 ACTION: Final = "#7A2E8E"
 """Colour of an action."""
-
-LONG: Final = 4.0
-"""From this ratio of its sides on, a road is drawn wider than it is."""
-
-
-def separations(factual: Tracks, other: Tracks) -> dict[int, FloatArray]:
-    """How far each agent is from where it factually was.
-
-    Args:
-        factual: what happened.
-        other: a continuation whose times are among the factual ones.
-
-    Returns:
-        By agent id, (T,) m at each time of ``other``; NaN where the agent is not in both.
-    """
-    columns = np.searchsorted(factual.time_s, other.time_s - 1e-6)
-    found = {}
-    for row, agent in enumerate(other.ids.tolist()):
-        there = int(np.searchsorted(factual.ids, agent))
-        if there < factual.ids.size and factual.ids[there] == agent:
-            apart = other.xy[row] - factual.xy[there][columns]
-            found[int(agent)] = np.hypot(apart[:, 0], apart[:, 1])
-    return found
 
 
 def write_paths(dataset: Dataset, path: Path) -> None:
@@ -81,111 +60,75 @@ def write_paths(dataset: Dataset, path: Path) -> None:
 
 
 def _draw(
-    plan: Any, course: Any, entry: EpisodeEntry, factual: Tracks, other: Tracks, road: Road | None
-) -> None:
+    plan: Axes, course: Axes, entry: EpisodeEntry, factual: Tracks, other: Tracks,
+    road: Road | None,
+) -> None:  # fmt: skip
     """Draw one change: on the left the paths on the road, on the right distances over time."""
     branch = branch_of(entry) or {}
     since_s, agent, change = float(branch["at_s"]), int(branch["agent"]), change_of(entry)
     color = COLORS.get(change, OWN_COLOR) if "behavior" in branch else ACTION
-    apart = {i: float(np.nanmax(d)) for i, d in separations(factual, other).items() if _known(d)}
+    apart = _separations(factual, other)
     affected = sorted((i for i, d in apart.items() if d > AFFECTED_M), key=lambda i: -apart[i])
     others = [i for i in affected if i != agent]
-    drawn = [agent, *others[:DRAWN_OTHERS]]
-    _draw_plan(plan, road, factual, other, drawn, color, since_s)
-    _draw_course(course, factual, other, drawn, color, since_s)
-    known = [e for e in factual.events if e.time_s > since_s]
-    for event in new_incidents(other.events, known):
-        _mark(plan, course, event, other, INK, drawn)
-    for event in new_incidents(known, other.events):
-        _mark(plan, course, event, factual, FACTUAL, drawn)
-    plan.set_title(
-        f"driver {agent} from {since_s:g} s on: {change}; {len(others)} others affected",
-        loc="left", fontsize=11, color=INK,
-    )  # fmt: skip
+    if road is not None:
+        draw_road(plan, road, 0.7)
+    for name in (agent, *others[:DRAWN_OTHERS]):
+        own = name == agent
+        start = _path(factual, name, since_s)[1][:1]
+        for tracks, paint, dashes in ((factual, FACTUAL, "--"), (other, color, "-")):
+            time_s, xy = _path(tracks, name, since_s)
+            if not len(xy):
+                continue
+            wide = 3.4 if tracks is factual else 1.8
+            plan.plot(*xy.T, color=paint, linewidth=wide if own else wide / 2, zorder=3 + own)
+            plan.plot(*xy[-1], "o", color=paint, markersize=6 if own else 3, zorder=6)
+            style: dict[str, Any] = {"color": paint, "linestyle": dashes}
+            if own:
+                done = "factual" if tracks is factual else "changed"
+                style["label"] = f"driver {agent}, {done}"
+            moved = np.hypot(*np.diff(xy, axis=0, prepend=start if len(start) else xy[:1]).T)
+            course.plot(time_s, np.cumsum(moved), linewidth=2.4 if own else 0.9, **style)
+    known = [event for event in factual.events if event.time_s > since_s]
+    for tracks, events, paint in (
+        (other, new_incidents(other.events, known), INK),
+        (factual, new_incidents(known, other.events), FACTUAL),
+    ):
+        for event in events:
+            _, xy = _path(tracks, event.agent, event.time_s)
+            marker = "X" if event.kind is INCIDENTS[0] else "^"
+            plan.plot(*xy[:1].T, marker, color=paint, markersize=9, zorder=8)
+            course.axvline(event.time_s, color=paint, linewidth=0.8, linestyle=":")
+    plan.set(xlabel="x, m", ylabel="y, m")
+    title = f"driver {agent} from {since_s:g} s on: {change}; {len(others)} others affected"
+    plan.set_title(title, loc="left", fontsize=11, color=INK)
+    _zoom(plan)
+    course.set(xlabel="time, s", ylabel="way gone since the instant, m")
+    course.legend(frameon=False, fontsize=9)
+    course.set_title("thin: the others who differ most", loc="right", fontsize=9, color=MUTED)
 
 
-def _known(distances: FloatArray) -> bool:
-    return bool(np.isfinite(distances).any())
+def _zoom(plan: Axes) -> None:
+    """Show the paths, not the whole road."""
+    xy = np.concatenate([line.get_xydata() for line in plan.lines])
+    low, high = xy.min(axis=0) - 6.0, xy.max(axis=0) + 6.0
+    plan.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    sides = np.sort(high - low)
+    plan.set_aspect("auto" if sides[1] > LONG * sides[0] else "equal")
+
+
+def _separations(factual: Tracks, other: Tracks) -> dict[int, float]:
+    """By agent id, the farthest that each agent is from where it factually was, m."""
+    columns = np.searchsorted(factual.time_s, other.time_s - 1e-6)
+    both, mine, theirs = np.intersect1d(other.ids, factual.ids, return_indices=True)
+    apart = other.xy[mine] - factual.xy[theirs][:, columns]
+    farthest = np.nan_to_num(np.hypot(apart[..., 0], apart[..., 1])).max(axis=1, initial=0.0)
+    return dict(zip(both.tolist(), farthest.tolist(), strict=True))
 
 
 def _path(tracks: Tracks, agent: int, since_s: float) -> tuple[FloatArray, FloatArray]:
     """(k,) times and (k, 2) places of an agent from an instant on."""
-    row = int(np.searchsorted(tracks.ids, agent))
-    if row >= tracks.ids.size or tracks.ids[row] != agent:
+    row = np.flatnonzero(tracks.ids == agent)
+    if not row.size:
         return np.empty(0), np.empty((0, 2))
-    columns = np.flatnonzero(tracks.valid[row] & (tracks.time_s > since_s - 1e-6))
-    return tracks.time_s[columns], tracks.xy[row, columns]
-
-
-def _draw_plan(
-    plan: Any, road: Road | None, factual: Tracks, other: Tracks, drawn: list[int], color: str,
-    since_s: float,
-) -> None:  # fmt: skip
-    if road is not None:
-        shapes = road_shapes(road)
-        for fill, polygons in ((PAVING, shapes.paving), (ASPHALT, shapes.asphalt)):
-            for polygon in polygons:
-                plan.fill(polygon[:, 0], polygon[:, 1], color=fill, linewidth=0)
-        for line in (*shapes.edges, *shapes.dashes):
-            plan.plot(line[:, 0], line[:, 1], color=PAINT, linewidth=0.7)
-    places = []
-    for order, agent in enumerate(drawn):
-        own = order == 0
-        _, before = _path(factual, agent, since_s)
-        _, after = _path(other, agent, since_s)
-        places += [before, after]
-        style = {"linewidth": 3.4 if own else 2.0, "solid_capstyle": "round"}
-        plan.plot(before[:, 0], before[:, 1], color=FACTUAL, alpha=0.55, zorder=3, **style)
-        style = {"linewidth": 1.8 if own else 0.9}
-        plan.plot(after[:, 0], after[:, 1], color=color, zorder=4 + own, **style)
-        for way, paint in ((before, FACTUAL), (after, color)):
-            if len(way):
-                plan.plot(*way[-1], "o", color=paint, markersize=6 if own else 3, zorder=6)
-    xy = np.concatenate(places)
-    (x0, y0), (x1, y1) = xy.min(axis=0) - 6.0, xy.max(axis=0) + 6.0
-    plan.set_xlim(x0, x1)
-    plan.set_ylim(y0, y1)
-    long = max(x1 - x0, y1 - y0) > LONG * min(x1 - x0, y1 - y0)
-    plan.set_aspect("auto" if long else "equal")
-    plan.set_xlabel("x, m")
-    plan.set_ylabel("y, m")
-
-
-def _draw_course(
-    course: Any, factual: Tracks, other: Tracks, drawn: list[int], color: str, since_s: float
-) -> None:
-    for order, agent in enumerate(drawn):
-        own = order == 0
-        start = _path(factual, agent, since_s)[1][:1]
-        for tracks, paint, named in ((factual, FACTUAL, "factual"), (other, color, "changed")):
-            time_s, xy = _path(tracks, agent, since_s)
-            course.plot(
-                time_s, _way(xy, start), color=paint, linewidth=2.4 if own else 0.9,
-                linestyle="--" if named == "factual" else "-", alpha=1.0 if own else 0.7,
-                label=f"driver {drawn[0]}, {named}" if own else None,
-            )  # fmt: skip
-    course.set_xlabel("time, s")
-    course.set_ylabel("way gone since the instant, m")
-    course.legend(frameon=False, fontsize=9)
-    course.grid(color="#E3E6EA", linewidth=0.6)
-    course.set_title(f"thin: the {len(drawn) - 1} others who differ most", loc="right",
-                     fontsize=9, color=MUTED)  # fmt: skip
-
-
-def _way(xy: FloatArray, start: FloatArray) -> FloatArray:
-    """(k,) distance along the path from its start, m."""
-    moved = np.diff(xy, axis=0, prepend=start if len(start) else xy[:1])
-    return np.cumsum(np.hypot(moved[:, 0], moved[:, 1]))
-
-
-def _mark(
-    plan: Any, course: Any, event: Event, tracks: Tracks, color: str, drawn: list[int]
-) -> None:
-    """A cross for a collision, a triangle for a near miss, where the first party was."""
-    marker = "X" if event.kind is INCIDENTS[0] else "^"
-    time_s, xy = _path(tracks, event.agent, event.time_s)
-    if not len(xy):
-        return
-    plan.plot(*xy[0], marker, color=color, markersize=9, markeredgecolor="white", zorder=8)
-    if event.agent in drawn:
-        course.axvline(float(time_s[0]), color=color, linewidth=0.8, linestyle=":")
+    columns = np.flatnonzero(tracks.valid[row[0]] & (tracks.time_s > since_s - 1e-6))
+    return tracks.time_s[columns], tracks.xy[row[0], columns]

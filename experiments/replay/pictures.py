@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
@@ -14,10 +13,11 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.figure_files import write_figure
-from experiments.replay.ramp import ramp_color
+from experiments.replay.page import ramp_color
 from experiments.replay.scene import ReplayScene
 from sim.files import write_whole
 from sim.frames import PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
+from sim.road import Road
 from sim.road.shapes import road_shapes
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ BODY: Final = np.array([(1, 0.6), (0.7, 1), (-1, 1), (-1, -1), (0.7, -1), (1, -0
 """Outline of a vehicle, in halves of its length and of its width."""
 
 LONG: Final = 4.0
-"""A scene whose sides have a larger ratio is turned until it lies, and folded into rows."""
+"""A scene that is this many times as long as high is folded into rows."""
 
 MOST_ROWS: Final = 10
 
@@ -55,57 +55,51 @@ LEAST_PX: Final = (6.0, 4.0)
 EVENT_S: Final = 1.5
 """How long a collision stays marked, s."""
 
-FILMS: Final = {".mp4": (20, (1280, 720)), ".gif": (10, (960, 540))}
-"""Frames per second and size in pixels of a film, by the file's ending; it plays in real time."""
+FILMS: Final = {".mp4": (1280, 720), ".gif": (960, 540)}
+"""Size in pixels of a film, by the file's ending."""
 
-MOST_FRAMES: Final = 20_000
+FILM_HZ: Final = 10
+"""Frames per second of a film, which plays in real time."""
+
+MOST_FRAMES: Final = 10_000
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """How a scene is folded into the rows of a picture.
+def draw_road(axes: Axes, road: Road, width: float) -> None:
+    """Draw what never moves of a road.
 
-    Attributes:
-        turned: whether the scene is turned by a quarter.
-        scale: pixels per metre.
-        rows: the middle (u, v) of each row's part of the scene, m.
+    Args:
+        axes: where to draw.
+        road: the road.
+        width: of the lines, points.
     """
+    from matplotlib.collections import LineCollection, PolyCollection
 
-    turned: bool
-    scale: float
-    rows: tuple[tuple[float, float], ...]
+    shapes = road_shapes(road)
+    for color, polygons in ((PAVING, shapes.paving), (ASPHALT, shapes.asphalt),
+                            (PAINT, shapes.bars)):  # fmt: skip
+        axes.add_collection(PolyCollection(polygons, facecolors=color, linewidths=0, zorder=1))
+    for color, lines in ((PAINT, [*shapes.edges, *shapes.dashes]), (MIDDLE, shapes.middles)):
+        axes.add_collection(LineCollection(lines, colors=color, linewidths=width, zorder=1))
 
-    @classmethod
-    def of(cls, extent: tuple[float, float, float, float], width: int, height: int) -> Layout:
-        """The layout that shows an extent as large as possible.
 
-        Args:
-            extent: x0, y0, x1, y1 of what is shown, m.
-            width: pixels.
-            height: of all rows together, pixels.
+def rows_of(extent: tuple[float, float, float, float], width: int, height: int) -> int:
+    """How many rows show an extent as large as possible.
 
-        Examples:
-            >>> [len(Layout.of((0, 0, size, 12), 1280, 630).rows) for size in (12, 800)]
-            [1, 6]
-        """
-        x0, y0, x1, y1 = extent
-        turned = y1 - y0 > LONG * (x1 - x0)
-        u0, v0, u1, v1 = (y0, -x1, y1, -x0) if turned else extent
-        many = range(1, MOST_ROWS + 1) if u1 - u0 > LONG * (v1 - v0) else range(1, 2)
-        scales = {
-            n: min(width * n / (u1 - u0), (height - GAP_PX * (n - 1)) / n / (v1 - v0)) for n in many
-        }
-        best = max(scales, key=lambda n: (round(scales[n], 6), -n))
-        step, v = (u1 - u0) / best, 0.5 * (v0 + v1)
-        return cls(
-            turned, scales[best], tuple((u0 + (n + 0.5) * step, v) for n in range(best))
-        )  # fmt: skip
+    Args:
+        extent: x0, y0, x1, y1 of what is shown, m.
+        width: pixels.
+        height: of all rows together, pixels.
 
-    def places(self, xy: FloatArray) -> FloatArray:
-        """Places (..., 2) in the turned scene, m."""
-        if not self.turned:
-            return xy
-        return np.stack([xy[..., 1], -xy[..., 0]], axis=-1)
+    Examples:
+        >>> [rows_of((0, 0, size, 12), 1280, 630) for size in (12, 800)]
+        [1, 6]
+    """
+    long, high = extent[2] - extent[0], extent[3] - extent[1]
+    if long <= LONG * high:
+        return 1
+    rows = np.arange(1, MOST_ROWS + 1)
+    scales = np.minimum(width * rows / long, (height - GAP_PX * (rows - 1)) / rows / high)
+    return int(rows[scales.argmax()])
 
 
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
@@ -142,19 +136,22 @@ class Drawing:
         self.scene, self.mode = scene, mode
         width, height = size
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-        tall = height - HEAD_PX - FOOT_PX
-        self.layout = Layout.of(shown_extent(scene), width, tall)
         self.fastest = max(1.0, float(np.quantile(scene.tracks.rows.speed, 0.995)))
-        self._shapes = None if scene.road is None else road_shapes(scene.road)
-        self._axes: list[Axes] = []
+        self._stops = () if scene.road is None else road_shapes(scene.road).stops
         self._moving: list[Artist] = []
-        many = len(self.layout.rows)
+        tall = height - HEAD_PX - FOOT_PX
+        x0, y0, x1, y1 = extent = shown_extent(scene)
+        many = rows_of(extent, width, tall)
         each = (tall - GAP_PX * (many - 1)) / many
-        for row, (u, v) in enumerate(self.layout.rows):
+        self.scale = min(width * many / (x1 - x0), each / (y1 - y0))
+        self._thin = max(0.5, 0.14 * self.scale * 72 / DPI)
+        half = width / self.scale / 2, each / self.scale / 2
+        self._axes: list[Axes] = []
+        for row in range(many):
             bottom = FOOT_PX + (many - 1 - row) * (each + GAP_PX)
             axes = self.figure.add_axes((0.0, bottom / height, 1.0, each / height))
-            half = width / self.layout.scale / 2, each / self.layout.scale / 2
-            axes.set(xlim=(u - half[0], u + half[0]), ylim=(v - half[1], v + half[1]))
+            x, y = x0 + (row + 0.5) * (x1 - x0) / many, (y0 + y1) / 2
+            axes.set(xlim=(x - half[0], x + half[0]), ylim=(y - half[1], y + half[1]))
             axes.set(xticks=[], yticks=[], facecolor=GROUND)
             axes.spines[:].set_visible(False)
             self._axes.append(axes)
@@ -174,15 +171,17 @@ class Drawing:
         for artist in self._moving:
             artist.remove()
         self._clock.set_text(f"{time_s:.1f} s")
-        rows, xy, heading, speed = self._present(time_s)
-        colors = self._colors(rows, speed, time_s)
+        seen = self.scene.tracks.rows
+        at = seen.index.at(self._step(time_s))
+        rows, xy = seen.index.agent[at], seen.xy[at]
+        colors = self._colors(rows, seen.speed[at], time_s)
         lines, inks, width = self._overlay(rows, xy, colors, time_s)
-        bodies = [self._body(*one) for one in zip(rows, xy, heading, strict=True)]
+        bodies = [self._body(*one) for one in zip(rows, xy, seen.heading[at], strict=True)]
         self._moving = [
-            *self._stops(time_s),
+            *self._draw_stops(time_s),
             *self._lines(lines, inks, width, 3),
             *self._lines(self._ghosts(time_s), MUTED, 0.8, 4, linestyles="--"),
-            *self._polygons(bodies, colors, 5, edgecolors=INK, linewidths=0.7),
+            *self._bodies(bodies, colors),
             *self._collisions(time_s),
         ]
         return self.figure
@@ -193,37 +192,29 @@ class Drawing:
         """Add lines to every row."""
         from matplotlib.collections import LineCollection
 
-        places, style = [self.layout.places(line) for line in lines], {"colors": colors, **style}
-        return [
-            axes.add_collection(LineCollection(places, linewidths=width, zorder=zorder, **style))
-            for axes in (self._axes if places else ())
-        ]
+        style = {"colors": colors, "linewidths": width, "zorder": zorder, **style}
+        rows = self._axes if len(lines) else ()
+        return [axes.add_collection(LineCollection(lines, **style)) for axes in rows]
 
-    def _polygons(self, polygons: Any, colors: Any, zorder: int, **style: Any) -> list[Artist]:
-        """Add filled outlines to every row."""
+    def _bodies(self, outlines: list[FloatArray], colors: list[str]) -> list[Artist]:
+        """Add the agents to every row."""
         from matplotlib.collections import PolyCollection
 
-        places = [self.layout.places(polygon) for polygon in polygons]
+        style: dict[str, Any] = {"edgecolors": INK, "linewidths": 0.7, "zorder": 5}
         return [
-            axes.add_collection(PolyCollection(places, facecolors=colors, zorder=zorder, **style))
-            for axes in (self._axes if places else ())
+            axes.add_collection(PolyCollection(outlines, facecolors=colors, **style))
+            for axes in self._axes
         ]
 
     def _draw_ground(self) -> None:
         """Draw what does not move."""
-        shapes = self._shapes
-        if shapes is None:
+        if self.scene.road is None:
             seen = self.scene.tracks.rows
             paths = [seen.xy[seen.index.rows(row)] for row in range(self.scene.tracks.ids.size)]
             self._lines([p for p in paths if len(p) > 1], TRACK, 1.0, 1)
             return
-        for color, polygons in (
-            (PAVING, shapes.paving), (ASPHALT, shapes.asphalt), (PAINT, shapes.bars)
-        ):  # fmt: skip
-            self._polygons(polygons, color, 1, linewidths=0)
-        thin = max(0.5, 0.14 * self.layout.scale * 72 / DPI)
-        self._lines([*shapes.edges, *shapes.dashes], PAINT, thin, 1)
-        self._lines(shapes.middles, MIDDLE, thin, 1)
+        for axes in self._axes:
+            draw_road(axes, self.scene.road, self._thin)
 
     def _draw_words(self) -> None:
         """Write title and legend, and draw a bar of a round length as a scale."""
@@ -241,13 +232,21 @@ class Drawing:
         self.figure.text(
             0.012, middle, f"{scene.name}: {said}", va="center", color=INK, parse_math=False
         )
-        handles = [
-            Patch(facecolor=color, edgecolor=INK, label=word) for color, word in self._legend()
-        ]
+        if self.mode in ("true", "predicted"):
+            known = [(COLORS[b], b.value) for b in BEHAVIORS]
+        else:
+            low, high = {
+                "confidence": ("17 %, a guess", "100 %"),
+                "speed": ("0", f"{self.fastest:.0f} {scene.unit}/s and more"),
+                "w": ("0", "the largest"),
+            }[self.mode]
+            known = [(ramp_color(0.0), low), (ramp_color(0.5), "half"), (ramp_color(1.0), high)]
+        known.append((UNKNOWN_COLOR, "not known"))
+        handles = [Patch(facecolor=color, edgecolor=INK, label=word) for color, word in known]
         self.figure.legend(
             handles=handles, loc="lower left", ncols=len(handles), frameon=False, fontsize=9
         )
-        axes, scale = self._axes[-1], self.layout.scale
+        axes, scale = self._axes[-1], self.scale
         power = 10.0 ** np.floor(np.log10(110.0 / scale))
         length = max(n * power for n in (1, 2, 5) if n * power <= 110.0 / scale)
         x, y = axes.get_xlim()[0] + 16 / scale, axes.get_ylim()[0] + 10 / scale
@@ -255,32 +254,6 @@ class Drawing:
         axes.text(
             x + length / 2, y + 3 / scale, f"{length:g} {scene.unit}", ha="center", fontsize=8
         )
-
-    def _legend(self) -> list[tuple[str, str]]:
-        if self.mode in ("true", "predicted"):
-            known = [(COLORS[b], str(b)) for b in BEHAVIORS]
-        else:
-            low, high = {
-                "confidence": ("17 %, a guess", "100 %"),
-                "speed": ("0", f"{self.fastest:.0f} {self.scene.unit}/s and more"),
-                "w": ("0", "the largest"),
-            }[self.mode]
-            known = [(ramp_color(0.0), low), (ramp_color(0.5), "half"), (ramp_color(1.0), high)]
-        return [*known, (UNKNOWN_COLOR, "not known")]
-
-    def _present(self, time_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-        """Rows, places, headings and speeds at a time, between frames on the straight line."""
-        tracks = self.scene.tracks
-        step = self._step(time_s)
-        after = min(step + 1, tracks.time_s.size - 1)
-        span = float(tracks.time_s[after] - tracks.time_s[step])
-        share = min(max((time_s - float(tracks.time_s[step])) / span, 0.0), 1.0) if span else 0.0
-        seen = tracks.rows
-        at = seen.index.at(step)
-        rows = seen.index.agent[at]
-        ahead = tracks.positions(rows, np.full(rows.size, after))
-        to = np.where(np.isnan(ahead), seen.xy[at], ahead)
-        return rows, seen.xy[at] + share * (to - seen.xy[at]), seen.heading[at], seen.speed[at]
 
     def _step(self, time_s: float) -> int:
         return max(int(np.searchsorted(self.scene.tracks.time_s, time_s + 1e-6)) - 1, 0)
@@ -301,12 +274,11 @@ class Drawing:
         posterior = scene.beliefs.at(time_s)
         if self.mode == "confidence":
             chance = posterior.probability.max(axis=1)
-            known = {i: ramp_color(float(1.2 * c - 0.2)) for i, c in zip(posterior.ids, chance,
-                                                                         strict=True)}  # fmt: skip
+            colors = [ramp_color(1.2 * c - 0.2) for c in chance.tolist()]
         else:
-            named = zip(posterior.ids, posterior.behaviors, strict=True)
-            known = {i: COLORS[b] for i, b in named if b is not None}
-        return [known.get(i, UNKNOWN_COLOR) for i in scene.beliefs.ids[rows]]
+            colors = [UNKNOWN_COLOR if b is None else b.color for b in posterior.behaviors]
+        known = dict(zip(posterior.ids.tolist(), colors, strict=True))
+        return [known.get(i, UNKNOWN_COLOR) for i in scene.beliefs.ids[rows].tolist()]
 
     def _overlay(
         self, rows: IntArray, xy: FloatArray, colors: list[str], time_s: float
@@ -331,28 +303,26 @@ class Drawing:
 
     def _body(self, row: int, xy: FloatArray, heading: float) -> FloatArray:
         """The outline of an agent, at least a few pixels large."""
-        tracks, scale = self.scene.tracks, self.layout.scale
-        length = max(float(tracks.length[row]), LEAST_PX[0] / scale)
-        width = max(float(tracks.width[row]), LEAST_PX[1] / scale)
+        tracks = self.scene.tracks
+        length = max(float(tracks.length[row]), LEAST_PX[0] / self.scale)
+        width = max(float(tracks.width[row]), LEAST_PX[1] / self.scale)
         if tracks.kind[row] == PEDESTRIAN:
             turns = np.linspace(0.0, 2.0 * np.pi, 13)
             return xy + 0.5 * width * np.stack([np.cos(turns), np.sin(turns)], axis=1)
         return _outline(xy, heading, length, width)
 
-    def _stops(self, time_s: float) -> list[Artist]:
+    def _draw_stops(self, time_s: float) -> list[Artist]:
         """Draw stop lines in the colour of their signals, with a lamp of a shape of its own."""
         signals, step = self.scene.tracks.signals, self._step(time_s)
         drawn: list[Artist] = []
-        wide = max(1.5, 0.6 * self.layout.scale * 72 / DPI)
-        for stop in () if self._shapes is None else self._shapes.stops:
+        for stop in self._stops:
             color, marker = PAINT, ""
             if 0 <= stop.signal < len(signals):
                 color, marker = LAMPS[SIGNALS[signals[stop.signal, step]]]
-            drawn += self._lines([stop.line], color, wide, 2)
-            middle = self.layout.places(stop.line).mean(axis=0)
+            drawn += self._lines([stop.line], color, max(1.5, 4 * self._thin), 2)
             style: dict[str, Any] = {"color": color, "markeredgecolor": INK, "zorder": 4}
             for axes in self._axes if marker else ():
-                drawn += axes.plot(*middle, marker, markersize=6, **style)
+                drawn += axes.plot(*stop.line.mean(axis=0), marker, markersize=6, **style)
         return drawn
 
     def _ghosts(self, time_s: float) -> list[FloatArray]:
@@ -360,31 +330,25 @@ class Drawing:
         ghosts = self.scene.ghosts
         if ghosts is None:
             return []
-        outlines = [
-            _outline(
-                ghosts.xy[i], float(ghosts.heading[i]),
-                float(ghosts.length[ghosts.ghost[i]]), float(ghosts.width[ghosts.ghost[i]]),
-            )
-            for i in ghosts.at(self._step(time_s))
-        ]  # fmt: skip
-        return [np.concatenate([outline, outline[:1]]) for outline in outlines]
+        found = []
+        for i in ghosts.at(self._step(time_s)):
+            who = ghosts.ghost[i]
+            size = float(ghosts.length[who]), float(ghosts.width[who])
+            outline = _outline(ghosts.xy[i], float(ghosts.heading[i]), *size)
+            found.append(np.concatenate([outline, outline[:1]]))
+        return found
 
     def _collisions(self, time_s: float) -> list[Artist]:
         """Draw a ring around the place of each collision of the last moments."""
         tracks = self.scene.tracks
         drawn: list[Artist] = []
+        style: dict[str, Any] = {"color": GRAVE, "fillstyle": "none", "markeredgewidth": 2}
         for event in tracks.events:
-            since = time_s - event.time_s
-            row = int(np.searchsorted(tracks.ids, event.agent))
-            if event.kind is not EventKind.COLLISION or not 0.0 <= since <= EVENT_S:
-                continue
-            if row < tracks.ids.size and tracks.ids[row] == event.agent:
-                at = np.array(self._step(event.time_s))
-                place = self.layout.places(tracks.positions(np.array(row), at))
-                style: dict[str, Any] = {"color": GRAVE, "fillstyle": "none", "zorder": 6}
-                size = 18 + 10 * since
+            since, row = time_s - event.time_s, np.flatnonzero(tracks.ids == event.agent)
+            if event.kind is EventKind.COLLISION and 0.0 <= since <= EVENT_S and row.size:
+                place = tracks.positions(row[0], np.array(self._step(event.time_s)))
                 for axes in self._axes:
-                    drawn += axes.plot(*place, "o", markersize=size, markeredgewidth=2, **style)
+                    drawn += axes.plot(*place, "o", markersize=18 + 10 * since, zorder=6, **style)
         return drawn
 
 
@@ -455,30 +419,27 @@ def write_picture(
     import matplotlib as mpl
     from matplotlib.animation import FFMpegWriter, PillowWriter
 
-    per_s, size = FILMS[ending]
     times = scene.tracks.time_s
     begin = float(times[0]) if begin_s is None else max(begin_s, float(times[0]))
     end = float(times[-1]) if end_s is None else min(end_s, float(times[-1]))
-    count = int((end - begin) * per_s + 1e-6) + 1
+    count = int((end - begin) * FILM_HZ + 1e-6) + 1
     if end <= begin or count > MOST_FRAMES:
         raise InputError(
             f"{path}: found {begin:g} to {end:g} s, expected some time between {times[0]:g} and "
-            f"{times[-1]:g} s, and at most {MOST_FRAMES // per_s} s of it"
+            f"{times[-1]:g} s, and at most {MOST_FRAMES // FILM_HZ} s of it"
         )
-    drawing = Drawing(scene, mode, size)
+    drawing = Drawing(scene, mode, FILMS[ending])
+    writer: Any = PillowWriter(fps=FILM_HZ)
     if ending == ".mp4":
         import imageio_ffmpeg
 
         mpl.rcParams["animation.ffmpeg_path"] = imageio_ffmpeg.get_ffmpeg_exe()
-    writer = FFMpegWriter(fps=per_s) if ending == ".mp4" else PillowWriter(fps=per_s)
-    with (
-        TemporaryDirectory() as scratch,
-        Progress("drawing frames", count, quiet) as progress,
-    ):
+        writer = FFMpegWriter(fps=FILM_HZ)
+    with TemporaryDirectory() as scratch, Progress("drawing frames", count, quiet) as progress:
         film = Path(scratch) / f"film{ending}"
         with writer.saving(drawing.figure, str(film), DPI):
             for number in range(count):
-                drawing.draw(begin + number / per_s)
+                drawing.draw(begin + number / FILM_HZ)
                 writer.grab_frame()
                 progress.advance()
         write_whole(path, film.read_bytes())

@@ -17,15 +17,14 @@ from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
 from experiments.replay.beliefs import Beliefs, believe, read_beliefs
-from experiments.replay.forecasts import Forecast, forecast, likeliest, read_forecasts
+from experiments.replay.forecasts import Forecast, forecast, likeliest
 from experiments.replay.ghosts import Ghosts, ghosts_of
 from experiments.replay.graph_history import GraphHistory, graph_history
-from experiments.replay.shown import shown_events, with_drawn_sizes
 from graphrqi.model_files import load_model
 from sim.episode.annotate import annotate_recording
 from sim.episode.incidents import near_misses
 from sim.formats import FORMATS
-from sim.frames import Tracks
+from sim.frames import Event, EventKind, Tracks
 from sim.road import Road
 from sim.scenario import AgentSpec
 from sim.store.dataset import Dataset, Episode
@@ -44,6 +43,16 @@ DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
 MAX_AGENTS: Final = 2**15
 """Most agents that are shown (a page numbers them in 16 bits)."""
+
+
+PARKED_M: Final = 2.0
+"""A vehicle that stays within this is parked, m (more than the noise of recordings)."""
+
+DRAWN_QUANTILE: Final = 0.25
+"""Vehicles in an image are drawn as long as so many of its boxes are at most."""
+
+CAR_SHAPE: Final = 2.5
+"""Length over width of a vehicle that is drawn for a box in an image (a car's)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +134,7 @@ def gather(
     *,
     model: str,
     labels: Path | None = None,
-    predictions: Path | None = None,
-    predictor: str | None = None,
+    predictor: str = DEFAULT_PREDICTOR,
     quiet: bool = True,
 ) -> ReplayScene:
     """Read an episode, and classify and predict in it what no file says.
@@ -136,9 +144,7 @@ def gather(
         entry: which episode.
         model: the classifier, a shipped one's name or a folder; not used where labels are given.
         labels: a labels file, as ``graphrqi classify`` writes it.
-        predictions: a predictions file, as ``graphrqi predict`` writes it.
-        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
-            or for the first in ``predictions``.
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions.
         quiet: whether to show no progress.
 
     Returns:
@@ -163,9 +169,8 @@ def gather(
         events = tuple(near_misses(dataset.conflicts(entry)))
         if road is not None:
             events, shown_traits = annotate_recording(tracks, road)
-        tracks = replace(tracks, events=events)
+        tracks = replace(tracks, events=_without_parked(tracks, events))
     forecasts: list[Forecast] = []
-    shown = ""
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
@@ -176,11 +181,8 @@ def gather(
         else:
             beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()
-        if predictions is not None:
-            shown, forecasts = read_forecasts(predictions, entry.id, tracks, predictor)
-        elif predictor != "none":
-            shown = predictor or DEFAULT_PREDICTOR
-            forecasts = forecast(tracks, beliefs, road, shown)
+        if predictor != "none":
+            forecasts = forecast(tracks, beliefs, road, predictor)
         told = sum(one.agent.size for one in forecasts)
         forecasts = likeliest(forecasts)
         progress.advance()
@@ -189,9 +191,8 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = _stride(tracks)
-    tracks = replace(tracks, events=shown_events(tracks))
     if unit == "px":
-        tracks = with_drawn_sizes(tracks)
+        tracks = _with_drawn_sizes(tracks)
     kept = tracks.part(np.arange(tracks.ids.size), slice(None, None, stride))
     ghosts, said = ghosts_of(dataset, entry, kept)
     return ReplayScene(
@@ -205,10 +206,33 @@ def gather(
         believer=believer,
         graph=graph,
         forecasts=tuple(forecasts),
-        predictor=shown if forecasts else "",
+        predictor=predictor if forecasts else "",
         notes=(*said, *_notes(episode, road, unit, stride), *_left_out(told, forecasts)),
         ghosts=ghosts,
     )
+
+
+def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
+    """The events but for near misses with a parked vehicle: passing it closely is no conflict."""
+    rows = tracks.rows
+    parked = set()
+    for row, agent in enumerate(tracks.ids.tolist()):
+        places = rows.xy[rows.index.rows(row)]
+        if len(places) and np.ptp(places, axis=0).max() < PARKED_M:
+            parked.add(agent)
+    near = EventKind.NEAR_MISS
+    return tuple(e for e in events if e.kind is not near or not parked & {e.agent, e.other})
+
+
+def _with_drawn_sizes(tracks: Tracks) -> Tracks:
+    """The tracks of an image's boxes as cars of one size, which can be drawn from above.
+
+    A box in an image is upright and as large as the perspective makes it. Turned into the driving
+    direction, boxes of dense traffic would cover each other.
+    """
+    length = float(np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE))
+    many = tracks.ids.size
+    return replace(tracks, length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
 
 
 def _stride(tracks: Tracks) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 from behaviors.errors import InputError, lookup
@@ -12,54 +11,45 @@ from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
 from experiments.replay.page import MODES, default_mode, write_page
 from experiments.replay.pictures import check_picture, write_picture
-from experiments.replay.scene import chosen_entry, gather
+from experiments.replay.scene import DEFAULT_PREDICTOR, chosen_entry, gather
 from graphrqi.predict import get_predictor
+from graphrqi.stream import DEFAULT_MODEL
 from sim.store.dataset import open_dataset
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayOptions:
-    """What a replay shows, and what is made of it beside the page.
-
-    Attributes:
-        episode: which one, as `chosen_entry` takes it; None for the first.
-        format: format of a recording; None to recognise it by its content.
-        net: the SUMO net that a recording was made on.
-        labels: a labels file; None to classify with ``model``.
-        predictions: a predictions file; None to predict with ``predictor``.
-        model: a shipped model's name or a folder.
-        predictor: a key of ``PREDICTORS``, or "none" for no predictions; None for the default one,
-            or for the first in ``predictions``.
-        color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
-        begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
-            opens when the road has filled to half and there are beliefs, a film begins with the
-            episode, and a picture shows the fullest moment.
-        end_s: when a film ends, s; None for the end.
-        picture: also draw it into this file, .png, .pdf or .svg, or film it, .mp4 or .gif.
-    """
-
-    episode: str | None = None
-    format: str | None = None
-    net: Path | None = None
-    labels: Path | None = None
-    predictions: Path | None = None
-    model: str = "graphrqi-plus"
-    predictor: str | None = None
-    color: str | None = None
-    begin_s: float | None = None
-    end_s: float | None = None
-    picture: Path | None = None
-
-
 def write_replay(
-    source: Path, out: Path, options: ReplayOptions | None = None, quiet: bool = False
+    source: Path,
+    out: Path,
+    *,
+    episode: str | None = None,
+    format: str | None = None,
+    net: Path | None = None,
+    labels: Path | None = None,
+    model: str = DEFAULT_MODEL,
+    predictor: str = DEFAULT_PREDICTOR,
+    color: str | None = None,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    picture: Path | None = None,
+    quiet: bool = False,
 ) -> list[Path]:
     """What ``graphrqi replay`` does.
 
     Args:
         source: a dataset or a recording.
         out: the HTML file.
-        options: what it shows; None for the defaults.
+        episode: which one, as `chosen_entry` takes it; None for the first.
+        format: format of a recording; None to recognise it by its content.
+        net: the SUMO net that a recording was made on.
+        labels: a labels file; None to classify with ``model``.
+        model: a shipped model's name or a folder.
+        predictor: a key of ``PREDICTORS``, or "none" for no predictions.
+        color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
+        begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
+            opens when the road has filled to half and there are beliefs, a film begins with the
+            episode, and a picture shows the fullest moment.
+        end_s: when a film ends, s; None for the end.
+        picture: also draw it into this file, .png, .pdf or .svg, or film it, .mp4 or .gif.
         quiet: whether to show no progress.
 
     Returns:
@@ -69,35 +59,31 @@ def write_replay(
         InputError: if an option or a file is wrong.
         OSError: if something cannot be written.
     """
-    o = options or ReplayOptions()
-    if o.color is not None:
-        lookup({mode: mode for mode in MODES}, o.color, "color")
-    if o.predictor is not None and o.predictor != "none":
-        get_predictor(o.predictor)
-    wanted = [path for path in (out, o.picture) if path is not None]
+    if color is not None:
+        lookup({mode: mode for mode in MODES}, color, "color")
+    if predictor != "none":
+        get_predictor(predictor)
+    wanted = [path for path in (out, picture) if path is not None]
     for path in wanted:
         if not path.parent.is_dir():
             raise InputError(f"{path}: found no folder {path.parent}, expected one")
         if not os.access(path.parent, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-    if o.picture is not None:
-        check_picture(o.picture)
-    with as_dataset(source, o.format, o.net) as folder:
+    if picture is not None:
+        check_picture(picture)
+    with as_dataset(source, format, net) as folder:
         dataset = open_dataset(folder)
-        entry, many = chosen_entry(dataset, o.episode), len(dataset.manifest.episodes)
-        if o.episode is None and many > 1:
+        entry, many = chosen_entry(dataset, episode), len(dataset.manifest.episodes)
+        if episode is None and many > 1:
             LOGGER.info("%s: showing %s, the first of %d episodes", source, entry.name, many)
-        scene = gather(
-            dataset, entry, model=o.model, labels=o.labels,
-            predictions=o.predictions, predictor=o.predictor, quiet=quiet,
-        )  # fmt: skip
+        scene = gather(dataset, entry, model=model, labels=labels, predictor=predictor, quiet=quiet)
     first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
-    if o.begin_s is not None and not min(first_s, 0.0) <= o.begin_s <= last_s:
+    if begin_s is not None and not min(first_s, 0.0) <= begin_s <= last_s:
         raise InputError(
-            f"--begin-s: found {o.begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
+            f"--begin-s: found {begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
         )
-    mode = o.color or default_mode(scene)
-    write_page(scene, out, mode, o.begin_s)
-    if o.picture is not None:
-        write_picture(scene, o.picture, mode, o.begin_s, o.end_s, quiet)
+    mode = color or default_mode(scene)
+    write_page(scene, out, mode, begin_s)
+    if picture is not None:
+        write_picture(scene, picture, mode, begin_s, end_s, quiet)
     return wanted

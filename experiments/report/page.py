@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import itertools
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -18,10 +20,12 @@ from experiments.console.tables import MADE
 from experiments.figure_files import figure_bytes
 from experiments.report.findings import findings
 from experiments.report.pictures import Picture, pictures_of
-from experiments.report.source import Source, read_source
-from experiments.report.tables import Table, tables_of
+from experiments.report.tables import tables_of
 from experiments.report.worst_cases import Excerpt, take_excerpts
+from experiments.score.rows import Row, checked_rows, read_rows
+from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
+from sim.store.catalogue import is_dataset
 
 MARK: Final = b"GraphRQI"
 """Mark in the head of every page that is written here; another page is not overwritten."""
@@ -34,18 +38,71 @@ FORMATS: Final = {"svg": ".svg", "pdf": ".pdf"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Section:
-    """The figures of one command.
+class Source:
+    """One thing to report on.
 
     Attributes:
-        title: the command.
-        tables: its tables; all but the first few are shown by a click.
-        pictures: its pictures.
+        path: the file or folder.
+        name: what it is called.
+        rows: the figures, a row each; those without a value are left out.
     """
 
-    title: str
-    tables: tuple[Table, ...]
-    pictures: tuple[Picture, ...]
+    path: Path
+    name: str
+    rows: pd.DataFrame
+
+    @property
+    def is_run(self) -> bool:
+        """Whether the data and the model of the figures lie beside them, as ``make demo`` does."""
+        return (self.path / "model" / FILE).is_file() and is_dataset(self.path / "data")
+
+
+def read_source(path: Path) -> Source:
+    """Read the rows of a file or of a folder.
+
+    Args:
+        path: a file of rows, a folder with such files, or a model's folder.
+
+    Returns:
+        The source.
+
+    Raises:
+        InputError: if there is nothing to report on, or a file is broken.
+    """
+    if path.is_file():
+        return Source(path, path.stem, table_of(read_rows(path), path))
+    if not path.is_dir():
+        raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
+    if (path / FILE).is_file():
+        card = load_model(path).card
+        rows = checked_rows(card.get("scores", []), f"{path / FILE}: card.scores")
+    else:
+        rows = [row for file in sorted(path.glob("*.json")) for row in read_rows(file)]
+    return Source(path, path.resolve().name, table_of(rows, path))
+
+
+def table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
+    """Rows with a value as a table.
+
+    Args:
+        rows: tidy rows.
+        path: where they are from, for the message.
+
+    Returns:
+        A line for each row.
+
+    Raises:
+        InputError: if no row has a value.
+    """
+    measured = [row for row in rows if row.get("value") is not None]
+    if not measured:
+        raise InputError(
+            f"{path}: found no figure, expected rows as graphrqi COMMAND --json FILE writes them"
+        )
+    table = pd.DataFrame(measured)
+    for column in ("low", "high", "n"):
+        table[column] = pd.to_numeric(table[column]) if column in table else np.nan
+    return table
 
 
 def write_report(
@@ -78,8 +135,12 @@ def write_report(
     if out.is_file() and MARK not in out.read_bytes()[:HEAD_BYTES]:
         raise InputError(f"{out}: found a page that is not a report, expected none; move it away")
     rows, across = _together(sources)
-    shown = [
-        Section(str(name), tuple(tables_of(part, across)), tuple(pictures_of(part)))
+    shown: list[dict[str, Any]] = [
+        {
+            "title": name,
+            "tables": list(tables_of(part, across)),
+            "pictures": list(pictures_of(part)),
+        }
         for name, part in rows.groupby("command", sort=False)
     ]
     excerpts = list[Excerpt]()
@@ -99,7 +160,8 @@ def write_report(
     )
     write_whole(out, page.encode())
     if ending is not None:
-        _write_pictures(out, ending, shown, excerpts)
+        parts = [*(section["pictures"] for section in shown), *(e.pictures for e in excerpts)]
+        _write_pictures(out, ending, itertools.chain(*parts))
     return out
 
 
@@ -127,19 +189,10 @@ def _drawn(picture: Picture) -> Markup:
     return Markup(image).format(picture.title, data)
 
 
-def _pictures(sections: Sequence[Section], excerpts: Sequence[Excerpt]) -> Iterator[Picture]:
-    for section in sections:
-        yield from section.pictures
-    for excerpt in excerpts:
-        yield from excerpt.pictures
-
-
-def _write_pictures(
-    page: Path, ending: str, sections: Sequence[Section], excerpts: Sequence[Excerpt]
-) -> None:
+def _write_pictures(page: Path, ending: str, pictures: Iterable[Picture]) -> None:
     """Write the pictures into a folder beside the page, numbered and named by their titles."""
     folder = page.with_name(f"{page.stem}-figures")
     folder.mkdir(exist_ok=True)
-    for number, picture in enumerate(_pictures(sections, excerpts), start=1):
+    for number, picture in enumerate(pictures, start=1):
         name = re.sub(r"[^a-z0-9]+", "-", picture.title.lower()).strip("-")[:80]
         write_whole(folder / f"{number:02d}-{name}{ending}", figure_bytes(picture.figure, ending))

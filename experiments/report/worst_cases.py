@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,11 +11,10 @@ from urllib.parse import urlencode
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.replay.page import write_page
 from experiments.replay.pictures import Drawing, fullest_s
-from experiments.replay.scene import DEFAULT_PREDICTOR, ReplayScene, gather
+from experiments.replay.scene import ReplayScene, gather
 from experiments.report.pictures import Picture
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
@@ -73,25 +73,26 @@ def take_excerpts(folder: Path, jobs: int | None = None, quiet: bool = True) -> 
     """
     dataset = open_dataset(folder / "data")
     (folder / "replays").mkdir(exist_ok=True)
-    chosen = {name: dataset.episodes("test", name)[:EPISODES] for name in dataset.scenarios}
-    arguments = [
-        (folder, entry, place == 0)
-        for part in chosen.values()
-        for place, entry in enumerate(part)
-    ]  # fmt: skip
-    found: dict[str, list[Excerpt]] = {}
-    with Progress("looking at unseen episodes", len(arguments), quiet) as progress:
-        for one in in_parallel(_excerpt_of, arguments, jobs):
-            found.setdefault(one.scenario, []).append(one)
-            progress.advance()
-    return [_joined(parts) for parts in found.values()]
+    found = []
+    for name in dataset.scenarios:
+        entries = dataset.episodes("test", name)[:EPISODES]
+        arguments = [(folder, entry, place == 0) for place, entry in enumerate(entries)]
+        what = f"looking at unseen episodes of {name}"
+        parts = list(in_parallel(_looked_at, arguments, jobs, what, quiet))
+        if parts:
+            pictures, href, _ = parts[0]
+            cases = sorted((c for *_, own in parts for c in own), key=lambda case: -case.badness)
+            kept = [[c for c in cases if c.sort == s][:CASES] for s in ("answer", "prediction")]
+            found.append(Excerpt(name, pictures, href, (*kept[0], *kept[1])))
+    return found
 
 
-def _excerpt_of(folder: Path, entry: EpisodeEntry, draw: bool) -> Excerpt:
-    """Look at one episode and write its replay."""
-    model = str(folder / "model")
+def _looked_at(
+    folder: Path, entry: EpisodeEntry, draw: bool
+) -> tuple[tuple[Picture, ...], str, list[Case]]:
+    """Pictures of an episode if asked for, the link to its fullest moment, and all cases in it."""
     dataset = open_dataset(folder / "data")
-    scene = gather(dataset, entry, model=model, predictor=DEFAULT_PREDICTOR)
+    scene = gather(dataset, entry, model=str(folder / "model"))
     page, moment = f"replays/{entry.id}.html", fullest_s(scene)
     write_page(scene, folder / page, "predicted")
     pictures = tuple(
@@ -99,14 +100,8 @@ def _excerpt_of(folder: Path, entry: EpisodeEntry, draw: bool) -> Excerpt:
         for mode, words in (("predicted", "predicted behaviours and paths"), ("w", "traffic graph"))
         if draw
     )
-    cases = (*_wrong_answers(scene, page), *_wrong_predictions(scene, page))
-    return Excerpt(entry.scenario, pictures, _link(page, moment), cases)
-
-
-def _joined(parts: list[Excerpt]) -> Excerpt:
-    cases = sorted((c for part in parts for c in part.cases), key=lambda case: -case.badness)
-    kept = [[c for c in cases if c.sort == sort][:CASES] for sort in ("answer", "prediction")]
-    return Excerpt(parts[0].scenario, parts[0].pictures, parts[0].href, (*kept[0], *kept[1]))
+    cases = [*_wrong_answers(scene, page), *_wrong_predictions(scene, page)]
+    return pictures, _link(page, moment), cases
 
 
 def _link(page: str, time_s: float, agent: str = "") -> str:
@@ -114,32 +109,28 @@ def _link(page: str, time_s: float, agent: str = "") -> str:
     return f"{page}#{urlencode(query)}"
 
 
-def _wrong_answers(scene: ReplayScene, page: str) -> list[Case]:
-    """Drivers whose last belief is wrong, the surest first."""
-    cases = list[Case]()
+def _wrong_answers(scene: ReplayScene, page: str) -> Iterator[Case]:
+    """Drivers whose last belief is wrong."""
     truth = scene.tracks.behavior
-    for row in range(0 if truth is None else truth.size):
-        believed = scene.beliefs.probability[row]
+    for row, believed in enumerate(scene.beliefs.probability):
         samples = np.flatnonzero(np.isfinite(believed).all(axis=1))
         if truth is None or truth[row] < 0 or not samples.size:
             continue
         last = believed[samples[-1]]
         code = int(last.argmax())
-        if code == truth[row]:
-            continue
-        surest = int(samples[believed[samples, code].argmax()])
-        name = scene.tracks.names[row]
-        text = (
-            f"driver {name} is {scene.tracks.classes[truth[row]]}, "
-            f"taken for {BEHAVIORS[code]} with {100 * last[code]:.0f} % at last"
-        )
-        href = _link(page, float(scene.beliefs.time_s[surest]), name)
-        cases.append(Case("answer", float(last[code]), text, href))
-    return sorted(cases, key=lambda case: -case.badness)[:CASES]
+        if code != truth[row]:
+            surest = int(samples[believed[samples, code].argmax()])
+            name = scene.tracks.names[row]
+            text = (
+                f"driver {name} is {scene.tracks.classes[truth[row]]}, "
+                f"taken for {BEHAVIORS[code]} with {100 * last[code]:.0f} % at last"
+            )
+            href = _link(page, float(scene.beliefs.time_s[surest]), name)
+            yield Case("answer", float(last[code]), text, href)
 
 
-def _wrong_predictions(scene: ReplayScene, page: str) -> list[Case]:
-    """Agents that ended farthest from their likeliest future, each at most once."""
+def _wrong_predictions(scene: ReplayScene, page: str) -> Iterator[Case]:
+    """How far each agent was at most from the end of its likeliest future."""
     tracks = scene.tracks
     worst: dict[int, tuple[float, float]] = {}
     for forecast in scene.forecasts:
@@ -153,9 +144,7 @@ def _wrong_predictions(scene: ReplayScene, page: str) -> list[Case]:
         for row, error in zip(agent.tolist(), away.tolist(), strict=True):
             if np.isfinite(error) and error > worst.get(row, (0.0, 0.0))[0]:
                 worst[row] = error, forecast.time_s
-    cases = []
     for row, (error, time_s) in worst.items():
         name = tracks.names[row]
         text = f"agent {name}, predicted at {time_s:.1f} s, ended {error:.1f} {scene.unit} away"
-        cases.append(Case("prediction", error, text, _link(page, time_s, name)))
-    return sorted(cases, key=lambda case: -case.badness)[:CASES]
+        yield Case("prediction", error, text, _link(page, time_s, name))

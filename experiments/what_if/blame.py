@@ -13,17 +13,16 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior
-from experiments.score.rows import Row
+from experiments.score.rows import Cell
 from experiments.what_if.outcomes import INCIDENTS
 from sim.episode.incidents import incidents
-from sim.frames import Event, EventKind, Frame, Tracks
+from sim.frames import Event, Frame, Tracks
 from sim.scenario import AgentSpec, Scenario
 from sim.sumo.branches import Trunk
 
@@ -41,37 +40,13 @@ CAREFUL: Final = Behavior.CAREFUL
 """Whom a driver is compared with."""
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What one driver could have done about one incident.
-
-    Attributes:
-        event: the incident; its ``agent`` is who caused it by the rules of `sim.episode.incidents`.
-        agent: the driver who was made careful.
-        role: "agent" or "other" for the parties, as in the event, "bystander" for anybody else.
-        behavior: how the driver really drives.
-        prevents: whether the incident does not happen with the driver careful; False where the
-            driver is careful already, None where the driver could not be changed (not on the road
-            yet, or on the wrong side of it).
-        placebo: whether it does not happen with the driver merely drawn anew.
-    """
-
-    event: Event
-    agent: int
-    role: str
-    behavior: Behavior | None
-    prevents: bool | None
-    placebo: bool | None
-
-
 def judge(
     scenario: Scenario,
     agents: Sequence[AgentSpec],
     seed: int,
     engine: str = "sumo",
     bystanders: int = NEAREST,
-    kinds: Sequence[EventKind] = INCIDENTS,
-) -> Iterator[Verdict]:
+) -> Iterator[dict[str, Cell]]:
     """Try every driver near each incident of an episode.
 
     Args:
@@ -80,10 +55,15 @@ def judge(
         seed: of the simulator.
         engine: "sumo" or "sumo-idm".
         bystanders: how many drivers beside the parties are tried.
-        kinds: which incidents are judged.
 
     Yields:
-        A verdict for each incident and driver, in order of time.
+        A line for each incident and driver, in order of time. ``time_s``, ``incident``, ``agent``,
+        ``other`` and ``rule`` are those of the incident, by `sim.episode.incidents`. ``driver`` is
+        who was made careful, with its ``role`` ("agent" or "other" as in the incident, or
+        "bystander") and its own ``behavior``. ``prevents`` says whether the incident does not
+        happen then: False where the driver is careful already, None where it could not be changed
+        (not on the road yet, or on the wrong side of it). ``placebo`` says the same with the driver
+        merely drawn anew.
 
     Raises:
         InputError: on other systems than Linux, or if the simulation fails.
@@ -91,7 +71,7 @@ def judge(
     end_s = scenario.steps * scenario.step_s
     with Trunk(scenario, agents, seed, engine) as trunk:
         frames = trunk.advance(end_s)
-    found = [e for e in _incidents(frames, scenario) if e.kind in kinds]
+    found = [e for e in _incidents(frames, scenario) if e.kind in INCIDENTS]
     if not found:
         return
     with Trunk(scenario, agents, seed, engine) as trunk:
@@ -106,7 +86,13 @@ def judge(
             if not happened:
                 continue  # it is seen only with the rest of the episode in sight
             for agent, role in _candidates(event, frames, scenario, trunk, bystanders):
-                yield _verdict(event, agent, role, trunk, before, until_s, scenario)
+                behavior, *answers = _tried(event, agent, trunk, before, until_s, scenario)
+                yield {
+                    "time_s": round(event.time_s, 2), "incident": event.kind.value,
+                    "agent": event.agent, "other": event.other, "rule": event.words,
+                    "driver": agent, "role": role, "behavior": behavior.value,
+                    "prevents": answers[0], "placebo": answers[1],
+                }  # fmt: skip
 
 
 def _incidents(frames: Sequence[Frame], scenario: Scenario) -> tuple[Event, ...]:
@@ -146,12 +132,14 @@ def _candidates(
     return [(agent, role) for agent, role in (*parties, *near) if trunk.drives(agent)]
 
 
-def _verdict(
-    event: Event, agent: int, role: str, trunk: Trunk, before: Sequence[Frame], until_s: float,
+def _tried(
+    event: Event, agent: int, trunk: Trunk, before: Sequence[Frame], until_s: float,
     scenario: Scenario,
-) -> Verdict:  # fmt: skip
+) -> tuple[Behavior, bool | None, bool | None]:  # fmt: skip
+    """How a driver drives, and whether care and chance prevent an incident."""
     behavior = trunk.driver(agent).behavior
     assert behavior is not None
+    kept = round(2.0 * LEAD_S / scenario.step_s)  # as much as a cause may lie back
 
     def prevented(to: Behavior) -> bool | None:
         with trunk.branch(until_s, agent, to) as branch:
@@ -159,32 +147,7 @@ def _verdict(
                 after = tuple(branch)
             except InputError:
                 return None
-        return not _same_again(event, [*before[-_kept(scenario) :], *after], scenario)
+        return not _same_again(event, [*before[-kept:], *after], scenario)
 
     careful = False if behavior is CAREFUL else prevented(CAREFUL)
-    placebo = None if careful is None else prevented(behavior)
-    return Verdict(event, agent, role, behavior, careful, placebo)
-
-
-def _kept(scenario: Scenario) -> int:
-    """How many frames before a branch are looked at with it: as much as a cause may lie back."""
-    return round(2.0 * LEAD_S / scenario.step_s)
-
-
-def verdict_rows(verdicts: Sequence[Verdict]) -> list[Row]:
-    """A table: one row for each incident and driver who was tried."""
-    return [
-        {
-            "time_s": round(v.event.time_s, 2),
-            "incident": v.event.kind.value,
-            "agent": v.event.agent,
-            "other": v.event.other,
-            "rule": v.event.words,
-            "driver": v.agent,
-            "role": v.role,
-            "behavior": None if v.behavior is None else str(v.behavior),
-            "prevents": v.prevents,
-            "placebo": v.placebo,
-        }
-        for v in verdicts
-    ]
+    return behavior, careful, None if careful is None else prevented(behavior)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -90,15 +89,6 @@ class WhatIf(BaseModel):
         return scenario
 
 
-@dataclass(frozen=True, slots=True)
-class _Planned:
-    """An episode of the dataset; without a change it is the factual one."""
-
-    change: Behavior | Action | None
-    meta: EpisodeMeta
-    agents: tuple[AgentSpec, ...]
-
-
 def branch_of(entry: EpisodeMeta) -> dict[str, Any] | None:
     """What differs in an episode: ``at_s``, ``agent``, ``behavior`` or ``action``.
 
@@ -153,61 +143,38 @@ def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
         Trunk(scenario, agents, task.seed, config.episode.engine) as trunk,
         new_dataset(folder, configuration) as out,
     ):
-        plan = _plan(config, task, scenario, agents, trunk)
-        _make(config, out, plan, scenario, trunk, quiet)
+        _write(config, out, task.meta(scenario), scenario, agents, trunk, quiet)
     write_data_card(folder)
     return open_dataset(folder).manifest
 
 
-def _plan(
-    config: WhatIf,
-    task: Task,
-    scenario: Scenario,
-    agents: Sequence[AgentSpec],
-    trunk: Trunk,
-) -> list[_Planned]:
-    factual = task.meta(scenario)
+def _write(
+    config: WhatIf, out: EpisodeWriter, factual: EpisodeMeta, scenario: Scenario,
+    agents: Sequence[AgentSpec], trunk: Trunk, quiet: bool,
+) -> None:  # fmt: skip
+    """Drive and write the factual episode and all others, beside each other from the branch on."""
     trunk.driver(config.agent)  # refuses one who is not in the episode
-    plan = [_Planned(None, factual, tuple(agents))]
-    for change in config.changes:
-        kind = "action" if isinstance(change, Action) else "behavior"
-        branch = {"at_s": config.at_s, "agent": config.agent, kind: str(change)}
-        meta = factual.model_copy(update={"options": {**factual.options, "branch": branch}})
-        changed = (
-            tuple(agents)
-            if isinstance(change, Action)
-            else tuple(
-                trunk.alternative(agent.id, change) if agent.id == config.agent else agent
-                for agent in agents
-            )
-        )
-        plan.append(_Planned(change, meta, changed))
-    return plan
-
-
-def _make(
-    config: WhatIf,
-    out: EpisodeWriter,
-    plan: Sequence[_Planned],
-    scenario: Scenario,
-    trunk: Trunk,
-    quiet: bool,
-) -> None:
-    """Drive and write all episodes."""
     before = trunk.advance(config.at_s)
     _check_present(config, before[-1])
     end_s = scenario.steps * scenario.step_s
-    branches = [
-        trunk.branch(end_s) if one.change is None else trunk.branch(end_s, config.agent, one.change)
-        for one in plan
-    ]  # all run from now on, beside each other
-    with Progress("driving what would have been", len(plan), quiet) as shown:
-        for one, branch in zip(plan, branches, strict=True):
+    branches = [trunk.branch(end_s)]
+    branches += [trunk.branch(end_s, config.agent, change) for change in config.changes]
+    with Progress("driving what would have been", len(branches), quiet) as shown:
+        for change, branch in zip((None, *config.changes), branches, strict=True):
+            meta, drivers = factual, list(agents)
+            if change is not None:
+                kind = "action" if isinstance(change, Action) else "behavior"
+                what = {"at_s": config.at_s, "agent": config.agent, kind: str(change)}
+                meta = factual.model_copy(update={"options": {**factual.options, "branch": what}})
+            if isinstance(change, Behavior):
+                drivers = [
+                    trunk.alternative(one.id, change) if one.id == config.agent else one
+                    for one in agents
+                ]
             with branch:
                 frames = itertools.chain(before, branch)
-                since_s = None if one.change is None else config.at_s
-                road = scenario.road.source
-                entry = out.write_episode(one.meta, frames, one.agents, road, since_s)
+                since_s = None if change is None else config.at_s
+                entry = out.write_episode(meta, frames, drivers, scenario.road.source, since_s)
             shown.advance(entry.agents, entry.agent_steps)
 
 

@@ -73,65 +73,43 @@ def delays(factual: Tracks, other: Tracks, since_s: float) -> dict[int, float]:
     found = {}
     end_s = float(min(factual.time_s[-1], other.time_s[-1]))
     for agent in np.union1d(factual.ids, other.ids).tolist():
-        start = _place(factual, agent, since_s)
-        (one_s, one_m), (two_s, two_m) = (
-            _travelled(tracks, agent, since_s, start) for tracks in (factual, other)
+        start = _path(factual, agent, since_s - 1e-3)
+        start = start[np.abs(start[:, 0] - since_s) < 1e-6]
+        one, two = (
+            np.concatenate([start, _path(tracks, agent, since_s + 1e-6)])
+            for tracks in (factual, other)
         )
-        if not one_s.size and not two_s.size:
-            continue
-        if not one_s.size or not two_s.size:
-            left_s = end_s - float((one_s if one_s.size else two_s)[0])
-            found[int(agent)] = left_s if one_s.size else -left_s
-            continue
-        reached_m = min(one_m[-1], two_m[-1])
-        found[int(agent)] = _when(two_s, two_m, reached_m) - _when(one_s, one_m, reached_m)
+        if len(one) and len(two):
+            ways = [np.cumsum(np.hypot(*np.diff(p[:, 1:], axis=0, prepend=p[:1, 1:]).T))
+                    for p in (one, two)]  # fmt: skip
+            reached_m = min(ways[0][-1], ways[1][-1])
+            when = [
+                _first_s(p[:, 0], way, reached_m) for p, way in zip((one, two), ways, strict=True)
+            ]
+            found[int(agent)] = when[1] - when[0]
+        elif len(one):
+            found[int(agent)] = end_s - float(one[0, 0])
+        elif len(two):
+            found[int(agent)] = float(two[0, 0]) - end_s
     return found
 
 
-def _row(tracks: Tracks, agent: int) -> int:
-    """The row of an agent; -1 if it is never there."""
-    row = int(np.searchsorted(tracks.ids, agent))
-    return row if row < tracks.ids.size and tracks.ids[row] == agent else -1
-
-
-def _place(tracks: Tracks, agent: int, time_s: float) -> FloatArray | None:
-    """(2,) where an agent is at a time, m; None if it is not there."""
-    row, column = _row(tracks, agent), int(np.searchsorted(tracks.time_s, time_s - 1e-6))
-    if row < 0 or column >= tracks.time_s.size:
-        return None
-    if abs(float(tracks.time_s[column]) - time_s) > 1e-6:
-        return None
-    place = tracks.positions(np.array(row), np.array(column))
-    return None if np.isnan(place[0]) else place
-
-
-def _travelled(
-    tracks: Tracks, agent: int, since_s: float, start: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
-    """(k,) times after the branch, s, and (k,) the way gone until then, m."""
-    row = _row(tracks, agent)
-    if row < 0:
-        return np.empty(0), np.empty(0)
+def _path(tracks: Tracks, agent: int, since_s: float) -> FloatArray:
+    """(k, 3) times and places of an agent from a time on."""
+    row = np.flatnonzero(tracks.ids == agent)
+    if not row.size:
+        return np.empty((0, 3))
     rows = tracks.rows
-    own = rows.index.rows(row)
-    time_s, xy = tracks.time_s[rows.index.step[own]], rows.xy[own]
-    later = time_s > since_s + 1e-6
-    time_s, xy = time_s[later], xy[later]
-    if start is not None:
-        time_s, xy = np.append(since_s, time_s), np.concatenate([start[None], xy])
-    if not time_s.size:
-        return time_s, np.empty(0)
-    moved = np.diff(xy, axis=0, prepend=xy[:1])
-    return time_s, np.cumsum(np.hypot(moved[:, 0], moved[:, 1]))
+    own = rows.index.rows(int(row[0]))
+    path = np.column_stack([tracks.time_s[rows.index.step[own]], rows.xy[own]])
+    return path[path[:, 0] > since_s]
 
 
-def _when(time_s: FloatArray, way_m: FloatArray, reached_m: float) -> float:
+def _first_s(time_s: FloatArray, way_m: FloatArray, reached_m: float) -> float:
     """When a way was first gone, s."""
     after = int(np.searchsorted(way_m, reached_m - 1e-6))
-    if after == 0:
-        return float(time_s[0])
-    share = (reached_m - way_m[after - 1]) / max(way_m[after] - way_m[after - 1], 1e-9)
-    return float(time_s[after - 1] + share * (time_s[after] - time_s[after - 1]))
+    some = slice(max(after - 1, 0), after + 1)
+    return float(np.interp(reached_m, way_m[some], time_s[some]))
 
 
 def factual_of(dataset: Dataset, branched: EpisodeEntry | None = None) -> EpisodeEntry:

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
-from experiments.what_if.blame import judge, verdict_rows
+from experiments.what_if.blame import judge
 from scenarios import SCENARIOS
 from sim.engines import get_engine
 from sim.episode.incidents import incidents
@@ -27,12 +27,10 @@ def test_an_impatient_follower_answers_for_its_near_miss() -> None:
     near = [e for e in found if e.kind in (EventKind.NEAR_MISS, EventKind.COLLISION)]
     assert len(near) == 1
     told = list(judge(scenario, agents, seed, bystanders=1))
-    assert {v.event.agent for v in told} == {near[0].agent}
-    assert [v.role for v in told] == ["agent", "other", "bystander"]
+    assert {line["agent"] for line in told} == {near[0].agent}
+    assert [line["role"] for line in told] == ["agent", "other", "bystander"]
     follower = told[0]
-    assert follower.agent == near[0].agent
-    assert (follower.prevents, follower.placebo) == (True, False)
-    assert told[-1].prevents is False
-    rows = verdict_rows(told)
-    assert rows[0]["behavior"] == follower.behavior
-    assert rows[0]["driver"] == near[0].agent
+    assert follower["driver"] == near[0].agent
+    assert (follower["prevents"], follower["placebo"]) == (True, False)
+    assert told[-1]["prevents"] is False
+    assert follower["behavior"] == "impatient"

@@ -9,8 +9,7 @@ import pytest
 
 from experiments.demo import METHODS, PREDICTORS, SCENARIOS, run_demo
 from experiments.report.findings import findings
-from experiments.report.page import write_report
-from experiments.report.source import read_source
+from experiments.report.page import read_source, write_report
 from graphrqi.model_files import load_model
 
 

@@ -11,9 +11,8 @@ import pytest
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED, STANDARD
 from experiments.drive.episode import METRICS, drive, score
-from experiments.drive.figures import figure_rows, mean_row
 from experiments.drive.policies import POLICIES
-from experiments.drive.run import LicenceTest, run_test
+from experiments.drive.run import LicenceTest, figure_rows, mean_row, run_test
 from scenarios import SCENARIOS
 from sim.scenario import sample_agents
 from tests.experiments.shared import call

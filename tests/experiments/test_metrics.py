@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from experiments.benchmarks.statistics import auc_within
+from experiments.benchmarks.real_data import auc_within
 
 
 def test_auc_compares_only_inside_groups():

@@ -1,4 +1,4 @@
-// The data: read back from what packing.py wrote.
+// The data: read back from what page.py wrote.
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const $ = (id) => document.getElementById(id);
@@ -9,7 +9,7 @@ async function inflated(base64) {
   return new Response(stream).arrayBuffer();
 }
 
-const TYPES = { Uint8: Uint8Array, Uint16: Uint16Array, Int16: Int16Array, Int32: Int32Array, Float32: Float32Array };
+const TYPES = { Uint8: Uint8Array, Uint16: Uint16Array, Int32: Int32Array, Float32: Float32Array };
 
 async function readArrays() {
   const buffer = await inflated(data.packed);
@@ -21,46 +21,30 @@ async function readArrays() {
   return arrays;
 }
 
+// The values of an array that was written as differences, so many of them side by side.
+function summed(differences, unit, stride = 1) {
+  const values = new Float64Array(differences.length);
+  const sums = new Array(stride).fill(0);
+  for (let i = 0; i < values.length; i++) values[i] = unit * (sums[i % stride] += differences[i]);
+  return values;
+}
+
 // Places of every agent as runs of frames without a gap.
 function readPlaces(arrays) {
-  const count = arrays.headingSteps.length;
-  const places = { x: new Float64Array(count), y: new Float64Array(count), heading: new Float32Array(count), speed: new Float32Array(count) };
   for (const agent of data.agents) agent.runs = [];
   let at = 0;
-  for (let run = 0; run < arrays.runAgent.length; run++) {
-    const size = arrays.runSize[run];
-    let x = arrays.xFirst[run], y = arrays.yFirst[run], heading = 0, speed = arrays.speedFirst[run];
-    data.agents[arrays.runAgent[run]].runs.push({ begin: arrays.runStep[run], size, at });
-    for (const end = at + size; at < end; at++) {
-      x += arrays.xSteps[at]; y += arrays.ySteps[at];
-      heading += arrays.headingSteps[at]; speed += arrays.speedSteps[at];
-      places.x[at] = data.origin[0] + x * data.quantum;
-      places.y[at] = data.origin[1] + y * data.quantum;
-      places.heading[at] = heading * 2 * Math.PI / data.turn;
-      places.speed[at] = speed * data.speedQuantum;
-    }
-  }
-  return places;
+  arrays.runAgent.forEach((agent, run) => {
+    data.agents[agent].runs.push({ begin: arrays.runStep[run], size: arrays.runSize[run], at });
+    at += arrays.runSize[run];
+  });
+  const values = (name) => summed(arrays[name], data.units[name]);
+  return { x: values("x"), y: values("y"), heading: values("heading"), speed: values("speed") };
 }
 
 // Possible futures: index of the places of future m is m * H.
 function readFutures(arrays) {
-  const ahead = data.ahead.length;
-  if (!ahead) return null;
-  const many = arrays.futureAgent.length;
-  const xy = new Float64Array(many * ahead * 2);
-  for (let m = 0; m < many; m++) {
-    let x = arrays.futureFirst[2 * m], y = arrays.futureFirst[2 * m + 1], dx = 0, dy = 0;
-    for (let h = 0; h < ahead; h++) {
-      if (h) {
-        dx += arrays.futureChanges[2 * (m * (ahead - 1) + h - 1)];
-        dy += arrays.futureChanges[2 * (m * (ahead - 1) + h - 1) + 1];
-        x += dx; y += dy;
-      }
-      xy[2 * (m * ahead + h)] = data.origin[0] + x * data.futureQuantum;
-      xy[2 * (m * ahead + h) + 1] = data.origin[1] + y * data.futureQuantum;
-    }
-  }
+  if (!data.ahead.length) return null;
+  const xy = summed(arrays.future, data.units.future, 2);
   return { xy, ahead: data.ahead, agent: arrays.futureAgent, probability: arrays.futureProbability, time: arrays.forecastTime, begin: arrays.forecastBegin, stale: Math.max(2.1, 1.1 * (arrays.forecastTime[1] - arrays.forecastTime[0] || 0)) };
 }
 
@@ -68,11 +52,9 @@ function readFutures(arrays) {
 function readGhosts(arrays) {
   const found = new Map();
   if (!data.ghosts.length) return found;
+  const xy = summed(arrays.ghostXY, data.units.x, 2);
   for (let i = 0; i < arrays.ghostOf.length; i++) {
-    const place = {
-      ...data.ghosts[arrays.ghostOf[i]], heading: arrays.ghostHeading[i],
-      x: data.origin[0] + arrays.ghostXY[2 * i], y: data.origin[1] + arrays.ghostXY[2 * i + 1],
-    };
+    const place = { ...data.ghosts[arrays.ghostOf[i]], heading: arrays.ghostHeading[i], x: xy[2 * i], y: xy[2 * i + 1] };
     if (!found.has(arrays.ghostStep[i])) found.set(arrays.ghostStep[i], []);
     found.get(arrays.ghostStep[i]).push(place);
   }

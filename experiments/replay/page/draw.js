@@ -258,24 +258,6 @@ function tag(ctx, x, y, text) {
   ctx.fillText(text, x + 4.5, y + 0.5);
 }
 
-// The outlines of a near miss at their nearest, and its kind and numbers beside them.
-function drawConflict(ctx, panel, event) {
-  const places = event.outlines.map((corners) => {
-    const points = [];
-    for (let i = 0; i < corners.length; i += 2) points.push(toScreen(panel, corners[i], corners[i + 1]));
-    return points;
-  });
-  ctx.lineWidth = 2; ctx.setLineDash([4, 3]);
-  for (const points of places) {
-    ctx.beginPath();
-    points.forEach(([x, y], i) => i ? ctx.lineTo(x, y) : ctx.moveTo(x, y));
-    ctx.closePath(); ctx.stroke();
-  }
-  ctx.setLineDash([]);
-  const right = places.flat().reduce((one, other) => (other[0] > one[0] ? other : one));
-  tag(ctx, right[0] + 8, right[1], event.rule);
-}
-
 // A cross or a triangle in a ring where somebody collided or nearly did, for two seconds.
 function drawEvents(ctx, panel) {
   for (const event of data.events) {
@@ -285,8 +267,7 @@ function drawEvents(ctx, panel) {
     if (!place) continue;
     const [x, y] = toScreen(panel, place.x, place.y);
     ctx.globalAlpha = 1 - Math.max(0, since) / 2.2;
-    ctx.strokeStyle = theme.grave; ctx.lineWidth = 2.4;
-    if (event.outlines.length) drawConflict(ctx, panel, event);
+    if (event.kind !== data.grave[0]) tag(ctx, x + 24, y, event.rule);
     ctx.strokeStyle = theme.grave; ctx.lineWidth = 2.4;
     ctx.beginPath(); ctx.arc(x, y, 12 + 6 * Math.max(0, since), 0, 2 * Math.PI); ctx.stroke();
     if (event.kind !== data.grave[0]) {

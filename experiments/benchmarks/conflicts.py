@@ -18,12 +18,13 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 
-from experiments.score.rows import Row, tidy_row
+from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.files import temporary_folder
 from sim.frames import FloatArray, Tracks
-from sim.safety import CONFLICT_KINDS, Bodies, ConflictKind, Conflicts, conflicts, pair_measures
+from sim.safety import CONFLICT_KINDS, ConflictKind, Conflicts, conflicts
 from sim.scenario import Scenario, sample_agents
 from sim.sumo.engine import run_with
 from sim.sumo.settings import SumoSettings
@@ -54,16 +55,6 @@ class SumoConflict(NamedTuple):
     span_s: FloatArray
     kind: ConflictKind
     values: FloatArray
-    ttc_time_s: float
-
-
-class Case(NamedTuple):
-    """A conflict: who found it, why the other did not, and (3,) SUMO's measures less ours."""
-
-    kind: ConflictKind
-    found_by: str
-    reason: str
-    difference: FloatArray
 
 
 def read_ssm(path: Path) -> list[SumoConflict]:
@@ -84,9 +75,8 @@ def read_ssm(path: Path) -> list[SumoConflict]:
                 break  # the report of the other vehicle's device
         else:
             kind = _kind(int(next(known[tag] for tag in MEASURES.values() if tag in known)["type"]))
-            time_s = float(known.get("minTTC", {}).get("time", "nan"))
             span_s = np.array([begin_s, end_s])
-            found.append(SumoConflict((low, high), span_s, kind, np.array(values), time_s))
+            found.append(SumoConflict((low, high), span_s, kind, np.array(values)))
     return found
 
 
@@ -99,14 +89,21 @@ def _kind(code: int) -> ConflictKind:
     return ConflictKind.CROSSING if 9 <= code <= 17 else ConflictKind.MERGING
 
 
-def compare(tracks: Tracks, ours: Conflicts, theirs: Sequence[SumoConflict]) -> Iterator[Case]:
-    """Match conflicts by pair and time, and say where they differ and why."""
-    near_ttc, none = ours.ttc_s <= WITHIN_S, np.full(len(MEASURES), np.nan)
+def compare(ours: Conflicts, theirs: Sequence[SumoConflict]) -> pd.DataFrame:
+    """Match conflicts by pair and time.
+
+    Returns:
+        A line for each conflict: its ``kind``, who it was ``found_by`` and by which ``measure``,
+        and of those that both found the `MEASURES`, SUMO's less ours.
+    """
+    near_ttc = ours.ttc_s <= WITHIN_S
     values = np.stack([ours.ttc_s, np.where(near_ttc, ours.drac_mps2, np.nan), ours.pet_s], axis=1)
     values[np.isinf(values)] = np.nan
     follows = ours.kind == CONFLICT_KINDS.index(ConflictKind.FOLLOWING)
     left = near_ttc | (~follows & (ours.pet_s <= WITHIN_S))
     near = left.copy()
+    cases: list[tuple[str, str, str, FloatArray]] = []
+    none = np.full(len(MEASURES), np.nan)
     for each in theirs:
         begin_s, end_s = each.span_s
         same = (ours.first == each.pair[0]) & (ours.second == each.pair[1]) & near
@@ -114,43 +111,14 @@ def compare(tracks: Tracks, ours: Conflicts, theirs: Sequence[SumoConflict]) -> 
         left &= ~same
         if same.any():
             i = int(same.argmax())
-            yield Case(CONFLICT_KINDS[ours.kind[i]], "both", "", each.values - values[i])
+            cases.append((CONFLICT_KINDS[ours.kind[i]].value, "both", "", each.values - values[i]))
         else:
-            yield Case(each.kind, "SUMO", _reason_of_sumo(tracks, each), none)
+            cases.append((each.kind.value, "SUMO", "", none))
     for row in np.flatnonzero(left):
-        kind = CONFLICT_KINDS[ours.kind[row]]
-        yield Case(kind, "we", _our_reason(kind, bool(near_ttc[row])), none)
-
-
-def _our_reason(kind: ConflictKind, near_ttc: bool) -> str:
-    """Why SUMO does not report a conflict of ours."""
-    if kind == ConflictKind.PEDESTRIAN:
-        return "SUMO sees no pedestrians"
-    return "outlines meet" if near_ttc else "post-encroachment time alone"
-
-
-def _reason_of_sumo(tracks: Tracks, conflict: SumoConflict) -> str:
-    """Why we do not report a conflict of SUMO, by the outlines' courses at its least time."""
-    if np.isnan(conflict.ttc_time_s):
-        return "post-encroachment time alone"
-    ttc_s = pair_measures(*bodies_at(tracks, conflict.pair, conflict.ttc_time_s)).ttc_s[0]
-    if ttc_s <= WITHIN_S:
-        return "outlines meet, a nearer one between"
-    return "outlines miss" if np.isinf(ttc_s) else "outlines meet later"
-
-
-def bodies_at(tracks: Tracks, pair: tuple[int, int], time_s: float) -> list[Bodies]:
-    """The two bodies, each as arrays of one, in the frame nearest to a time."""
-    step = int(np.abs(tracks.time_s - time_s).argmin())
-    rows = [slice(k, k + 1) for k in np.searchsorted(tracks.ids, pair)]
-    none = np.zeros(1)
-    return [
-        Bodies(
-            tracks.xy[r, step], tracks.heading[r, step], tracks.speed[r, step], none,
-            tracks.length[r], tracks.width[r],
-        )
-        for r in rows
-    ]  # fmt: skip
+        measure = "time to collision" if near_ttc[row] else "post-encroachment time"
+        cases.append((CONFLICT_KINDS[ours.kind[row]].value, "we", measure, none))
+    lines = [(*case[:3], *case[3]) for case in cases]
+    return pd.DataFrame(lines, columns=["kind", "found_by", "measure", *MEASURES])
 
 
 def watch(scenario: Scenario, seed: int) -> tuple[Tracks, list[SumoConflict]]:
@@ -166,21 +134,21 @@ def watch(scenario: Scenario, seed: int) -> tuple[Tracks, list[SumoConflict]]:
 def measure(
     seeds: Sequence[int], duration_s: float, scenarios: Sequence[str] = SCENARIOS
 ) -> Iterator[list[Row]]:
-    """Counts by kind, finder and reason over all episodes; median differences, SUMO less ours."""
-    cases: list[Case] = []
+    """Counts by kind, finder and measure over all episodes; median differences, SUMO less ours."""
+    cases = []
     for name in scenarios:
         scenario = get_scenario(name)(duration_s=duration_s)
         for seed in seeds:
             tracks, theirs = watch(scenario, seed)
-            cases += compare(tracks, conflicts(tracks, scenario.road, WITHIN_S), theirs)
+            cases.append(compare(conflicts(tracks, scenario.road, WITHIN_S), theirs))
+    together = pd.concat(cases)
     rows = []
-    for kind, found_by, reason in sorted({case[:3] for case in cases}):
-        some = [c.difference for c in cases if c[:3] == (kind, found_by, reason)]
-        keys = {"kind": kind.value, "found_by": found_by, "reason": reason}
-        rows.append(tidy_row(keys, "conflicts", len(some), n=len(cases)))
-        for metric, values in zip(MEASURES, np.array(some).T, strict=True):
-            known = values[~np.isnan(values)]
-            if known.size:
-                middle = float(np.median(known))
-                rows.append(tidy_row(keys, f"{metric}_difference", middle, n=known.size))
+    for names, some in together.groupby(["kind", "found_by", "measure"], dropna=False):
+        words = map(str, names)
+        keys: dict[str, Cell] = dict(zip(("kind", "found_by", "measure"), words, strict=True))
+        rows.append(tidy_row(keys, "conflicts", len(some), n=len(together)))
+        for metric in MEASURES:
+            known = some[metric].dropna()
+            if len(known):
+                rows.append(tidy_row(keys, f"{metric}_difference", known.median(), n=len(known)))
     yield rows
