@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +46,11 @@ from sim.formats import traf
 from sim.formats.common.recording import CAR_LENGTH_M
 from sim.frames import CodeArray, FloatArray, IntArray, Tracks
 
-SETTINGS: Final[tuple[tuple[str, Mapping[str, Any]], ...]] = (
-    ("logistic", {"inverse_penalty": 0.001}),
-    ("logistic", {"inverse_penalty": 0.01}),
-    ("logistic", {"inverse_penalty": 0.1}),
-    ("forest", {"trees": 100, "min_leaf": 8}),
-    ("forest", {"trees": 100, "min_leaf": 15}),
-)
-"""The learners among which the training videos choose."""
+SETTINGS: Final[tuple[tuple[str, float], ...]] = (
+    ("logistic", 0.001), ("logistic", 0.01), ("logistic", 0.1), ("forest", 8), ("forest", 15),
+)  # fmt: skip
+"""The learners among which the training videos choose: logistic regression by one over its penalty,
+and a forest of 100 trees by its smallest leaf."""
 
 TASKS: Final[dict[int, tuple[int, ...]]] = {
     2: tuple(0 if b.style is Style.AGGRESSIVE else 1 for b in BEHAVIORS),
@@ -169,16 +166,26 @@ def _posterior(
     setting: int, training: Sequence[Video], held: Video, view: str, task: int
 ) -> FloatArray:
     """(n, C) posteriors of a held-out video."""
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
     classes = np.array(TASKS[task], dtype=np.int8)
     features = np.concatenate([v.features[view] for v in training])
     codes = classes[np.concatenate([v.codes for v in training])]
     if view == "majority" or np.unique(codes).size < 2:
-        learner = CLASSIFIERS["majority"](task)
-    else:
-        name, options = SETTINGS[setting]
-        learner = CLASSIFIERS[name](task, **options)
-    learner.fit(features, codes, None, seed=0)
-    return learner.posterior(held.features[view])
+        share = np.bincount(codes, minlength=task) / codes.size
+        return np.tile(share, (held.codes.size, 1))
+    name, option = SETTINGS[setting]
+    if name == "forest":
+        forest = CLASSIFIERS[name](task, trees=100, min_leaf=int(option))
+        forest.fit(features, codes, None, seed=0)
+        return forest.posterior(held.features[view])
+    learner = make_pipeline(StandardScaler(), LogisticRegression(C=option, max_iter=1000))
+    learner.fit(features, codes)
+    posterior = np.zeros((held.codes.size, task))
+    posterior[:, learner.classes_] = learner.predict_proba(held.features[view])
+    return posterior
 
 
 def _shares(videos: Sequence[Video], task: int) -> FloatArray:
