@@ -32,7 +32,7 @@ def test_crowds_depart_alike_and_differ_by_their_drivers() -> None:
         assert one.depart_s == two.depart_s == three.depart_s
         assert one.route == two.route == three.route
     assert {agent.behavior for agent in timid} == {Behavior.TIMID, None}  # None: pedestrians
-    assert {agent.behavior for agent in mixed} == {*Behavior, None}
+    assert {agent.behavior for agent in mixed} == {*BEHAVIORS, None}
     assert {agent.profile for agent in clones} == {STANDARD, None}
     assert all(agent.behavior is None for agent in clones)
 

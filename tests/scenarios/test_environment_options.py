@@ -64,6 +64,7 @@ VALUES = {
     "flow": [{"flow": 0}, {"flow": "medium"}, {"flow": "dense"}, {"flow": 900.5}],
     "mix": [{"mix": "timid=1"}, {"mix": "aggressive=.5,timid=.5"}, {"mix": {"reckless": 1.0}}],
     "population": [{"population": "us101"}, {"population": "profiles", "flow": "dense"}],
+    "behaviors": [{"behaviors": "novice", "mix": "novice=.5,timid=.5"}],
     "spread": [{"spread": 0.0}, {"spread": 1.0}],
     "net": [{"net": str(ROUNDABOUT)}],
     "routes": [{"net": str(ROUNDABOUT), "routes": "ROUTES", "flow": 600}],
