@@ -91,7 +91,8 @@ def to_own_frame(xy: FloatArray, origin: FloatArray, heading: FloatArray) -> Flo
         heading: (n,) rad.
 
     Examples:
-        >>> to_own_frame(np.array([[3.0, 5.0]]), np.array([[3.0, 1.0]]), np.array([np.pi / 2]))
+        >>> place, agent = np.array([[3.0, 5.0]]), np.array([[3.0, 1.0]])
+        >>> to_own_frame(place, agent, np.array([np.pi / 2])).round(6)
         array([[4., 0.]])
     """
     shape = (-1,) + (1,) * (xy.ndim - 2)

@@ -305,7 +305,9 @@ def test_wrong_input_is_refused_by_name(straight):
     with pytest.raises(InputError, match="horizon_s: found '5'"):
         predict(past, NOBODY, straight, horizon_s="5")
     for unknown in ("time_s", "xy", "heading", "speed", "length", "width"):
-        blank = dataclasses.replace(past, **{unknown: np.full_like(getattr(past, unknown), np.nan)})
+        nothing = {unknown: np.full_like(getattr(past, unknown), np.nan)}
+        dense = unknown in ("xy", "heading", "speed")
+        blank = past.with_dense(**nothing) if dense else dataclasses.replace(past, **nothing)
         for road in (straight, None):
             with pytest.raises(InputError, match=rf"history\.{unknown}: found"):
                 predict(blank, NOBODY, road)
