@@ -126,7 +126,7 @@ def standardised(values: FloatArray) -> FloatArray:
     """Standardised columns, clipped at 4; zero where unknown."""
     table = pd.DataFrame(values)
     scaled = (table - table.mean()) / (table.std(ddof=0) + 1e-9)
-    return scaled.clip(-4.0, 4.0).fillna(0.0).to_numpy()
+    return np.asarray(scaled.clip(-4.0, 4.0).fillna(0.0), dtype=np.float64)
 
 
 def _instants(place: FloatArray, level: float, slope: float) -> pd.DataFrame:

@@ -114,7 +114,8 @@ class Answers:
 
 
 def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
-    return pd.Index([str(word) for word in known]).get_indexer(pd.Index(words)).astype(np.int64)
+    found = pd.Index([str(word) for word in known]).get_indexer(pd.Index(words))
+    return np.asarray(found, dtype=np.int64)
 
 
 def score_answers(
