@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
@@ -27,8 +26,6 @@ from graphrqi.places.adaptation import Adaptation
 from graphrqi.places.other_traffic import OtherTraffic
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
-
-FloatArray = NDArray[np.float64]
 
 MOST_SEED: Final = 2**32 - 1
 """Largest seed that the generators of NumPy and scikit-learn accept."""

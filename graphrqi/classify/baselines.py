@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import CodeArray, FloatArray
 from graphrqi.classify.calibrated import NEVER, Calibrated, softmax
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
+from graphrqi.classify.contract import HeldOut, saved
 from graphrqi.classify.standardisation import Standardisation
 
 CHUNK: Final = 4096

@@ -13,8 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import CodeArray, FloatArray
 from graphrqi.classify.calibrated import NEVER, Calibrated, softmax
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
+from graphrqi.classify.contract import HeldOut, saved
 from graphrqi.classify.trees import Trees
 
 PATIENCE: Final = 30

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
-
-BoolArray = NDArray[np.bool_]
+from graphrqi.arrays import BoolArray, CodeArray, FloatArray
+from graphrqi.classify.contract import HeldOut, saved
 
 NEVER: Final = -1e3
 """Score of a class without training rows; its probability is exactly zero."""

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import CodeArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-CodeArray = NDArray[np.int8]
 HeldOut = tuple[FloatArray, CodeArray] | None
 """Feature vectors and classes of episodes that are not trained on, if there are any."""
 

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import CodeArray, FloatArray
 from graphrqi.classify.calibrated import Calibrated
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
+from graphrqi.classify.contract import HeldOut, saved
 
 
 class Forest(Calibrated):

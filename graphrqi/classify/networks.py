@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from behaviors.errors import InputError
+from graphrqi.arrays import CodeArray, FloatArray
 from graphrqi.classify.calibrated import Calibrated
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, part_of, saved
+from graphrqi.classify.contract import HeldOut, part_of, saved
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.networks.portable_torch import Descent, one_thread
 

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 from graphrqi.classify.contract import saved
-
-FloatArray = NDArray[np.float64]
 
 CLIP: Final = 8.0
 """Standardised features are clipped here, so that a single wrong position does not decide the

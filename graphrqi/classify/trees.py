@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.contract import FloatArray
+from graphrqi.arrays import FloatArray
 
 MOST_LEAVES: Final = 32
 """Largest number of leaves of a tree: the bits of a mask."""

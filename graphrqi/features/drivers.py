@@ -11,8 +11,8 @@ from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features import following_law
 from graphrqi.features.motion import Motion, RawMotion
 from graphrqi.features.observer import Observation, RunningSums
@@ -29,10 +29,6 @@ from graphrqi.features.smoothed_quantities import (
 from graphrqi.features.spectral import INVARIANT_NAMES, SPECTRAL, GraphSpectrum, spectral_means
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import Sighting, TrafficGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MotionKind = Literal["raw", "smoothed"]
 

@@ -21,17 +21,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.motion import Motion, RawMotion, align
 from graphrqi.features.observer import Observation
 from graphrqi.features.spectral import NEIGHBORS, NullObserver
 from graphrqi.graph import TrafficGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 NUM_DIMENSIONS: Final = 8
 """Dimensions of each embedding and of the consensus; as many as the rows of U have."""

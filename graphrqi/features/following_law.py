@@ -20,9 +20,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from graphrqi.arrays import FloatArray
 
 PRIOR_MEAN: Final = np.array([2.3, 1.4, 0.3])
 """Standstill gap, m, time headway, s, and 1 / braking, s2/m, of the average driver (textbook

@@ -10,11 +10,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from sim.compiled import in_place
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 IndexArray = NDArray[np.int32]
 
 

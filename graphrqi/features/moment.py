@@ -6,14 +6,11 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray
 from graphrqi.features import following_law
 from graphrqi.features.interaction import Interaction
 from graphrqi.features.motion import Motion
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _CLOSE, _DISTANT, _MIDDLE = (1.0, 5.0), (2.5, 2.5), (1.5, 3.5)
 """Assumed standstill gap, m, and braking, m/s2, of a close, a distant and a middle follower."""

@@ -10,13 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.sorted_ids import find
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 
 SPAN_S: Final = 0.4
 """Span over which positions are differenced for velocity (four frames at 10 Hz)."""

@@ -6,15 +6,13 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray
 from graphrqi.features.interaction import differences, interactions
 from graphrqi.features.moment import Moment, Quantities
 from graphrqi.features.motion import Motion
 from graphrqi.features.scene import FreeFlowSpeed
 from graphrqi.graph import TrafficGraph
-
-BoolArray = NDArray[np.bool_]
 
 MOVING_MPS: Final = 2.0
 """Speed above which a driver moves, m/s."""

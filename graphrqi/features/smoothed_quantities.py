@@ -10,17 +10,14 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray
 from graphrqi.features.interaction import interactions, neighbor_speed
 from graphrqi.features.moment import Moment, Quantities, Values
 from graphrqi.features.motion import Motion
 from graphrqi.features.scene import FreeFlowSpeed, PlaceSpeeds, UsualValues
 from graphrqi.features.smooth_motion import Courses
 from graphrqi.graph import TrafficGraph
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOVING_MPS, MOVING_OF_PACE, STANDING_MPS = 2.0, 0.25, 0.5
 """Speed above which drivers move, m/s. In slow traffic it is the second number times the free-flow

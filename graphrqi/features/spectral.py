@@ -16,15 +16,11 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.observer import Observation, RunningSums
 from graphrqi.graph import Sighting, TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 NEIGHBORS: Final = 4
 """Nearest neighbours joined by an edge (the paper)."""

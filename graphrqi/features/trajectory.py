@@ -14,17 +14,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.drivers import NEIGHBORS
 from graphrqi.features.interaction import differences, interactions
 from graphrqi.features.motion import RawMotion, align
 from graphrqi.features.observer import Observation, RunningSums
 from graphrqi.graph import TrafficGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 QUANTITIES: Final = (
     "speed",

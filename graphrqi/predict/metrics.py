@@ -18,9 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from sim.geometry import Outlines, separation
-
-FloatArray = NDArray[np.float64]
 
 MISS_THRESHOLD_M: Final = 2.0
 """An agent is missed when no future ends this close (Argoverse 2)."""

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 
 if TYPE_CHECKING:
     import pandas
 
-FloatArray = NDArray[np.float64]
 
 STEP_S: Final = 0.1
 """Time between predicted positions, s: the simulators' usual step."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.extrapolation import inertial_distance
 from graphrqi.predict.learned.features import features
 from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
@@ -26,8 +26,6 @@ from graphrqi.predict.rollout.rollout import (
 )
 from graphrqi.predict.rollout.route import candidates, path_probability
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 _COMPARED: Final = [0, 1, 4]
 """The anchor trajectories that networks are given as features too: the two paths and inertia."""

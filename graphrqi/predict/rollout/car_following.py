@@ -20,16 +20,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors import driver_models
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
 from sim.compiled import in_place, inlined, reordered
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-CodeArray = NDArray[np.int8]
 
 LOOK_AHEAD_M = 120.0
 """Distance beyond which drivers react to nothing ahead, m (5 s at 24 m/s)."""

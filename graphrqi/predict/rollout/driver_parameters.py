@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
+from graphrqi.arrays import BoolArray, FloatArray
 from graphrqi.predict.rollout.driver_table import RUNS_RED, YIELDS, DriverTable
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 FREE_WEIGHT: Final = 0.1
 """Weight of the behaviour's desired speed against the driver's observed free speed."""

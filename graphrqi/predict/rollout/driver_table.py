@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, PROFILES
+from graphrqi.arrays import FloatArray
 from graphrqi.networks.weights import load_weights, save_weights
-
-FloatArray = NDArray[np.float64]
 
 DRIVER_FIELDS: Final = (
     "speed_factor",

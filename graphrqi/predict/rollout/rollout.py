@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout import car_following
 from graphrqi.predict.rollout.driver_parameters import DriverParameters
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
 from sim.geometry import to_own_frame
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 CHANGE_S = 3.0
 """Duration of a lane change, s (3 to 6 s are observed)."""

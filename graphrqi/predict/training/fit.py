@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.learned.lstm import TrajectoryLstm, make_module
 from graphrqi.predict.metrics import covered
 from graphrqi.predict.networks.futures import (
@@ -35,7 +36,6 @@ from graphrqi.predict.networks.perceptron import standardized as standardized_fe
 if TYPE_CHECKING:
     import torch
 
-FloatArray = NDArray[np.float64]
 
 HIDDEN: Final = (256, 256, 256)
 """Widths of the hidden layers (as in the first study)."""
