@@ -191,6 +191,8 @@ class _NetworkAnswers:
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions, and update the answers where motion is measured."""
         observer = self._observer
+        if self._traffic == "simulated" and observer.is_exact and observer.frame_s >= FINEST_S:
+            return  # positions without noise stay without noise
         measured = observer.update(time_s, ids, xy, drives)
         self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S
         if not measured or (self._traffic == "simulated" and not self.sees_noise):

@@ -150,6 +150,11 @@ class SmoothMotion:
         """
         return self._fits >= LEAST_FITS and self._least_noise_m >= EXACT_M
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether a moment showed no noise, so that `is_noisy` stays False."""
+        return self._least_noise_m < EXACT_M
+
     def _half_s(self) -> float:
         """Half the stretch that is fitted now, s."""
         noise_m = self.noise_m if self._weight > 0.0 else 0.0
