@@ -20,7 +20,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.arrays import BoolArray, FloatArray
-from graphrqi.classify.calibrated import FLOOR, softmax
+from graphrqi.classify.contract import FLOOR, softmax
 
 OFFSET_SD: Final = 1.0
 """Prior standard deviation of the offsets, in logarithms of odds."""

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.arrays import FloatArray, SingleArray
-from graphrqi.classify.calibrated import softmax
-from graphrqi.classify.contract import saved
+from graphrqi.classify.contract import saved, softmax
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.places.drivers import PlaceDrivers
 

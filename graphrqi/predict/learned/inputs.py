@@ -14,8 +14,11 @@ from graphrqi.predict.extrapolation import inertial_distance
 from graphrqi.predict.learned.features import features
 from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.rollout.agreement import agreement
-from graphrqi.predict.rollout.driver_parameters import expected_parameters, parameters_of_each
-from graphrqi.predict.rollout.driver_table import DriverTable
+from graphrqi.predict.rollout.driver_table import (
+    DriverTable,
+    expected_parameters,
+    parameters_of_each,
+)
 from graphrqi.predict.rollout.rollout import (
     Rollout,
     in_own_frame,

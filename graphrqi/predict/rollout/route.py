@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.predict.rollout.driver_parameters import DriverParameters
+from graphrqi.predict.rollout.driver_table import DriverParameters
 from graphrqi.predict.rollout.rollout import asked_on
 from graphrqi.predict.scene.scene import Scene
 
