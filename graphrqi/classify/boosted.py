@@ -108,9 +108,8 @@ class Boosted(Classifier):
         padded[:n] = features
         turned = np.ascontiguousarray(padded.reshape(batches, WIDTH, width).swapaxes(1, 2))
         out = np.zeros((batches, self._num_classes, WIDTH))
-        sum_of_leaves(
-            turned.reshape(-1, WIDTH), *self._trees.values(), np.empty(WIDTH, np.uint32), out
-        )
+        room = np.empty(WIDTH, np.uint32)
+        sum_of_leaves(turned.reshape(-1, WIDTH), **self._trees, reachable=room, out=out)
         return softmax(out.swapaxes(1, 2).reshape(-1, self._num_classes)[:n] + self._baseline)
 
     @property

@@ -157,9 +157,9 @@ def simulate(
         The futures.
     """
     m, n = path.shape
-    out = Simulated(
-        np.zeros((m, n, steps[0]), np.int64), *np.zeros((4, m, n, steps[0])), np.zeros((m, n))
-    )
+    s, offset, speed, travelled = np.zeros((4, m, n, steps[0]))
+    lane, asked = np.zeros((m, n, steps[0]), np.int64), np.zeros((m, n))
+    out = Simulated(lane, s, offset, speed, travelled, asked)
     _simulate(
         present, path, lateral, following, ignores, stop_state, paths, others, steps,
         np.flatnonzero(present.on_path), np.full(paths.lane_length.size, -1),

@@ -78,7 +78,7 @@ def roll(
         drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
         _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    return Rollout(*(column[0] for column in found), step_s)
+    return Rollout(*(column[0] for column in found), step_s=step_s)
 
 
 def roll_each(
@@ -112,7 +112,7 @@ def roll_each(
         scene.stop_state, scene.paths.columns, Others(others.lane, others.s, others.speed),
         (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    return Rollout(*found, step_s)
+    return Rollout(*found, step_s=step_s)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
