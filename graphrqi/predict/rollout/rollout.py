@@ -13,6 +13,7 @@ from graphrqi.predict.rollout.car_following import (
     UNKNOWN_ACCELERATION,
     Others,
     Present,
+    Simulated,
     simulate,
 )
 from graphrqi.predict.rollout.driver_table import DriverParameters
@@ -78,7 +79,8 @@ def roll(
         drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
         _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    return Rollout(*(column[0] for column in found), step_s=step_s)
+    only = Simulated(*(column[0] for column in found))
+    return Rollout(*only, step_s=step_s)
 
 
 def roll_each(
