@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from experiments.benchmarks.graph_sequences import (
+from experiments.benchmarks.spectrum import (
     graph_sequence,
 )
 from graphrqi.graph import TrafficGraph
@@ -166,7 +166,7 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.benchmarks.graph_sequences import graph_sequence
+from experiments.benchmarks.spectrum import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
