@@ -23,7 +23,15 @@ from graphrqi.places.other_traffic import Traffic
 from graphrqi.posterior import Posterior
 from graphrqi.predict import check_map, chosen_predictor, predict
 from graphrqi.predict.learned.predictors import with_weights
-from graphrqi.predict.metrics import METRICS, SAMPLE_S, covered, distances, log_density, overlap
+from graphrqi.predict.metrics import (
+    METRICS,
+    SAMPLE_S,
+    covered,
+    displacement_errors,
+    distances,
+    log_density,
+    overlap,
+)
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.stream import BehaviorStream
@@ -222,7 +230,7 @@ def score_episode(
             hit = hits(history, prediction.best[:, at])[scored]
             for h, horizon_s in enumerate(horizons_s):
                 last = round(horizon_s / SAMPLE_S)
-                values = [f(gap[:, :, :last], probability) for f in METRICS.values()]
+                values = [*displacement_errors(gap[:, :, :last], probability).values()]
                 values += set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
                 values.append(np.asarray(hit[:, :last].any(axis=1), dtype=np.float64))
                 values.append(off_road(road, prediction, scored, at[last - 1]))
