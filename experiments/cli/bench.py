@@ -180,6 +180,15 @@ def loop(
     show_parts("bench loop", parts, json)
 
 
+@bench.command(epilog="example: graphrqi bench generate --quick --json generate.json")
+def generate(quick: Quick = False, json: Json = None) -> None:
+    """Measure the cost of generating data."""
+    from experiments.benchmarks.generate import measure
+    from experiments.score.rows import show_parts
+
+    show_parts("bench generate", measure(1, 30.0, 2) if quick else measure(), json)
+
+
 @bench.command(epilog="example: graphrqi bench conflicts --quick --json rows.json")
 def conflicts(quick: Quick = False, json: Json = None) -> None:
     """Compare our conflicts with those of SUMO's own device, in the same episodes."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks import conflicts, loop, spectrum
+from experiments.benchmarks import conflicts, generate, loop, spectrum
 from experiments.benchmarks.prediction import BELIEFS, compare
 from experiments.score.predictions import GROUPS, MEASURES, Errors
 from experiments.score.rows import Row
@@ -38,6 +38,15 @@ def test_following_conflicts_agree_with_those_of_sumo() -> None:
     assert value["following", "both", "conflicts"] > 5
     assert value["following", "both", "ttc_s_difference"] == pytest.approx(0.0, abs=0.05)
     assert value["following", "both", "drac_mps2_difference"] == pytest.approx(0.0, abs=0.05)
+
+
+# --- generate -----------------------------------------------------------------------------------
+
+
+def test_costs_of_an_episode() -> None:
+    cost = generate.episode_costs("straight_road", 0, 10.0)
+    assert cost["over_bare_stepping"] > 0.0
+    assert 1.0 < cost["bytes_per_agent_step"] < 10_000.0
 
 
 # --- spectrum -----------------------------------------------------------------------------------
