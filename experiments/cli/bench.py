@@ -71,19 +71,22 @@ def behaviors(
 
 @bench.command(epilog="example: graphrqi bench attention --quick --json attention.json")
 def attention(
-    behavior: Annotated[str, option("Of the six, or distracted, novice.")] = "careful",
+    behavior: Annotated[str, option("Whose numbers the drivers have.")] = "careful",
+    behaviors: Annotated[
+        str | None, option("Behaviours of your own, too: a TOML file, or distracted, novice.")
+    ] = None,
     engine: Annotated[str, option("Which simulator.")] = "sumo-idm",
     jobs: Jobs = None,
     quick: Quick = False,
     json: Json = None,
 ) -> None:
-    """Measure reactions, headway and rear-end collisions as the reaction time grows."""
+    """Measure reactions, rear-end collisions, and what is overlooked."""
     from behaviors.errors import lookup
-    from behaviors.labels import BEHAVIORS, SHIPPED, read_behaviors
+    from behaviors.labels import BEHAVIORS, read_behaviors
     from experiments.benchmarks.attention import measure
 
-    known = {str(one): one for one in (*BEHAVIORS, *read_behaviors(",".join(SHIPPED)))}
-    chosen, seeds, duration_s = lookup(known, behavior, "behavior"), 10, 300.0
+    known = {str(one): one for one in (*BEHAVIORS, *read_behaviors(behaviors))}
+    chosen, seeds, duration_s = lookup(known, behavior, "behavior"), 5, 300.0
     if quick:
         seeds, duration_s = 1, 120.0
     _show("attention", measure(chosen, engine, seeds, duration_s, jobs), json)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from behaviors.colors import COLORS
-from behaviors.labels import OWN_COLOR
+from behaviors.labels import COLORS, OWN_COLOR
 from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.pictures import INK, LONG, MUTED, draw_road
 from experiments.what_if.branches import branch_of, change_of

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
 from experiments.console.progress import Progress
 from experiments.figure_files import write_figure
 from experiments.replay.page import ramp_color

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
 from experiments.report.tables import FIRST, name_of, subject_of, varying
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Trait
+from behaviors.traits import ShownTrait
 from experiments.replay.beliefs import Beliefs, kept_steps, sampled
 from experiments.replay.forecasts import Forecast
 from experiments.replay.graph_history import graph_history

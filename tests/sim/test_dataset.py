@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError, sample_profile
+from behaviors.profiles import PERCEPTION_FIELDS
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.safety import conflicts
@@ -282,6 +283,21 @@ def test_every_episode_comes_back(made: Path) -> None:
     assert dataset.totals.column("episodes").to_pylist() == [
         len(dataset.episodes(split=split)) for split in dataset.totals.column("split").to_pylist()
     ]
+
+
+def test_a_dataset_without_columns_of_perception_opens_with_zeros(folder: Path) -> None:
+    path = shard(folder, "agents")
+    with pq.ParquetFile(path) as file:
+        groups = [file.read_row_group(i) for i in range(file.num_row_groups)]
+    groups = [rows.drop_columns(list(PERCEPTION_FIELDS)) for rows in groups]
+    with pq.ParquetWriter(path, groups[0].schema) as writer:
+        for rows in groups:
+            writer.write_table(rows)
+    dataset = open_dataset(folder)
+    agents = [one for entry in dataset.episodes() for one in dataset.read(entry).agents]
+    profiles = [one.profile for one in agents if one.profile is not None]
+    assert profiles
+    assert not any(getattr(one, name) for one in profiles for name in PERCEPTION_FIELDS)
 
 
 def test_filters_choose_episodes(made: Path) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior
-from behaviors.populations.draw import LOWEST_HEADWAY_S
+from behaviors.populations import LOWEST_HEADWAY_S
 from behaviors.profiles import FARTHEST_SPREADS, Profile
 from graphrqi.posterior import AGGRESSIVE
 from sim.frames import AgentKind
