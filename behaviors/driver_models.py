@@ -98,7 +98,7 @@ def krauss_safe_speed(gap: float, leader_speed: float, reaction_time: float, dec
     """The speed from which a driver can still stop behind its leader, m/s.
 
     ``-b T + sqrt((b T)^2 + u^2 + 2 b g)``: both brake with b, the follower a reaction time later
-    (Krauss 1998, eq. 4.13, in SUMO's form; derived from Gipps 1981).
+    (Krauss 1998, in SUMO's form; derived from Gipps 1981).
 
     Args:
         gap: g, beyond the gap at a standstill, m; may be negative.

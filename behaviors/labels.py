@@ -138,11 +138,12 @@ def _behavior(name: str, said: Mapping[str, Any], known: Mapping[str, Behavior])
     if known and like is None:
         raise InputError(f"{name}.like: found none, expected one of {', '.join(known)}")
     base = lookup(known, str(like), f"{name}.like") if known else None
-    style = said.get("style", "" if base is None else str(base.style))
-    color = said.get("color", OWN_COLOR)
-    if not re.fullmatch("#[0-9A-Fa-f]{6}", str(color)):
-        raise InputError(f"{name}.color: found {color!r:.60}, expected one such as '#009E73'")
     numbers = {key: said[key] for key in PROFILE_FIELDS if key in said}
+    said = {"color": OWN_COLOR, "style": base and base.style, "traits": [], "source": "", **said}
+    if not re.fullmatch("#[0-9A-Fa-f]{6}", str(said["color"])):
+        raise InputError(f"{name}.color: found {said['color']!r:.60}, expected such as '#009E73'")
+    if not isinstance(said["traits"], list | tuple):
+        raise InputError(f"{name}.traits: found {said['traits']!r:.60}, expected a list")
     for key, value in numbers.items():
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise InputError(f"{name}.{key}: found {value!r:.60}, expected a number")
@@ -151,19 +152,15 @@ def _behavior(name: str, said: Mapping[str, Any], known: Mapping[str, Behavior])
         profile = (
             Profile(**numbers) if base is None else dataclasses.replace(base.profile, **numbers)
         )
-    traits = said.get("traits", [])
-    if not isinstance(traits, list | tuple):
-        raise InputError(f"{name}.traits: found {traits!r:.60}, expected a list")
+    known_traits = {str(trait): trait for trait in Trait}
     return Behavior(
         name,
-        style=lookup({str(style): style for style in Style}, str(style), f"{name}.style"),
-        color=str(color),
+        style=lookup({str(one): one for one in Style}, str(said["style"]), f"{name}.style"),
+        color=str(said["color"]),
         profile=profile,
         like=name if base is None else base.like,
-        traits=tuple(
-            lookup({str(t): t for t in Trait}, str(one), f"trait of {name}") for one in traits
-        ),
-        source=str(said.get("source", ""))[:500],
+        traits=tuple(lookup(known_traits, str(t), f"trait of {name}") for t in said["traits"]),
+        source=str(said["source"])[:500],
     )
 
 

@@ -137,7 +137,7 @@ SPREAD_FIELDS: Final = tuple(
 encounter, and those of perception are the same for all drivers of a behaviour."""
 
 ERROR_TIME_S: Final = 20.0
-"""Correlation time of the error of perception, s (Treiber et al. 2006, section 2.2)."""
+"""Correlation time of the error of perception, s (Treiber et al. 2006)."""
 
 CLOSING_ERROR_PER_S: Final = 0.2
 """Error of the closing speed per metre of gap, relative to that of the gap, 1/s (Treiber et al.

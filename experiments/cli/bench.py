@@ -72,9 +72,7 @@ def behaviors(
 @bench.command(epilog="example: graphrqi bench attention --quick --json attention.json")
 def attention(
     behavior: Annotated[str, option("Whose numbers the drivers have.")] = "careful",
-    behaviors: Annotated[
-        str | None, option("Behaviours of your own, too: a TOML file, or distracted, novice.")
-    ] = None,
+    behaviors: Annotated[str | None, option("Behaviours of your own, too: a TOML file.")] = None,
     engine: Annotated[str, option("Which simulator.")] = "sumo-idm",
     jobs: Jobs = None,
     quick: Quick = False,
@@ -82,10 +80,11 @@ def attention(
 ) -> None:
     """Measure reactions, rear-end collisions, and what is overlooked."""
     from behaviors.errors import lookup
-    from behaviors.labels import BEHAVIORS, read_behaviors
+    from behaviors.labels import BEHAVIORS, SHIPPED, read_behaviors
     from experiments.benchmarks.attention import measure
 
-    known = {str(one): one for one in (*BEHAVIORS, *read_behaviors(behaviors))}
+    own = *read_behaviors(",".join(SHIPPED)), *read_behaviors(behaviors)
+    known = {str(one): one for one in (*BEHAVIORS, *own)}
     chosen, seeds, duration_s = lookup(known, behavior, "behavior"), 5, 300.0
     if quick:
         seeds, duration_s = 1, 120.0
