@@ -160,7 +160,7 @@ def _behavior(name: str, said: Mapping[str, Any], known: Mapping[str, Behavior])
         profile=profile,
         like=name if base is None else base.like,
         traits=tuple(lookup(known_traits, str(t), f"trait of {name}") for t in said["traits"]),
-        source=str(said["source"])[:500],
+        source=str(said["source"])[:1000],
     )
 
 

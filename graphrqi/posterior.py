@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -21,9 +20,6 @@ LABEL_PROBABILITY: Final = 0.8
 
 AGGRESSIVE: Final = np.array([behavior.style is Style.AGGRESSIVE for behavior in BEHAVIORS])
 """(6,) which behaviours are of the aggressive style."""
-
-_SHOWN: Final = 10
-"""Drivers shown in a notebook's table."""
 
 _COMPUTED: Final = np.empty(0)
 """Stands for values that follow from the probabilities."""
@@ -180,11 +176,6 @@ class Posterior:
         if not self.labelled.all():
             said += f", {(~self.labelled).mean():.0%} unknown"
         return f"Posterior({n} driver{'s' * (n != 1)}{said})"
-
-    def _repr_html_(self) -> str:
-        """A table of the first drivers, for notebooks."""
-        table = self.to_pandas().head(_SHOWN)
-        return f"<p>{html.escape(repr(self))}</p>{table.round(2).to_html()}"
 
     def to_pandas(self) -> pd.DataFrame:
         """Table of the probabilities: a row per driver, a column per behaviour.

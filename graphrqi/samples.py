@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 from graphrqi.features.motion import align
 from graphrqi.features.observer import Observation, Observer
 from sim.frames import Tracks
-
-FloatArray = NDArray[np.float64]
 
 WINDOWS_S: Final = (1.0, 2.0, 3.0, 5.0, 10.0, 15.0, 30.0, 60.0, float("inf"))
 """Lengths of the observation windows for training, s; the infinite one is a driver's whole track so

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.motion import align
 from graphrqi.graph.sighting import MAX_COORDINATE_M
@@ -21,10 +21,6 @@ from graphrqi.posterior import Posterior
 from sim.episode.buffer import FrameBuffer
 from sim.episode.window import Window
 from sim.frames import Frame, Tracks
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MIN_SECONDS: Final = 1.0
 """Time after which a driver is classified, s; earlier velocities are uncertain."""
@@ -195,6 +191,8 @@ class _NetworkAnswers:
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions, and update the answers where motion is measured."""
         observer = self._observer
+        if self._traffic == "simulated" and observer.is_exact and observer.frame_s >= FINEST_S:
+            return  # positions without noise stay without noise
         measured = observer.update(time_s, ids, xy, drives)
         self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S
         if not measured or (self._traffic == "simulated" and not self.sees_noise):

@@ -16,15 +16,11 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.features.observer import Observation, RunningSums
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.features.observer import Observation, Observer
 from graphrqi.graph import Sighting, TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 NEIGHBORS: Final = 4
 """Nearest neighbours joined by an edge (the paper)."""
@@ -169,34 +165,7 @@ def spectral_means(sums: FloatArray) -> FloatArray:
     return np.asarray(sums[:, :-1] / np.where(total > 1e-9, total, 1.0))
 
 
-class NullObserver:
-    """Measures how long each driver is present and has no features.
-
-    Args:
-        solver: not used; every observer takes one.
-    """
-
-    feature_names: tuple[str, ...] = ()
-
-    def __init__(self, solver: str = "graphrqi") -> None:
-        self._sums = RunningSums(0)
-
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        drivers = ids[drives]
-        self._sums.add(time_s, drivers, np.zeros((drivers.size, 0)))
-        return True
-
-    def observation(self) -> Observation:
-        """The drivers present and their time observed."""
-        return self._sums.observation()
-
-    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """(n, 0) no columns."""
-        return np.zeros((seconds.size, 0))
-
-
-class EigenvectorObserver(NullObserver):
+class EigenvectorObserver(Observer):
     """The features of the paper: rows of the matrix of the largest eigenvectors, now.
 
     Args:
@@ -209,10 +178,12 @@ class EigenvectorObserver(NullObserver):
         super().__init__()
         self._spectrum = GraphSpectrum(solver)
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+    def _moment(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> FloatArray:
+        """Extend the graph; there is no additive evidence."""
         self._spectrum.observe(Sighting.of(ids, xy))
-        return super().update(time_s, ids, xy, drives)
+        return np.zeros((ids.size, 0))
 
     def observation(self) -> Observation:
         """The drivers present with their rows of the graph's present spectrum."""
@@ -221,12 +192,8 @@ class EigenvectorObserver(NullObserver):
         vectors = eigenvector_rows(np.asarray(spectrum.eigenvectors))
         return dataclasses.replace(present, instant=vectors[rows])
 
-    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """(n, NUM_PAIRS) the rows."""
-        return instant
 
-
-class SpectrumObserver:
+class SpectrumObserver(Observer):
     """Invariant spectral features of each driver, averaged over the time observed.
 
     Args:
@@ -236,18 +203,15 @@ class SpectrumObserver:
     feature_names = tuple(f"spectrum_{name}" for name in INVARIANT_NAMES)
 
     def __init__(self, solver: str = "graphrqi") -> None:
+        super().__init__(solver, SPECTRAL)
         self._spectrum = GraphSpectrum(solver)
-        self._sums = RunningSums(SPECTRAL)
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+    def _moment(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> FloatArray:
+        """(n, SPECTRAL) see `GraphSpectrum.moment`."""
         self._spectrum.observe(Sighting.of(ids, xy))
-        self._sums.add(time_s, ids[drives], self._spectrum.moment(time_s, ids)[drives])
-        return True
-
-    def observation(self) -> Observation:
-        """Evidence on the drivers present."""
-        return self._sums.observation()
+        return self._spectrum.moment(time_s, ids)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, F) means over the time observed."""

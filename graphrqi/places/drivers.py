@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from graphrqi.arrays import FloatArray, IntArray
 
 MEMORY_S: Final = 300.0
 """A driver counts for this time after it was last seen, s; scenes average over the same time."""

@@ -21,13 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.calibrated import softmax
-from graphrqi.classify.contract import saved
+from graphrqi.arrays import FloatArray, SingleArray
+from graphrqi.classify.contract import saved, softmax
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.places.drivers import PlaceDrivers
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
 
 CLIP: Final = 4.0
 """Standardised inputs are clipped at this value."""

@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.places.drivers import PlaceDrivers
-
-FloatArray = NDArray[np.float64]
 
 FARTHEST_ODDS: Final = 9.2
 """Log-odds are limited to this."""

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import tracked
 from graphrqi.predict.scene.agent_states import present_acceleration
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN, Tracks
-
-FloatArray = NDArray[np.float64]
 
 
 def keep_velocity(history: Tracks, steps: int) -> Prediction:

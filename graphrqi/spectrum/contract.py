@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -27,37 +27,6 @@ from graphrqi.spectrum.subspaces import (
 )
 
 ENDS = get_args(End)
-
-
-class Solver(Protocol):
-    """The one contract of all solvers."""
-
-    def __call__(
-        self,
-        graph: TrafficGraph,
-        num_pairs: int = 8,
-        end: End = "largest",
-        previous: Spectrum | None = None,
-        tol: float = 1e-8,
-        nonzero: bool = False,
-    ) -> Spectrum:
-        """Compute eigenpairs at one end of the spectrum.
-
-        Args:
-            graph: d vehicles.
-            num_pairs: how many, at least 1; all there are where fewer exist.
-            end: "largest" or "smallest".
-            previous: any earlier answer, of other vehicles too, to start from.
-            tol: residuals up to tol * max(1, lambda_max) are asked for.
-            nonzero: leave out the null space (one pair per connected component).
-
-        Returns:
-            The pairs, with their residuals.
-
-        Raises:
-            InputError: for an argument out of range.
-        """
-        ...
 
 
 def check_arguments(num_pairs: int, end: str, tol: float, previous: object = None) -> None:
@@ -160,39 +129,56 @@ class Problem:
         return Pairs(*self.chosen(*found), complete=True, note=note)
 
 
-def eigensolver(
-    dense_share: int | None = None,
-) -> Callable[[Callable[[Problem], Pairs]], Solver]:
-    """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`.
+@dataclass(frozen=True)
+class Solver:
+    """A solver: a function that finds the pairs of a `Problem`, which checks and measures.
 
-    Args:
+    Attributes:
+        find: the function.
         dense_share: a dense solution answers where this many times the pairs wanted reach d; None
             for never.
     """
 
-    def decorate(find: Callable[[Problem], Pairs]) -> Solver:
-        def solve(
-            graph: TrafficGraph,
-            num_pairs: int = 8,
-            end: End = "largest",
-            previous: Spectrum | None = None,
-            tol: float = 1e-8,
-            nonzero: bool = False,
-        ) -> Spectrum:
-            check_arguments(num_pairs, end, tol, previous)
-            problem = Problem(graph, num_pairs, end, previous, tol, nonzero)
-            pairs = None
-            if dense_share is not None:
-                k = problem.num_pairs
-                if k < 1 or dense_share * k + problem.null.shape[1] >= graph.ids.size:
-                    pairs = problem.dense()
-            return answer(graph, find(problem) if pairs is None else pairs, end, tol)
+    find: Callable[[Problem], Pairs]
+    dense_share: int | None = None
 
-        solve.__name__, solve.__qualname__ = find.__name__, find.__qualname__
-        solve.__module__, solve.__doc__ = find.__module__, find.__doc__
-        return solve
+    def __call__(
+        self,
+        graph: TrafficGraph,
+        num_pairs: int = 8,
+        end: End = "largest",
+        previous: Spectrum | None = None,
+        tol: float = 1e-8,
+        nonzero: bool = False,
+    ) -> Spectrum:
+        """Compute eigenpairs at one end of the spectrum.
 
-    return decorate
+        Args:
+            graph: d vehicles.
+            num_pairs: how many, at least 1; all there are where fewer exist.
+            end: "largest" or "smallest".
+            previous: any earlier answer, of other vehicles too, to start from.
+            tol: residuals up to tol * max(1, lambda_max) are asked for.
+            nonzero: leave out the null space (one pair per connected component).
+
+        Returns:
+            The pairs, with their residuals.
+
+        Raises:
+            InputError: for an argument out of range.
+        """
+        check_arguments(num_pairs, end, tol, previous)
+        problem = Problem(graph, num_pairs, end, previous, tol, nonzero)
+        if self.dense_share is not None:
+            k = problem.num_pairs
+            if k < 1 or self.dense_share * k + problem.null.shape[1] >= graph.ids.size:
+                return answer(graph, problem.dense(), end, tol)
+        return answer(graph, self.find(problem), end, tol)
+
+
+def eigensolver(dense_share: int | None = None) -> Callable[[Callable[[Problem], Pairs]], Solver]:
+    """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`."""
+    return lambda find: Solver(find, dense_share)
 
 
 def answer(graph: TrafficGraph, pairs: Pairs, end: End, tol: float) -> Spectrum:

@@ -17,11 +17,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from experiments.benchmarks.graph_sequences import (
+from experiments.benchmarks.spectrum import (
     graph_sequence,
 )
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum import SOLVERS, Spectrum, certify, full_spectrum, topology
+from graphrqi.spectrum import SOLVERS, Spectrum, certify
 from graphrqi.spectrum.rivals import exact
 from graphrqi.spectrum.spectrum import End
 from graphrqi.spectrum.subspaces import null_space
@@ -166,7 +166,7 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.benchmarks.graph_sequences import graph_sequence
+from experiments.benchmarks.spectrum import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
@@ -256,7 +256,7 @@ def test_a_null_vector_over_all_components_is_known_for_one() -> None:
     paths = [[(i * 8 + j, i * 8 + j + 1) for j in range(i + 1)] for i in range(7)]
     edges = [edge for path in paths for edge in path]
     graph = TrafficGraph.from_edges(sorted({end for edge in edges for end in edge}), edges)
-    full = full_spectrum(graph)
+    full = SOLVERS["graphrqi"](graph, graph.ids.size, "smallest")
     null = full.eigenvectors[:, :7].sum(axis=1) / np.sqrt(7)
     values = np.concatenate([[0.0], full.eigenvalues[7:13]])
     vectors = np.column_stack([null, full.eigenvectors[:, 7:13]])
@@ -287,17 +287,6 @@ def test_wrong_vectors_are_never_certified() -> None:
     twice = found.eigenvectors.copy()
     twice[:, 1] = twice[:, 0]
     assert not certify(replace(found, eigenvectors=twice)).certified
-
-
-def test_full_spectrum_and_topology() -> None:
-    for graph in SHAPES.values():
-        found = full_spectrum(graph)
-        assert found.certified
-        d = graph.ids.size
-        assert errors_against_lapack(found, max(d, 1), False).max() < 1e-12
-        np.testing.assert_allclose(
-            topology(found), found.eigenvectors * found.eigenvalues, atol=1e-12 * max(d, 1)
-        )
 
 
 def test_smallest_end_starts_with_the_component_indicators() -> None:

@@ -10,17 +10,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
 from sim.road.lane_graph import DIRECTIONS
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 FAR_M = 100.0
 """Distances are cut off here and divided by it."""

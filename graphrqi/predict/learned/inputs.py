@@ -8,14 +8,17 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.extrapolation import inertial_distance
 from graphrqi.predict.learned.features import features
 from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.rollout.agreement import agreement
-from graphrqi.predict.rollout.driver_parameters import expected_parameters, parameters_of_each
-from graphrqi.predict.rollout.driver_table import DriverTable
+from graphrqi.predict.rollout.driver_table import (
+    DriverTable,
+    expected_parameters,
+    parameters_of_each,
+)
 from graphrqi.predict.rollout.rollout import (
     Rollout,
     in_own_frame,
@@ -26,8 +29,6 @@ from graphrqi.predict.rollout.rollout import (
 )
 from graphrqi.predict.rollout.route import candidates, path_probability
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 _COMPARED: Final = [0, 1, 4]
 """The anchor trajectories that networks are given as features too: the two paths and inertia."""

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray
 from graphrqi.posterior import Posterior
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
 from graphrqi.predict.learned.lstm import TrajectoryLstm
@@ -32,8 +32,6 @@ from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.paths import limits_known
 from graphrqi.predict.scene.scene import Scene
-
-BoolArray = NDArray[np.bool_]
 
 Predictor = Callable[[Scene, Posterior], Prediction]
 

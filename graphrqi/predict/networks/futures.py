@@ -15,11 +15,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.prediction import STEP_S, Prediction
 from sim.frames import PEDESTRIAN, Tracks
 from sim.geometry import from_own_frame
-
-FloatArray = NDArray[np.float64]
 
 KNOT_S: Final = 0.5
 """Time between knots, s."""

@@ -9,13 +9,11 @@ other drivers show how reliable the classifier is.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.rollout.driver_table import DriverTable
 from graphrqi.predict.rollout.route import ACCELERATION_SD
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 WISH_SD = 0.18
 """Standard deviation of the logarithm of desired speeds within a behaviour, including the

@@ -9,15 +9,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.predict.rollout.driver_parameters import DriverParameters
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.predict.rollout.driver_table import DriverParameters
 from graphrqi.predict.rollout.rollout import asked_on
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 ACCELERATION_SD: Final = 0.8
 """Standard deviation of drivers' accelerations around the law's, m/s2 (chosen on training

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.scene.agent_states import AgentStates, agent_states
 from graphrqi.predict.scene.paths import PathTable
@@ -21,10 +22,6 @@ from graphrqi.predict.scene.stop_constraints import stop_states
 from sim.frames import KINDS, MAX_MAGNITUDE, SIGNALS, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LEARNED_S: Final = 5.0
 """Horizon that the learned predictors are made for, s."""
