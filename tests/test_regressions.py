@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from behaviors.populations.files import read_population
+from behaviors.populations import read_population
 
 from behaviors.errors import LONGEST, InputError
 from experiments.generate.configuration import read_config
