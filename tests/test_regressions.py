@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from behaviors.populations import read_population
 
 from behaviors.errors import LONGEST, InputError
+from behaviors.populations import read_population
 from experiments.generate.configuration import read_config
 from experiments.replay.layers import read_beliefs
 from scenarios import get_scenario
