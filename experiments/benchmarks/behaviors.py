@@ -14,10 +14,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from behaviors.detector_inputs import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes
 from behaviors.labelling import label_from_traits
 from behaviors.labels import BEHAVIORS, Behavior, Trait, read_behaviors, tables_of
-from behaviors.traits import waits
+from behaviors.traits import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes, waits
 from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario

@@ -105,8 +105,8 @@ def _dsyevr(problem: Problem) -> Pairs:
     """LAPACK's dsyevr for a range of indices: a rival that keeps nothing."""
     from scipy.linalg import eigh
 
-    d, k, zeros = problem.graph.ids.size, problem.num_pairs, problem.null.shape[1]
-    span = (d - k, d - 1) if problem.end == "largest" else (zeros, zeros + k - 1)
+    d, k = problem.graph.ids.size, problem.num_pairs
+    span = (d - k, d - 1) if problem.end == "largest" else (0, k - 1)
     matrix = problem.graph.laplacian.toarray()
     values, vectors = eigh(matrix, subset_by_index=span, driver="evr")
     if problem.end == "largest":
@@ -162,8 +162,8 @@ def _warm_up(solvers: Mapping[str, Solver]) -> None:
     for end in ENDS:
         first, second = graph_sequence("road", "accumulated", 40, 2)
         for solver in solvers.values():
-            last = solver(first, 4, end, None, TOLERANCE, end == "smallest")
-            solver(second, 4, end, last, TOLERANCE, end == "smallest")
+            last = solver(first, 4, end, None, TOLERANCE)
+            solver(second, 4, end, last, TOLERANCE)
     previous: Spectrum | None = None
     for graph in graph_sequence("road", "accumulated", 700, 3):
         previous = SOLVERS["graphrqi"](graph, PAIRS, "largest", previous)
@@ -189,9 +189,7 @@ def _sequence_rows(
             if len(done) > 2 and sum(ms for ms, *_ in done) > 1e3 * SEQUENCE_BUDGET_S:
                 continue
             begin = time.process_time()
-            last[name] = solvers[name](
-                graph, PAIRS, end, last.get(name), TOLERANCE, end == "smallest"
-            )
+            last[name] = solvers[name](graph, PAIRS, end, last.get(name), TOLERANCE)
             now[name] = 1e3 * (time.process_time() - begin), last[name]
         _, reference = now.get("eigh") or now.get("graphrqi") or (0.0, None)
         for name, (ms, spectrum) in now.items():

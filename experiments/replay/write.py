@@ -11,7 +11,7 @@ from experiments.data.exchange import as_dataset
 from experiments.replay.page import MODES, default_mode, write_page
 from experiments.replay.pictures import check_picture, write_picture
 from experiments.replay.scene import DEFAULT_PREDICTOR, chosen_entry, gather
-from graphrqi.predict import get_predictor
+from graphrqi.predict import PREDICTORS
 from graphrqi.stream import DEFAULT_MODEL
 from sim.store.dataset import open_dataset
 
@@ -49,7 +49,7 @@ def write_replay(
     if color is not None:
         lookup({mode: mode for mode in MODES}, color, "color")
     if predictor != "none":
-        get_predictor(predictor)
+        PREDICTORS[predictor]
     wanted = [path for path in (out, picture) if path is not None]
     for path in wanted:
         if not os.access(path.parent, os.W_OK):
