@@ -7,7 +7,6 @@ separate figure.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -25,113 +24,61 @@ from experiments.score.metrics import (
     confusion,
     macro_f1,
     ratio,
-    recall_of,
+    recalls,
     reliability,
     summed,
     weighted_accuracy,
 )
-from experiments.score.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from graphrqi.posterior import aggressive_share
-from sim.frames import BoolArray, FloatArray, IntArray
+from sim.frames import FloatArray, IntArray
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
 
 
-def styles_of(classes: Sequence[Behavior]) -> IntArray:
-    """(k,) code of each behaviour's style."""
-    return np.array([STYLES.index(b.style) for b in classes])
+def joined_answers(tables: Sequence[pa.Table]) -> pd.DataFrame:
+    """Tables as of a labels file, of an episode each, as one, in which episodes are numbers."""
+    number = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
+    answers: pd.DataFrame = pa.concat_tables(tables).to_pandas().assign(episode=number)
+    return answers
 
 
-@dataclass(frozen=True, slots=True)
-class Answers:
-    """Answers about some drivers, and their true labels.
+def known_answers(
+    probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray,
+    classes: Sequence[Behavior] = BEHAVIORS,
+) -> pd.DataFrame:  # fmt: skip
+    """Answers (n, k) that are always given, with the columns of a labels file that scores need.
 
-    Attributes:
-        episode: (n,) number of the episode.
-        probability: (n, k) of each class.
-        truth: (n,) codes into ``classes``, -1 where not known or none of them.
-        style: (n,) codes into ``STYLES``, -1 where not known.
-        answered: (n,) whether a behaviour is likely enough to be an answer.
-        domain: (n,) 0 in simulated traffic, 1 in other traffic.
-        classes: the behaviours that the model knows.
+    Episodes (n,) are numbers. True codes (n,) stand for the classes, and -1 for an unknown one.
     """
-
-    episode: IntArray
-    probability: FloatArray
-    truth: IntArray
-    style: IntArray
-    answered: BoolArray
-    domain: FloatArray
-    classes: tuple[Behavior, ...] = BEHAVIORS
-
-    @classmethod
-    def known(
-        cls, probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray,
-        classes: tuple[Behavior, ...] = BEHAVIORS,
-    ) -> Answers:  # fmt: skip
-        """Answers (n, k) that are always given, by true codes (n,) and episode numbers (n,)."""
-        n, codes = len(probability), truth.astype(np.int64)
-        style = np.where(codes >= 0, styles_of(classes)[codes], -1)
-        everyone = np.ones(n, dtype=bool)
-        return cls(episode, probability, codes, style, everyone, np.zeros(n), classes)
-
-    @classmethod
-    def of_tables(
-        cls, tables: Sequence[pa.Table], classes: tuple[Behavior, ...] = BEHAVIORS
-    ) -> Answers:
-        """The answers of a model that knows some classes, by tables as of a labels file."""
-        table = pa.concat_tables(tables).to_pandas()
-        return cls(
-            episode=np.repeat(np.arange(len(tables)), [t.num_rows for t in tables]),
-            probability=table[[f"p_{b}" for b in classes]].to_numpy(np.float64),
-            truth=_codes(table["truth"], classes),
-            style=_codes(table["true_style"], STYLES),
-            answered=table["behavior"].notna().to_numpy(),
-            domain=table["domain"].to_numpy(np.float64),
-            classes=classes,
-        )
-
-    def where(self, chosen: BoolArray) -> Answers:
-        """The answers for which ``chosen`` (n,) holds."""
-        arrays = {n: getattr(self, n)[chosen] for n in self.__slots__ if n != "classes"}
-        return Answers(**arrays, classes=self.classes)
-
-    @property
-    def likeliest(self) -> IntArray:
-        """(n,) codes of the most likely behaviours."""
-        return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
-
-    @property
-    def counts(self) -> FloatArray:
-        """(E, k, k) confusion matrices of behaviours."""
-        return confusion(self.truth, self.likeliest, self.episode, len(self.classes))
-
-    @property
-    def style_counts(self) -> FloatArray:
-        """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
-        answer = (aggressive_share(self.probability, self.classes) < 0.5).astype(np.int64)
-        return confusion(self.style, answer, self.episode, len(STYLES))
-
-
-def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
-    found = pd.Index([str(word) for word in known]).get_indexer(pd.Index(words))
-    return np.asarray(found, dtype=np.int64)
+    words, styles = (
+        np.array([*map(str, names), None], dtype=object)
+        for names in (classes, [one.style for one in classes])
+    )
+    answers = pd.DataFrame(probability, columns=[f"p_{b}" for b in classes])
+    return answers.assign(
+        episode=episode, domain=0.0, behavior=words[probability.argmax(axis=1)],
+        truth=words[truth], true_style=styles[truth],
+    )  # fmt: skip
 
 
 def score_answers(
-    answers: Answers,
+    answers: pd.DataFrame,
     keys: Mapping[str, Cell],
     majority: int | None = None,
     breakdown: bool = True,
+    classes: Sequence[Behavior] = BEHAVIORS,
 ) -> list[Row]:
     """All answers of one source.
 
     Args:
-        answers: one of every driver (or of every window of observation).
+        answers: one of every driver (or of every window of observation), as from `joined_answers`
+            or `known_answers`.
         keys: what was measured, for the rows.
         majority: code of the constant answer; None for the most frequent behaviour of the scored
             drivers.
         breakdown: whether rows by answer and by confidence are wanted.
+        classes: the behaviours that the model knows.
 
     Returns:
         Rows. All drivers: ``drivers``, ``episodes``, ``answered_share``, ``domain`` and
@@ -144,46 +91,68 @@ def score_answers(
         ``confidence`` the ``reliability``, a share of right answers. Intervals are by bootstrap
         over episodes.
     """
-    n, episode = answers.episode.size, answers.episode
+    n, episode = len(answers), answers["episode"].to_numpy()
     rows = [tidy_row(keys, "drivers", n, n=n)]
     if not n:
         return rows
     rows.append(tidy_row(keys, "episodes", np.unique(episode).size, n=n))
-
-    def share(name: str, part: NDArray[Any], **extra: Cell) -> Row:
+    probability = _chances(answers, classes)
+    answer = np.where(answers["behavior"].notna(), probability.argmax(axis=1), -1)
+    shares: list[tuple[str, dict[str, Cell], NDArray[Any]]] = [
+        ("answered_share", {}, answer >= 0),
+        ("domain", {}, answers["domain"].to_numpy(np.float64)),
+        ("confidence", {}, probability.max(axis=1)),
+    ]
+    for code, behavior in enumerate(classes if breakdown else ()):
+        shares.append(("named_share", {"behavior": str(behavior)}, answer == code))
+    for name, more, part in shares:
         found = bootstrap(ratio, summed(episode, part, np.ones(n)))
-        return tidy_row({**keys, **extra}, name, *found, n)
-
-    rows.append(share("answered_share", answers.answered))
-    rows.append(share("domain", answers.domain))
-    rows.append(share("confidence", answers.probability.max(axis=1)))
-    if breakdown:
-        answer = np.where(answers.answered, answers.likeliest, -1)
-        rows += [
-            share("named_share", answer == code, behavior=str(b))
-            for code, b in enumerate(answers.classes)
-        ]
-    known = answers.where(answers.truth >= 0)
-    if known.truth.size:
-        rows += _behavior_rows(known, keys, majority, breakdown)
-    known = answers.where(answers.style >= 0)
-    if known.style.size:
-        rows += _style_rows(known, keys, majority)
+        rows.append(tidy_row({**keys, **more}, name, *found, n))
+    known = answers[_codes(answers["truth"], classes) >= 0]
+    if len(known):
+        rows += _behavior_rows(known, keys, majority, breakdown, classes)
+    known = answers[_codes(answers["true_style"], STYLES) >= 0]
+    if len(known):
+        rows += _style_rows(known, keys, majority, classes)
     return rows
 
 
+def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
+    found = pd.Index([str(word) for word in known]).get_indexer(pd.Index(words))
+    return np.asarray(found, dtype=np.int64)
+
+
+def _chances(answers: pd.DataFrame, classes: Sequence[Behavior]) -> FloatArray:
+    return np.asarray(answers[[f"p_{b}" for b in classes]], dtype=np.float64)
+
+
+def _counts(answers: pd.DataFrame, classes: Sequence[Behavior] = BEHAVIORS) -> FloatArray:
+    """(E, k, k) confusion matrices of behaviours."""
+    truth, likeliest = _codes(answers["truth"], classes), _chances(answers, classes).argmax(axis=1)
+    return confusion(truth, likeliest, answers["episode"].to_numpy(), len(classes))
+
+
+def _style_counts(answers: pd.DataFrame, classes: Sequence[Behavior] = BEHAVIORS) -> FloatArray:
+    """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
+    answer = (aggressive_share(_chances(answers, classes), classes) < 0.5).astype(np.int64)
+    truth = _codes(answers["true_style"], STYLES)
+    return confusion(truth, answer, answers["episode"].to_numpy(), len(STYLES))
+
+
 def _behavior_rows(
-    answers: Answers, keys: Mapping[str, Cell], majority: int | None, breakdown: bool
-) -> Iterator[Row]:
+    answers: pd.DataFrame, keys: Mapping[str, Cell], majority: int | None, breakdown: bool,
+    classes: Sequence[Behavior],
+) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose behaviour is known."""
-    truth, episode, counts = answers.truth, answers.episode, answers.counts
-    constant = np.full(truth.size, np.bincount(truth).argmax() if majority is None else majority)
-    bins = reliability(truth, answers.probability, episode)
-    usual = confusion(truth, constant, episode, len(answers.classes))
-    right = summed(episode, answers.answered & (answers.likeliest == truth), answers.answered)
+    truth, episode = _codes(answers["truth"], classes), answers["episode"].to_numpy()
+    counts, probability = _counts(answers, classes), _chances(answers, classes)
+    answered = answers["behavior"].notna().to_numpy()
+    usual = np.bincount(truth).argmax() if majority is None else majority
+    bins = reliability(truth, probability, episode)
+    right = summed(episode, answered & (probability.argmax(axis=1) == truth), answered)
     figures: list[tuple[str, Statistic, FloatArray]] = [
         ("weighted_accuracy", weighted_accuracy, counts),
-        ("majority_weighted_accuracy", weighted_accuracy, usual),
+        ("majority_weighted_accuracy", ratio, summed(episode, truth == usual, truth >= 0)),
         ("answered_accuracy", ratio, right),
         ("balanced_accuracy", balanced_accuracy, counts),
         ("macro_f1", macro_f1, counts),
@@ -194,13 +163,13 @@ def _behavior_rows(
         if n:
             yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     total = counts.sum(axis=0)
-    for code, behavior in enumerate(answers.classes):
+    for code, behavior in enumerate(classes):
         own, row = int(total[code].sum()), {**keys, "behavior": str(behavior)}
         if own:
-            yield tidy_row(row, "recall", *bootstrap(recall_of(code), counts), own)
-        for taken_for, other in enumerate(answers.classes) if breakdown else ():
-            taken = float(total[code, taken_for])
-            yield tidy_row({**row, "answer": str(other)}, "confusion", taken, n=own)
+            found = bootstrap(lambda matrix, at=code: recalls(matrix)[..., at], counts)  # type: ignore[misc]
+            yield tidy_row(row, "recall", *found, own)
+        for taken, other in zip(total[code], classes if breakdown else (), strict=False):
+            yield tidy_row({**row, "answer": str(other)}, "confusion", float(taken), n=own)
     for number, (count, sure, _) in enumerate(bins.sum(axis=0) if breakdown else ()):
         if count:
             row = {**keys, "confidence": round(float(sure / count), 4)}
@@ -208,43 +177,53 @@ def _behavior_rows(
             yield tidy_row(row, "reliability", *found, int(count))
 
 
-def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None) -> Iterator[Row]:
+def _style_rows(
+    answers: pd.DataFrame, keys: Mapping[str, Cell], majority: int | None,
+    classes: Sequence[Behavior],
+) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose style is known, with or without their behaviour."""
-    truth, episode, n = answers.style, answers.episode, answers.style.size
-    aggressive = aggressive_share(answers.probability, answers.classes)
-    style_of = styles_of(answers.classes)
-    constant = np.full(n, np.bincount(truth).argmax() if majority is None else style_of[majority])
-    usual = confusion(truth, constant, episode, len(STYLES))
+    truth, episode = _codes(answers["true_style"], STYLES), answers["episode"].to_numpy()
+    aggressive, counts = (
+        aggressive_share(_chances(answers, classes), classes),
+        _style_counts(answers, classes),
+    )
+    usual = (
+        np.bincount(truth).argmax() if majority is None else STYLES.index(classes[majority].style)
+    )
     bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
     figures: list[tuple[str, Statistic, FloatArray]] = [
-        ("style_accuracy", weighted_accuracy, answers.style_counts),
-        ("majority_style_accuracy", weighted_accuracy, usual),
-        ("style_balanced_accuracy", balanced_accuracy, answers.style_counts),
+        ("style_accuracy", weighted_accuracy, counts),
+        ("majority_style_accuracy", ratio, summed(episode, truth == usual, truth >= 0)),
+        ("style_balanced_accuracy", balanced_accuracy, counts),
         ("style_ece", calibration_error, bins),
     ]
     for name, statistic, per_episode in figures:
-        yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
-    yield tidy_row(keys, "style_auc", *auc_over_episodes(aggressive, truth == 0, episode), n)
+        yield tidy_row(keys, name, *bootstrap(statistic, per_episode), truth.size)
+    auc = auc_over_episodes(aggressive, truth == 0, episode)
+    yield tidy_row(keys, "style_auc", *auc, truth.size)
 
 
-def score_difference(ours: Answers, theirs: Answers, keys: Mapping[str, Cell]) -> list[Row]:
+def score_difference(
+    ours: pd.DataFrame, theirs: pd.DataFrame, keys: Mapping[str, Cell]
+) -> list[Row]:
     """How much better some answers are than others about the same drivers in the same order.
 
     Returns:
-        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, with intervals by a
-        paired bootstrap over episodes.
+        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, of drivers whose
+        behaviour is known, with intervals by a paired bootstrap over episodes.
     """
-    rows = []
-    for name, statistic, pair in (
-        ("macro_f1", macro_f1, (ours.counts, theirs.counts)),
-        ("style_balanced_accuracy", balanced_accuracy, (ours.style_counts, theirs.style_counts)),
+    known = _codes(ours["truth"], BEHAVIORS) >= 0
+    ours, theirs, rows = ours[known], theirs[known], []
+    for name, of, counted in (
+        ("macro_f1", macro_f1, _counts),
+        ("style_balanced_accuracy", balanced_accuracy, _style_counts),
     ):
 
-        def difference(counts: FloatArray, of: Statistic = statistic) -> FloatArray:
+        def difference(counts: FloatArray, of: Statistic = of) -> FloatArray:
             return np.asarray(of(counts[..., 0, :, :]) - of(counts[..., 1, :, :]))
 
-        found = bootstrap(difference, np.stack(pair, axis=1))
-        rows.append(tidy_row(keys, f"{name}_difference", *found, ours.truth.size))
+        found = bootstrap(difference, np.stack([counted(ours), counted(theirs)], axis=1))
+        rows.append(tidy_row(keys, f"{name}_difference", *found, len(ours)))
     return rows
 
 
@@ -269,36 +248,32 @@ WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
 
 def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split")) -> list[Row]:
     """Rows of `score_answers` for people: a line for each combination of some keys."""
-    lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
-    for row in rows:
-        name, value, low = SHOWN.get(str(row["metric"])), row["value"], row["low"]
-        if name is None or value is None:
-            continue
-        place = {key: row.get(key) for key in down}
-        line = lines.setdefault(tuple(place.values()), place)
-        line[name] = f"{value:.0f}" if name == "drivers" else f"{value:.2f}"
+
+    def cell(row: Row) -> str:
+        value, low = float(row["value"] or 0.0), row["low"]
+        if row["metric"] == "drivers":
+            return f"{value:.0f}"
         if low is not None and row["metric"] in WITH_INTERVAL:
-            line[name] = f"{value:.2f} [{low:.2f}, {row['high']:.2f}]"
+            return f"{value:.2f} [{low:.2f}, {row['high']:.2f}]"
+        return f"{value:.2f}"
+
+    measured = [row for row in rows if row["value"] is not None]
+    lines = pivoted(measured, down, lambda row: SHOWN.get(str(row["metric"])), cell)
     order = [*down, *SHOWN.values()]
-    return [{k: line[k] for k in order if k in line} for line in lines.values()]
+    return [{k: line[k] for k in order if k in line} for line in lines]
 
 
 def confusion_table(rows: Sequence[Row]) -> list[Row]:
-    """How often each behaviour gets each answer, in the last group of rows that says so.
+    """How often each behaviour gets each answer, a line for each true behaviour.
 
-    Args:
-        rows: from `score_answers`; of the test split where there is one.
-
-    Returns:
-        A line for each true behaviour, with counts of answers.
+    Counts are of the last group of rows of `score_answers`, of the test split where there is one.
     """
     counted = [row for row in rows if row["metric"] == "confusion" and row["n"]]
     counted = [row for row in counted if row.get("split") == "test"] or counted
-    lines: dict[Cell, dict[str, Cell]] = {}
-    for row in counted:  # later groups are over more scenarios and replace earlier ones
-        line = lines.setdefault(row["behavior"], {"true behaviour": row["behavior"]})
-        line[str(row["answer"])] = int(row["value"] or 0)
-    return list(lines.values())
+    lines = pivoted(
+        counted, ["behavior"], lambda row: str(row["answer"]), lambda row: int(row["value"] or 0)
+    )
+    return [{"true behaviour": line.pop("behavior"), **line} for line in lines]
 
 
 def is_scored(rows: Iterable[Row]) -> bool:
