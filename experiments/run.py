@@ -16,6 +16,7 @@ from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
 from experiments.score.answers import Answers, score_answers
+from experiments.score.labels import note_unknown
 from experiments.score.predictions import EVERY_S, WARM_UP_S, score_episode, score_predictions
 from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import get_engine
@@ -105,6 +106,8 @@ def run_scenario(
     rows = [tidy_row(keys, name, value) for name, value in figures.items()]
     truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:
+        known = next(iter(latest.values()))[0].classes if latest else BEHAVIORS
+        note_unknown(str(model), truth.values(), known, "not scored")
         rows += score_answers(_last_answers(latest, truth), {**keys, "model": model})
     if predict and kept:
         errors = score_episode(Tracks.from_frames(kept, truth), beliefs, scenario.road, COMPARED)

@@ -109,4 +109,4 @@ def _table(shares: Mapping[Behavior, float]) -> str:
         for name, behavior, share, agent in _drivers(shares)
     ]
     said = f"# not expressed by IDM, Krauss and MOBIL: {', '.join(left_out)}\n"
-    return said + pd.DataFrame(rows).to_csv(index=False, float_format="%.6g")
+    return said + str(pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))
