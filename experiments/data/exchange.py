@@ -134,7 +134,8 @@ def import_recordings(
                 recording = replace(recording, notes=(*recording.notes, wrong))
             elif wrong is not None:
                 place = source / recording.file if source.is_dir() else source
-                doubted.append(f"{place}: {wrong}, expected import --rate HZ")
+                able = "other --units, or " if key == "table" else ""
+                doubted.append(f"{place}: {wrong}, expected {able}import --rate HZ")
                 continue
             if given is not None:
                 found_labels = given.of(recording.tracks.names, recording.name, recording.file)

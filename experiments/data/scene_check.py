@@ -15,7 +15,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from experiments.data.units import image_scale, in_metres, size_ratio, unit_of
+from experiments.data.units import image_scale, in_metres
+from sim.formats.common.doubts import size_doubt
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
 from sim.store.schema import EpisodeEntry
@@ -30,7 +31,7 @@ LOOK_S: Final = 0.5
 """Time between looks at overlaps and speeds, s."""
 
 LOOKS, SIZED = 10, 3
-"""Fewest looks that say that a speed is wrong, and fewest vehicles that say that a unit is."""
+"""Fewest looks that say that a speed is wrong, and fewest vehicles that say that a size is."""
 
 CORE, LONGEST_CORE_M, LEAST_CORE_M = 0.5, 2.5, 0.25
 """Vehicles overlap where outlines of this share of their sizes do; longest core, less than a lane's
@@ -114,8 +115,7 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
     many = near or (overlapping >= OVERLAPPING_IDS and share > most)
     superimposed = count >= OVERLAPPING_IDS and many
     jumping = jumps >= JUMPING_IDS and jumps > JUMPING * count
-    ratio = size_ratio(tracks.length[seen], tracks.width[seen], tracks.kind[seen])
-    unit = unit_of(ratio) if outlines and len(looks) >= LOOKS and count >= SIZED else None
+    size = size_doubt(tracks) if outlines and len(looks) >= LOOKS and count >= SIZED else None
     apart = float(np.median(nearest_m)) if nearest_m.size else math.nan
     jumped = f"{jumps} of {count} ids jump from place to place"
     doubts = {
@@ -123,7 +123,7 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         f"{apart:.1f} m): actors are superimposed": superimposed,
         f"vehicles go {far:.2f} times as far as their stated speeds: "
         "the frame step or a unit is wrong": abs(pace) > math.log(PACE),
-        f"vehicles are {ratio:.3g} times as large as usual: {unit} seem to be metres": unit,
+        size or "": size,
         f"the median speed is {speed:.0f} m/s: a unit or the clock is wrong": speed > FAST_MPS,
         jumped: jumping,
     }

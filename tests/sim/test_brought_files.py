@@ -17,6 +17,7 @@ from behaviors.errors import InputError
 from sim.formats import formats_in, read_recordings
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind
+from tests.sim.scenes import tfrecord
 
 
 def one(path: Path, **options: object) -> Recording:
@@ -431,12 +432,10 @@ def test_other_tables_say_their_columns(tmp_path: Path, columns: list[str]) -> N
 
 @pytest.mark.parametrize("name", [b"state/current/x", b"roadgraph_samples/xyz", b"image/encoded"])
 def test_features_of_tf_examples(tmp_path: Path, name: bytes) -> None:
-    from sim.formats.waymo.messages import write_record
-
     entry = b"\n" + bytes([len(name)]) + name + b"\x12\x04\x12\x02\n\x00"
     feature = b"\n" + bytes([len(entry)]) + entry
     path = tmp_path / "a.tfrecord"
-    path.write_bytes(write_record(b"\n" + bytes([len(feature)]) + feature))
+    path.write_bytes(tfrecord(b"\n" + bytes([len(feature)]) + feature))
     with pytest.raises(InputError, match=r"tf\.Example"):
         list(read_recordings(path))
 

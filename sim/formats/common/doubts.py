@@ -13,10 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import PEDESTRIAN, AgentKind, Tracks
+from sim.frames import PEDESTRIAN, AgentKind, FloatArray, Tracks
 from sim.scenario import DIMENSIONS_M
-
-FloatArray = NDArray[np.float64]
 
 STEPS_S: Final = (0.002, 20.0)
 """Times between two positions of an agent that recordings have, s."""
@@ -96,36 +94,22 @@ TURN_RAD: Final = 2.1 * np.pi
 VEHICLES: Final = (AgentKind.CAR.code, AgentKind.BUS.code, AgentKind.TRUCK.code)
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What a file states of the rows of tracks.
-
-    Attributes:
-        heading: (m,) rad as read; NaN where it is taken from the motion.
-        speed: (m,) m/s as read; NaN where it is taken from the motion.
-        sizes: whether the file has sizes.
-    """
-
-    heading: FloatArray
-    speed: FloatArray
-    sizes: bool
-
-
-def doubts_of(tracks: Tracks, stated: Stated) -> list[str]:
+def doubts_of(tracks: Tracks, heading: FloatArray, *, sizes: bool) -> list[str]:
     """What contradicts itself in a recording, a sentence each.
 
     Args:
         tracks: in metres, as the format's units say.
-        stated: what of them the file states.
+        heading: (m,) rad as the file states it; NaN where it is taken from the motion.
+        sizes: whether the file has sizes.
 
     Returns:
         The doubts; [] where everything fits.
     """
     steps = _Steps.of(tracks)
     found = [*_times(steps), *_places(tracks, steps)]
-    if stated.sizes:
+    if sizes:
         found += _sizes(tracks)
-    return found + _headings(tracks, steps, stated.heading)
+    return found + _headings(tracks, steps, heading)
 
 
 @dataclass(frozen=True)
@@ -184,20 +168,21 @@ def _places(tracks: Tracks, steps: _Steps) -> list[str]:
     return []
 
 
-def _sizes(tracks: Tracks) -> list[str]:
-    """Sizes that no vehicles have, and sides that are exchanged."""
-    found = []
-    usual = np.array([DIMENSIONS_M[kind][:2] for kind in AgentKind])
-    codes = [kind.code for kind in AgentKind]
-    table = usual[np.argsort(codes)][tracks.kind]
+def size_doubt(tracks: Tracks) -> str | None:
+    """The size of vehicles with its likeliest cause, if no vehicles have it; None if it fits."""
+    usual = np.array([DIMENSIONS_M[kind][:2] for kind in AgentKind])[tracks.kind].prod(axis=1)
     some = np.isin(tracks.kind, VEHICLES)
     some = some if some.any() else np.ones(some.size, dtype=bool)
-    over = np.sqrt(tracks.length * tracks.width / table.prod(axis=1))[some]
-    ratio = float(np.median(over))
-    for by, cause in SIZES.items():
-        if 1 / NEAR < ratio / by < NEAR:
-            length = float(np.median(tracks.length[some]))
-            found.append(f"found vehicles that are {length:.3g} m long, as if {cause}")
+    ratio = float(np.median(np.sqrt(tracks.length * tracks.width / usual)[some]))
+    cause = next((text for by, text in SIZES.items() if 1 / NEAR < ratio / by < NEAR), None)
+    length = float(np.median(tracks.length[some]))
+    return cause and f"found vehicles that are {length:.3g} m long, as if {cause}"
+
+
+def _sizes(tracks: Tracks) -> list[str]:
+    """Sizes that no vehicles have, and sides that are exchanged."""
+    size = size_doubt(tracks)
+    found = [size] if size else []
     wider = int(np.sum((tracks.kind != PEDESTRIAN) & (tracks.width > WIDER * tracks.length)))
     if wider:
         found.append(

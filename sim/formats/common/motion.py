@@ -8,9 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import Tracks
-
-FloatArray = NDArray[np.float64]
+from sim.frames import FloatArray, Tracks
 
 MOVING_MPS: Final = 0.5
 """From this speed on, the direction of motion is taken for the heading (noise of some centimetres
