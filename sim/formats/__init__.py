@@ -275,15 +275,6 @@ def new_index(name: str) -> Any:
     return None if source is None else loaded(source)()
 
 
-def first_file(folder: Path, name: str) -> Path | None:
-    """A file of a format in a folder; None where there is none."""
-    entry = FORMATS[name]
-    for file in _files(folder, entry.files):
-        if entry.reader is None or entry.own_names or entry.recognises(file):
-            return file
-    return None
-
-
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
     """The file itself, or a folder's files whose names match, in upper or lower case."""
     if path.is_file():

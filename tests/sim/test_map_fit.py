@@ -13,7 +13,7 @@ from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
 from scenarios import SCENARIOS
 from sim.formats import get_writer, read_recordings
-from sim.formats.common.motion import doubt_of_times
+from sim.formats.common.doubts import doubt_of_times
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim.frames import PEDESTRIAN, AgentKind, FloatArray, Tracks
 from sim.scenario import DIMENSIONS_M
+from sim.units import FACTORS
 
 STEPS_S: Final = (0.002, 20.0)
 """Times between two positions of an agent that recordings have, s."""
@@ -84,6 +85,20 @@ metres, make it known."""
 
 RIDING_MPS, RIDING_ROWS = 3.0, 3
 """A pedestrian who is inside a vehicle at such a speed, at so many times, rides in it."""
+
+TOLERATED: Final = 1.25
+"""Displacement over speed times time may be off by this factor (noise, and speeds that are
+filtered, stay below; the next usual rate is at least 1.25 away)."""
+
+COMPARED_MPS, LEAST_COMPARED, LEAST_COMPARED_M = 2.0, 20, 20.0
+"""Only faster agents are compared, m/s (noise hides what slower ones do); steps and metres of
+motion below which times are not compared with it."""
+
+BREAK_STEPS: Final = 3.0
+"""A time between two frames is a break if it is more than this many times the usual one."""
+
+UNIT_NEAR: Final = 0.03
+"""How near, relatively, to a unit's factor a ratio of speeds is in that unit."""
 
 UNEXPLAINED: Final = 0.3
 """Headings that no cause explains are doubted below this mean cosine."""
@@ -241,3 +256,40 @@ def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
         inside[row] = bool(within.any())
     riding = np.bincount(agent[inside & (rows.speed > RIDING_MPS)], minlength=len(tracks.names))
     return inside & (riding >= RIDING_ROWS)[agent]
+
+
+def doubt_of_times(tracks: Tracks) -> str | None:
+    """What contradicts the times of a recording, with the likeliest cause; None where they fit.
+
+    Args:
+        tracks: as read; speeds that readers took from the motion fit by themselves.
+    """
+    ratio = _displacement_over_speed(tracks)
+    if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
+        return None
+    for unit in ("km/h", "mph", "ft/s"):
+        if abs(ratio / FACTORS[unit] - 1) < UNIT_NEAR:
+            return f"found speeds {1 / ratio:.3g} times what the motion shows, as in {unit}"
+    step_s = tracks.step_s
+    return (
+        f"found agents that go {ratio:.2f} times as far as their speeds say, at a step of "
+        f"{step_s:.3g} s, as if it were {step_s * ratio:.3g} s"
+    )
+
+
+def _displacement_over_speed(tracks: Tracks) -> float:
+    """The median over agents of how far they go, over speed times time; NaN if too little moves."""
+    if tracks.time_s.size < 2:
+        return float("nan")
+    steps, speed, n = _Steps.of(tracks), tracks.rows.speed, len(tracks.names)
+    before, after = speed[steps.row], speed[steps.row + 1]
+    stated = (before + after) / 2 * steps.time_s
+    # nobody knows how an agent went that was lost during a break
+    used = (stated > 0) & (steps.time_s <= BREAK_STEPS * tracks.step_s)
+    used &= np.minimum(before, after) > COMPARED_MPS
+    who, way = steps.agent[used], steps.way[used]
+    gone, said = np.bincount(who, way, n), np.bincount(who, stated[used], n)
+    if who.size < LEAST_COMPARED or gone.sum() < LEAST_COMPARED_M:
+        return float("nan")
+    enough = (said > 0) & (gone > 0) & (np.bincount(who, minlength=n) >= 3)
+    return float(np.median(gone[enough] / said[enough])) if enough.any() else float("nan")

@@ -379,6 +379,14 @@ def _read_csv(
     kept = _each_once(path, dialect.header, wanted, optional)
     # columns that are not read may have any name, even the same name twice
     names = [name if name in kept else f"#{i}" for i, name in enumerate(dialect.header)]
+    if not dialect.encoding.startswith("utf-16"):  # else lines would be read as one field
+        with opened(path) as file:
+            odd = next((k for k, line in enumerate(file, 1) if line.count(b'"') % 2), None)
+        if odd is not None:
+            raise InputError(
+                f"{path}: line {odd}: found a quotation mark that is not closed, expected pairs "
+                "around fields"
+            )
     try:
         with opened(path) as file:
             return pyarrow.csv.read_csv(
