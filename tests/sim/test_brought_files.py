@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -478,3 +479,32 @@ def test_own_columns_that_are_wrong(
 ) -> None:
     with pytest.raises(InputError):
         one(put(tmp_path, own()), columns=columns, units=units)
+
+
+TABLE = "id,t,x,y\n1,0.0,1.5,2\n1,0.1,2.5,2\n1,0.2,3.5,2\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("# camera 3\n" + TABLE, "found the columns '# camera 3', expected a column t"),
+        (TABLE.replace("\n1,0.0", "\n-,s,m,m\n1,0.0"), "column t, row 2: found 's'"),
+        (TABLE.replace("3.5", '"1,003.5"'), "found '1,003.5', expected a number"),
+        (TABLE.replace("0.1", "2024-05-01T12:00:00.1"), "column t, row 3: found '2024-05-01T12"),
+        (TABLE.removeprefix("id,t,x,y\n"), "found the columns '1, 0.0, 1.5, 2'"),
+        ("PK\3\4\0\0" + TABLE, "found no text, expected a table as CSV"),
+        (TABLE.replace("3.5", '"3.5'), "line 4: found a quotation mark that is not closed"),
+        (TABLE.replace("\n", "\n\n"), ""),
+        (TABLE.replace("\n", ",\n"), ""),
+        (TABLE.replace("id,t,x,y", " ID ,T, X,y"), ""),
+    ],
+)
+def test_own_tables_as_people_write_them(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "own.csv"
+    path.write_text(text)
+    columns = {key: key for key in ("id", "t", "x", "y")}
+    if word:
+        with pytest.raises(InputError, match=re.escape(word)):
+            one(path, columns=columns)
+    else:
+        assert one(path, columns=columns).tracks.rows.speed == pytest.approx(10.0)

@@ -362,9 +362,15 @@ def _stored(
         table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
     table = table.rename_columns([name.lower() for name in table.column_names])
     table = table.select(_each_once(path, table.column_names, wanted, optional))
-    for name in set(table.column_names) - set(words):
+    for at, name in enumerate(table.column_names):
         kind = table.schema.field(name).type
-        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        if name in words and not pa.types.is_integer(kind):  # some writers have texts as bytes
+            if pa.types.is_dictionary(kind):
+                text = table.column(name).cast(pa.dictionary(kind.index_type, pa.string()))
+            else:
+                text = table.column(name).cast(pa.string())
+            table = table.set_column(at, name, text)
+        elif name not in words and not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
             raise InputError(f"{path}: column {name}: found {kind!s:.60}, expected numbers")
     return table
 
