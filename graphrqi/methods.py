@@ -12,7 +12,6 @@ from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
@@ -21,21 +20,15 @@ from graphrqi.classify import CLASSIFIERS, Classifier
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.embedding import EmbeddingObserver
 from graphrqi.features.observer import Observer
-from graphrqi.features.spectral import EigenvectorObserver, NullObserver, SpectrumObserver
+from graphrqi.features.spectral import EigenvectorObserver, SpectrumObserver
 from graphrqi.features.trajectory import TrajectoryObserver
 from graphrqi.places.adaptation import Adaptation
 from graphrqi.places.other_traffic import OtherTraffic
 from graphrqi.samples import Samples
 from graphrqi.spectrum import SOLVERS
 
-FloatArray = NDArray[np.float64]
-
 MOST_SEED: Final = 2**32 - 1
 """Largest seed that the generators of NumPy and scikit-learn accept."""
-
-
-PLAIN: Final = ("motion", "interaction")
-"""Parts of the features that need neither the graph's spectrum nor the law of following."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +50,13 @@ class Method:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-_PLAIN_TREES: Final = partial(DriverObserver, "raw", parts=PLAIN)
+_PLAIN_TREES: Final = partial(DriverObserver, "plain")
 _LAYERS: Final = {"hidden": (64, 32), "dropout": 0.0}
 
 # fmt: off
 _METHODS: Final = (
     Method("majority", "the most frequent class of the training data, without features",
-           NullObserver, "majority"),
+           Observer, "majority"),
     Method("graphrqi", "the paper: rows of the largest-end eigenvectors, perceptron, squared error",
            EigenvectorObserver, "mlp", {"loss": "squared-error", **_LAYERS}),
     Method("logistic", "the paper's ablation: logistic regression on the rows that graphrqi sees",
@@ -93,9 +86,7 @@ _METHODS: Final = (
 METHODS: Final[Registry[Method]] = Registry(
     "method",
     "graphrqi.methods",
-    {
-        **{method.name: method for method in _METHODS},
-    },
+    {method.name: method for method in _METHODS},
 )
 """The methods by name."""
 

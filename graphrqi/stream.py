@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.motion import align
-from graphrqi.graph.sighting import MAX_COORDINATE_M
+from graphrqi.graph import MAX_COORDINATE_M
 from graphrqi.methods import Model, make_observer
 from graphrqi.model_files import load_model
 from graphrqi.places.other_traffic import FINEST_S, OtherTraffic, Traffic, check_traffic
@@ -21,10 +21,6 @@ from graphrqi.posterior import Posterior
 from sim.episode.buffer import FrameBuffer
 from sim.episode.window import Window
 from sim.frames import Frame, Tracks
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MIN_SECONDS: Final = 1.0
 """Time after which a driver is classified, s; earlier velocities are uncertain."""
@@ -120,25 +116,21 @@ class BehaviorStream:
     def _answers(self) -> tuple[IntArray, FloatArray, float]:
         """Ids, probabilities without prior shift, domain; of the drivers observed long enough."""
         if self._answered is None:
-            if self._network is None or (self.traffic == "simulated" and not self.is_noisy):
-                ids, found, domain = *self._classified(), 0.0
-            else:
+            if self._network is not None and (self.traffic != "simulated" or self.is_noisy):
                 ids, found = self._network.answers(self.min_seconds)
                 domain = float(self.traffic != "simulated" and ids.size > 0)
+            else:
+                assert self._classifier is not None
+                seen, domain = self._classifier.observation(), 0.0
+                seen = seen.where(seen.seconds >= self.min_seconds - 1e-6)
+                ids, found = seen.ids, np.zeros((0, len(self.model.classes)))
+                if ids.size:
+                    features = self._classifier.features(seen.seconds, seen.sums, seen.instant)
+                    found = self.model.classifier.posterior(features)
             if self.model.adaptation is not None:
                 found = self.model.adaptation.applied(found)
             self._answered = ids, found, domain
         return self._answered
-
-    def _classified(self) -> tuple[IntArray, FloatArray]:
-        """Ids of the drivers that are ready, and what the model's own classifier answers."""
-        assert self._classifier is not None
-        seen = self._classifier.observation()
-        ready = seen.seconds >= self.min_seconds - 1e-6
-        if not ready.any():
-            return seen.ids[:0], np.zeros((0, len(self.model.classes)))
-        features = self._classifier.features(seen.seconds, seen.sums, seen.instant)
-        return seen.ids[ready], self.model.classifier.posterior(features)[ready]
 
     def posterior(self) -> Posterior:
         """Posterior of every driver that is present and was observed long enough."""
@@ -195,6 +187,8 @@ class _NetworkAnswers:
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> None:
         """Take the next positions, and update the answers where motion is measured."""
         observer = self._observer
+        if self._traffic == "simulated" and observer.is_exact and observer.frame_s >= FINEST_S:
+            return  # positions without noise stay without noise
         measured = observer.update(time_s, ids, xy, drives)
         self.sees_noise = observer.is_noisy or observer.frame_s < FINEST_S
         if not measured or (self._traffic == "simulated" and not self.sees_noise):

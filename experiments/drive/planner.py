@@ -24,8 +24,11 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout.driver_parameters import DriverParameters, expected_parameters
-from graphrqi.predict.rollout.driver_table import DriverTable
+from graphrqi.predict.rollout.driver_table import (
+    DriverParameters,
+    DriverTable,
+    expected_parameters,
+)
 from graphrqi.predict.rollout.rollout import Rollout, centre_ahead, on_lane_beside, positions, roll
 from graphrqi.predict.scene.scene import Scene
 

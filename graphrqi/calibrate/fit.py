@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from graphrqi.arrays import FloatArray
 from graphrqi.calibrate.following import STEP_S, Stretch
-
-FloatArray = NDArray[np.float64]
 
 
 class Law(StrEnum):

@@ -12,18 +12,14 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.episode.observables import observe
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 STEP_S: Final = 0.1
 """Time between the rows of a stretch, s."""

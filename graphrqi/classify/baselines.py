@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.calibrated import NEVER, Calibrated, softmax
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
+from graphrqi.arrays import CodeArray, FloatArray
+from graphrqi.classify.contract import NEVER, Classifier, HeldOut, saved, softmax
 from graphrqi.classify.standardisation import Standardisation
 
 CHUNK: Final = 4096
@@ -32,7 +32,7 @@ PENALTIES: Final = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 held-out data is chosen, or the middle one without such data."""
 
 
-class Logistic(Calibrated):
+class Logistic(Classifier):
     """Multinomial logistic regression.
 
     Args:
@@ -89,7 +89,7 @@ class Logistic(Calibrated):
         return {**self._inputs.arrays(), **learned, **super().arrays()}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """See `graphrqi.classify.contract.Classifier.restore`."""
+        """See `Classifier.restore`."""
         super().restore(arrays, num_features)
         self._inputs = Standardisation.restored(arrays, num_features)
         self._vectors = saved(arrays, "vectors", (None, None))

@@ -1,26 +1,52 @@
-"""The contract of all classifiers, and the check of saved arrays."""
+"""Classifiers: feature vectors in, calibrated probabilities out; and the check of saved arrays.
+
+References:
+    Guo, Pleiss, Sun, Weinberger (2017), On Calibration of Modern Neural Networks, ICML.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import BoolArray, CodeArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-CodeArray = NDArray[np.int8]
 HeldOut = tuple[FloatArray, CodeArray] | None
 """Feature vectors and classes of episodes that are not trained on, if there are any."""
 
+NEVER: Final = -1e3
+"""Score of a class without training rows; its probability is exactly zero."""
 
-class Classifier(Protocol):
+FLOOR: Final = 1e-4
+"""Probabilities below this count as this when a temperature is fitted: the average of a hundred
+trees can be exactly zero for a class that is only rare."""
+
+LEAST_TEMPERATURE, LARGEST_TEMPERATURE = 1e-3, 1e3
+"""Temperatures that a model may have; training tries 0.25 to 4."""
+
+
+class Classifier:
     """Learns from feature vectors and gives the probability of each class.
 
-    It is made from the number of classes C and keyword options.
+    Logits are divided by the temperature that fits held-out data best. Derived classes define
+    ``_learn`` and ``_untempered``; a plugin may as well define `fit`, `posterior`, `arrays` and
+    `restore` on its own.
+
+    Args:
+        num_classes: C.
     """
+
+    tempers = True
+    """Whether a temperature is fitted at all."""
+
+    _temperature = 1.0
+
+    def __init__(self, num_classes: int) -> None:
+        self._num_classes = num_classes
 
     def fit(self, features: FloatArray, codes: CodeArray, validation: HeldOut, seed: int) -> None:
         """Learn from labelled feature vectors; validation rows of other classes are ignored.
@@ -31,15 +57,44 @@ class Classifier(Protocol):
             validation: for early stopping and calibration.
             seed: of the randomness.
         """
-        ...
+        held = None
+        if validation is not None and (known := np.isin(validation[1], codes)).any():
+            held = validation if known.all() else (validation[0][known], validation[1][known])
+        self._learn(features, codes, held, seed)
+        self._temperature = 1.0
+        if held is not None and self.tempers:
+            log_p, rows = self._logits(held[0]), np.arange(held[1].size)
+            grid = np.geomspace(0.25, 4.0, 81)
+            losses = [-np.log(softmax(log_p / t)[rows, held[1]]).mean() for t in grid]
+            self._temperature = float(grid[int(np.argmin(losses))])
+
+    def _learn(self, features: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+        """Learn from rows; those held out are of trained classes."""
+        raise NotImplementedError
+
+    def _untempered(self, features: FloatArray) -> FloatArray:
+        """(n, C) probabilities without temperature."""
+        raise NotImplementedError
+
+    @property
+    def _trained(self) -> BoolArray:
+        """(C,) whether each class may have occurred in training."""
+        return np.ones(self._num_classes, dtype=bool)
+
+    def _logits(self, features: FloatArray) -> FloatArray:
+        """(n, C) logarithms of the probabilities; -inf for classes that were not trained."""
+        log_p = np.log(np.maximum(self._untempered(features), FLOOR))
+        return np.where(self._trained, log_p, -np.inf)
 
     def posterior(self, features: FloatArray) -> FloatArray:
         """(n, C) probabilities; rows sum to 1 and do not depend on one another."""
-        ...
+        if self._temperature == 1.0:
+            return self._untempered(features)
+        return softmax(self._logits(features) / self._temperature)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The learned arrays, to be saved."""
-        ...
+        return {"temperature": np.array([self._temperature])}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
         """Restore what was saved; `posterior` then answers as before saving.
@@ -51,7 +106,24 @@ class Classifier(Protocol):
         Raises:
             InputError: if the arrays are not those of such a classifier.
         """
-        ...
+        found = float(saved(arrays, "temperature", (1,))[0])
+        if not LEAST_TEMPERATURE <= found <= LARGEST_TEMPERATURE:
+            raise InputError(
+                f"temperature: found {found:g}, expected a number from {LEAST_TEMPERATURE:g} to "
+                f"{LARGEST_TEMPERATURE:g}"
+            )
+        self._temperature = found
+
+
+def softmax(scores: FloatArray) -> FloatArray:
+    """(n, C) probabilities in proportion to the exponentials of scores (n, C).
+
+    Examples:
+        >>> softmax(np.array([[0.0, np.log(3.0)]]))
+        array([[0.25, 0.75]])
+    """
+    raised = np.exp(scores - scores.max(axis=1, keepdims=True))
+    return np.asarray(raised / raised.sum(axis=1, keepdims=True))
 
 
 def saved(

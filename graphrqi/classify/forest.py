@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.classify.calibrated import Calibrated
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, saved
+from graphrqi.arrays import CodeArray, FloatArray
+from graphrqi.classify.contract import Classifier, HeldOut, saved
 
 
-class Forest(Calibrated):
+class Forest(Classifier):
     """Averaged decision trees on resampled data.
 
     Args:
@@ -73,7 +73,7 @@ class Forest(Calibrated):
         }  # fmt: skip
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """See `graphrqi.classify.contract.Classifier.restore`."""
+        """See `Classifier.restore`."""
         super().restore(arrays, num_features)
         root, nodes = (np.asarray(arrays[name], np.int64) for name in ("root", "nodes"))
         inner = nodes[:, 0] >= 0
@@ -87,3 +87,6 @@ class Forest(Calibrated):
         self._root, self._nodes = root, nodes
         self._threshold = saved(arrays, "threshold", (len(nodes),))
         self._share = saved(arrays, "share", (len(nodes), self._num_classes))
+        shares = self._share[nodes[:, 0] < 0]
+        if (shares < 0.0).any() or (abs(shares.sum(axis=1) - 1.0) > 1e-6).any():
+            raise InputError("share: found leaves without probabilities, expected rows of sum 1")

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from behaviors.errors import InputError
-from graphrqi.classify.calibrated import Calibrated
-from graphrqi.classify.contract import CodeArray, FloatArray, HeldOut, part_of, saved
+from graphrqi.arrays import CodeArray, FloatArray
+from graphrqi.classify.contract import Classifier, HeldOut, part_of, saved
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.networks.portable_torch import Descent, one_thread
 
 Loss = Literal["squared-error", "cross-entropy"]
 
 
-class Mlp(Calibrated):
+class Mlp(Classifier):
     """Fully connected layers with ReLU and dropout.
 
     Args:
@@ -120,7 +120,7 @@ class Mlp(Calibrated):
         return {**self._inputs.arrays(), **weights, **super().arrays()}
 
     def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
-        """See `graphrqi.classify.contract.Classifier.restore`."""
+        """See `Classifier.restore`."""
         super().restore(arrays, num_features)
         self._inputs = Standardisation.restored(arrays, num_features)
         self._network = self._made(num_features).eval()

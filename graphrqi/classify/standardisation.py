@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 from graphrqi.classify.contract import saved
-
-FloatArray = NDArray[np.float64]
 
 CLIP: Final = 8.0
 """Standardised features are clipped here, so that a single wrong position does not decide the
@@ -39,9 +38,9 @@ class Standardisation:
     scale: FloatArray
 
     @classmethod
-    def of(cls, features: FloatArray | NDArray[np.float32]) -> Standardisation:
+    def of(cls, features: NDArray[np.floating]) -> Standardisation:
         """The standardisation of training vectors (n, F), of single or double precision."""
-        mean, spread = np.empty(features.shape[1]), np.empty(features.shape[1])
+        mean, spread = np.empty((2, features.shape[1]))
         for first in range(0, mean.size, AT_ONCE):
             columns = slice(first, first + AT_ONCE)
             mean[columns] = features[:, columns].mean(axis=0, dtype=np.float64)

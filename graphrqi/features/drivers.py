@@ -6,17 +6,16 @@ traffic. It is measured several times a second, each driver relative to its scen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features import following_law
+from graphrqi.features.moment import Quantities
 from graphrqi.features.motion import Motion, RawMotion
-from graphrqi.features.observer import Observation, RunningSums
-from graphrqi.features.raw_quantities import PARTS, RAW, RawMoment, part_of
+from graphrqi.features.observer import Observation, Observer, RunningSums
+from graphrqi.features.raw_quantities import PLAIN, RAW, RawMoment
 from graphrqi.features.scene import FreeFlowSpeed, PlaceSpeeds, UsualValues
 from graphrqi.features.smooth_motion import Courses, SmoothMotion
 from graphrqi.features.smoothed_quantities import (
@@ -30,11 +29,7 @@ from graphrqi.features.spectral import INVARIANT_NAMES, SPECTRAL, GraphSpectrum,
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import Sighting, TrafficGraph
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-
-MotionKind = Literal["raw", "smoothed"]
+Kind = Literal["raw", "plain", "smoothed"]
 
 NEIGHBORS: Final = 8
 """Nearest neighbours among which leaders are searched; the nearest few are often all in the next
@@ -63,88 +58,67 @@ SCENE_NAMES: Final = (
 once and their shares. Further ones are log(1 + seconds watched), means of ``COMPARED``, and
 logarithms of course residuals over the noise."""
 
+_TABLES: Final[dict[Kind, Quantities]] = {"raw": RAW, "plain": PLAIN, "smoothed": SMOOTHED}
+_BLOCKS: Final = {
+    kind: tuple(Block(name, nodes) for name, nodes, _ in table) for kind, table in _TABLES.items()
+}
+_LAWS: Final[dict[Kind, tuple[str, ...]]] = {
+    "raw": ("steady", "held up"), "plain": (), "smoothed": ("steady",),
+}  # fmt: skip
 
-@cache
-def _layout(kind: MotionKind, parts: tuple[str, ...]) -> tuple[tuple[Block, ...], tuple[Any, ...]]:
-    """The blocks that are measured, and the functions that give their values."""
-    table: tuple[Any, ...] = SMOOTHED if kind == "smoothed" else RAW
-    chosen = [q for q in table if kind == "smoothed" or part_of(q[0]) in parts]
-    blocks = tuple(Block(name, nodes) for name, nodes, _ in chosen)
-    return blocks, tuple(values for _, _, values in chosen)
 
-
-class DriverObserver:
+class DriverObserver(Observer):
     """Describes drivers by distributions of what they do.
 
     Args:
-        motion: ``raw`` for exact positions; ``smoothed`` for any.
-        solver: a key of ``SOLVERS`` for raw motion's spectrum.
-        parts: of raw motion's features, from ``PARTS``.
+        kind: ``raw`` for exact positions; ``plain`` for the same without the graph's spectrum and
+            signals, and without the law of following; ``smoothed`` for any positions.
+        solver: a key of ``SOLVERS`` for the spectrum.
 
     Examples:
-        >>> observer = DriverObserver(parts=("motion",))
-        >>> observer.feature_names[:2], len(observer.feature_names)
-        (('speed:5%', 'speed:25%'), 43)
+        >>> observer = DriverObserver("plain")
+        >>> observer.feature_names[:2]
+        ('speed:5%', 'speed:25%')
     """
 
-    def __init__(
-        self,
-        motion: MotionKind = "raw",
-        solver: str = "graphrqi",
-        parts: Sequence[str] = PARTS,
-    ) -> None:
-        self._kind = motion
-        self._blocks, self._values = _layout(motion, tuple(parts))
-        self._laws: tuple[str, ...] = ()
-        if motion == "smoothed":
-            self._laws = ("steady",)
-        elif "law" in parts:
-            self._laws = ("steady", "held up")
-        self._spectrum = None
-        if motion == "raw" and "spectrum" in parts:
-            self._spectrum = GraphSpectrum(solver)
+    def __init__(self, kind: Kind = "raw", solver: str = "graphrqi") -> None:
+        super().__init__()
+        self._kind, self._blocks, self._laws = kind, _BLOCKS[kind], _LAWS[kind]
+        self._spectrum = GraphSpectrum(solver) if kind == "raw" else None
         self._motion: RawMotion | SmoothMotion
-        self._motion = RawMotion() if motion == "raw" else SmoothMotion()
+        self._motion = SmoothMotion() if kind == "smoothed" else RawMotion()
         self._near = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
         self._free_flow, self._places, self._courses = FreeFlowSpeed(), PlaceSpeeds(), Courses()
         self._usual = UsualValues(LEAST_DEVIATION)
         self._measured = sum(len(block.nodes) for block in self._blocks)
         self._law_end = self._measured + len(self._laws) * following_law.COLUMNS
-        self._sums = RunningSums(self._law_end + SPECTRAL * (self._spectrum is not None))
-        self._presence = RunningSums(0)
+        self._evidence = RunningSums(self._law_end + SPECTRAL * (kind == "raw"))
         self._first_s = self._last_s = self.frame_s = float("nan")
         self._shares = np.full(3, np.nan)
-
-    @property
-    def feature_names(self) -> tuple[str, ...]:
-        """Names of the columns of `features`."""
-        law = [f"{when}: {name}" for when in self._laws for name in following_law.LAW_NAMES]
-        further = [f"spectrum_{name}" for name in INVARIANT_NAMES if self._spectrum is not None]
-        if self._kind == "smoothed":
-            further = [f"scene: {name}" for name in SCENE_NAMES]
-        return (*describe_names(self._blocks), *law, *further, "log_seconds")
+        further = [f"{when}: {name}" for when in self._laws for name in following_law.LAW_NAMES]
+        if kind == "raw":
+            further += [f"spectrum_{name}" for name in INVARIANT_NAMES]
+        if kind == "smoothed":
+            further += [f"scene: {name}" for name in SCENE_NAMES]
+        self.feature_names = (*describe_names(self._blocks), *further, "log_seconds")
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+        """Take the next positions; see `Observer.update`."""
+        super().update(time_s, ids, xy, drives)
         self._follow_frames(time_s)
-        drivers = ids[drives]
-        self._presence.add(time_s, drivers, np.zeros((drivers.size, 0)))
         motion = self._motion.update(time_s, ids, xy, drives)
         if motion is None:
             return False
         seen = Sighting.of(motion.ids, motion.xy)
         self._near = self._near.extended(seen)
-        moment = self._moment(time_s, motion)
-        measured = [values(moment) for values in self._values]
-        values = np.stack([value for value, _ in measured])
-        counts = np.stack([condition for _, condition in measured])
+        moment = self._look(time_s, motion)
+        measured = [values(moment) for _, _, values in _TABLES[self._kind]]
         further = self._further(moment, seen, time_s)
-        if not motion.drives.all():
-            chosen = motion.drives
-            values, counts, further = values[:, chosen], counts[:, chosen], further[chosen]
-        sums, rows, step_s = self._sums.advance(time_s, motion.ids[motion.drives])
+        drivers = motion.drives
+        values, counts = (np.stack(part)[:, drivers] for part in zip(*measured, strict=True))
+        sums, rows, step_s = self._evidence.advance(time_s, motion.ids[drivers])
         spread(values, counts, self._blocks, step_s, rows, sums)
-        sums[rows, self._measured :] += further * step_s
+        sums[rows, self._measured :] += further[drivers] * step_s
         return True
 
     def _follow_frames(self, time_s: float) -> None:
@@ -158,9 +132,9 @@ class DriverObserver:
             self.frame_s += 0.1 * (step_s - self.frame_s)
         self._last_s = time_s
 
-    def _moment(self, time_s: float, motion: Motion) -> RawMoment | SmoothedMoment:
+    def _look(self, time_s: float, motion: Motion) -> RawMoment | SmoothedMoment:
         """The values and conditions of a moment."""
-        if self._kind == "raw":
+        if self._kind != "smoothed":
             return RawMoment(time_s, motion, self._near, self._free_flow)
         moment = SmoothedMoment(
             time_s, motion, self._near, self._free_flow, self._places, self._usual, self._courses
@@ -173,15 +147,15 @@ class DriverObserver:
             self._shares = np.where(np.isnan(self._shares), now, self._shares + change)
         return moment
 
-    def _further(self, moment: RawMoment | SmoothedMoment, seen: Sighting, time_s: float) -> Any:
+    def _further(
+        self, moment: RawMoment | SmoothedMoment, seen: Sighting, time_s: float
+    ) -> FloatArray:
         """(n, E) evidence beside the blocks: on the law of following, and on the spectrum."""
         parts = [np.zeros((moment.v.size, 0))]
         if self._laws:
             products = following_law.products(moment.v, moment.leader_speed, moment.gap)
-            conditions = {"steady": moment.steady}
-            if isinstance(moment, RawMoment):
-                conditions["held up"] = moment.held_up
-            parts += [np.where(conditions[when][:, None], products, 0.0) for when in self._laws]
+            held_up = (moment.held_up,) if isinstance(moment, RawMoment) else ()
+            parts += [np.where(c[:, None], products, 0.0) for c in (moment.steady, *held_up)]
         if self._spectrum is not None:
             self._spectrum.observe(seen)
             parts.append(self._spectrum.moment(time_s, seen.ids))
@@ -191,6 +165,11 @@ class DriverObserver:
     def is_noisy(self) -> bool:
         """Whether every moment so far showed noise; False before it can be known."""
         return self._motion.is_noisy
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether a moment showed no noise, so that `is_noisy` stays False."""
+        return self._motion.is_exact
 
     def scene(self) -> FloatArray:
         """(S,) the numbers of the scene so far, named by ``SCENE_NAMES``; NaN where unknown."""
@@ -212,16 +191,16 @@ class DriverObserver:
 
     def present(self) -> Observation:
         """The drivers present and for how long, without evidence."""
-        return self._presence.observation()
+        return super().observation()
 
     def observation(self) -> Observation:
         """Evidence on the drivers present; the scene's numbers hold for all of them."""
         present = self.present()
-        instant = np.zeros((present.ids.size, 0))
+        instant = present.instant
         if self._kind == "smoothed":
             known = np.nan_to_num(self.scene(), nan=UNKNOWN_SCENE)
             instant = np.broadcast_to(known, (present.ids.size, len(SCENE_NAMES)))
-        return Observation(present.ids, present.seconds, self._sums.of(present.ids), instant)
+        return Observation(present.ids, present.seconds, self._evidence.of(present.ids), instant)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, F) distributions, law, mean spectrum or scene, and time; see ``feature_names``."""
@@ -230,6 +209,5 @@ class DriverObserver:
         parts = [following_law.infer(law).reshape(len(sums), inferred), instant]
         if self._spectrum is not None:
             parts.append(spectral_means(sums[:, self._law_end :]))
-        parts.append(np.log1p(seconds)[:, None])
         described = describe(sums, self._blocks)
-        return np.concatenate([described, *parts], axis=1)
+        return np.concatenate([described, *parts, np.log1p(seconds)[:, None]], axis=1)

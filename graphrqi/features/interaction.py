@@ -14,14 +14,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.features.motion import Motion
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.features.motion import Motion, along, leftward
 from graphrqi.graph import TrafficGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 NOMINAL_LENGTH_M: Final = 4.6
 """Length taken off centre distances (a European median car)."""
@@ -34,6 +30,9 @@ BESIDE_M: Final = 5.0
 
 ABREAST_M: Final = 10.0
 """Distance along the direction of travel within which another is beside (two car lengths)."""
+
+SAME_WAY: Final = 0.5
+"""Least cosine between the directions of drivers that drive the same way (60 degrees)."""
 
 PEDESTRIAN_AHEAD_M: Final = 30.0
 """Distance ahead within which a pedestrian counts (2.5 s at town speed)."""
@@ -75,25 +74,45 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
     Returns:
         Interaction of each vertex.
     """
-    from graphrqi.features.kernels import find_neighbors
-
-    nearest = np.full((len(motion.xy), 2), -1, dtype=np.int64)
-    found = np.full((len(motion.xy), 6), np.nan)
-    found[:, 4] = 0.0
-    find_neighbors(
-        graph.indptr, graph.indices, motion.xy.copy(), motion.velocity, motion.direction, drives,
-        (SAME_PATH_M, BESIDE_M, ABREAST_M, PEDESTRIAN_AHEAD_M), nearest, found,
-    )  # fmt: skip
-    return Interaction(
-        leader=nearest[:, 0],
-        gap=np.maximum(found[:, 0] - NOMINAL_LENGTH_M, 0.0),
-        leader_speed=found[:, 1],
-        follower=nearest[:, 1],
-        rear_gap=np.maximum(found[:, 2] - NOMINAL_LENGTH_M, 0.0),
-        rear_speed=found[:, 3],
-        beside=found[:, 4],
-        pedestrian_m=found[:, 5],
+    row, other = graph.pairs
+    n, facing, away = drives.size, motion.direction[row], motion.xy[other] - motion.xy[row]
+    ahead, aside = along(facing, away), np.abs(leftward(facing, away))
+    walks = drives[row] & ~drives[other] & (aside < BESIDE_M)
+    walks &= (ahead > 0.0) & (ahead < PEDESTRIAN_AHEAD_M)
+    same_way = drives[row] & drives[other]
+    same_way &= along(facing, motion.direction[other]) > SAME_WAY
+    on_path = same_way & (aside < SAME_PATH_M)
+    beside = same_way & ~on_path & (aside < BESIDE_M) & (np.abs(ahead) < ABREAST_M)
+    found = []
+    for there in (on_path & (ahead > 0.0), on_path & (ahead < 0.0), walks):
+        found.append(_nearest(row[there], other[there], np.abs(ahead[there]), n))
+    (leader, gap), (follower, rear_gap), (_, pedestrian_m) = found
+    leader_speed, rear_speed = (
+        np.where(who >= 0, along(motion.direction, motion.velocity[who]), np.nan)
+        for who in (leader, follower)
     )
+    return Interaction(
+        leader=leader,
+        gap=np.maximum(gap - NOMINAL_LENGTH_M, 0.0),
+        leader_speed=leader_speed,
+        follower=follower,
+        rear_gap=np.maximum(rear_gap - NOMINAL_LENGTH_M, 0.0),
+        rear_speed=rear_speed,
+        beside=np.bincount(row[beside], minlength=n).astype(np.float64),
+        pedestrian_m=pedestrian_m,
+    )
+
+
+def _nearest(
+    row: IntArray, other: IntArray, distance: FloatArray, n: int
+) -> tuple[IntArray, FloatArray]:
+    """(n,) the nearest of each row's others, the first of equals, -1 for none; and how far."""
+    least = np.full(n, np.inf)
+    np.minimum.at(least, row, distance)
+    hits = np.flatnonzero(distance == least[row])[::-1]
+    nearest = np.full(n, -1)
+    nearest[row[hits]] = other[hits]
+    return nearest, np.where(nearest >= 0, least, np.nan)
 
 
 def differences(
@@ -116,21 +135,26 @@ def differences(
         >>> differences(path, np.array([1.0, 2.0, 6.0]), np.ones(3, bool), scales=1).ravel()
         array([-1. , -1.5,  4. ])
     """
-    from graphrqi.features.kernels import signal_differences
-
     counts = drives & ~np.isnan(signal)
     level = np.where(counts, signal, 0.0)
+    row, other = graph.pairs
+    row, other = row[counts[other]], other[counts[other]]
+    total = np.bincount(row, minlength=signal.size)
     out = np.empty((signal.size, scales))
-    signal_differences(
-        graph.indptr, graph.indices, graph.values, counts, level, np.empty(signal.size), out
-    )
+    for scale in range(scales):
+        summed = np.bincount(row, level[other], signal.size)
+        mean = np.where(total > 0, summed / np.maximum(total, 1), level)
+        out[:, scale] = np.where((total > 0) & counts, level - mean, np.nan)
+        level = mean
     return out
 
 
 def neighbor_speed(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> FloatArray:
     """(n,) mean speed of the neighbours that drive the same way, m/s; NaN without one."""
-    from graphrqi.features.kernels import speed_of_neighbors
-
-    out = np.empty(drives.size)
-    speed_of_neighbors(graph.indptr, graph.indices, motion.velocity, motion.direction, drives, out)
-    return out
+    row, other = graph.pairs
+    same_way = drives[other] & (along(motion.direction[row], motion.direction[other]) > SAME_WAY)
+    row, other = row[same_way], other[same_way]
+    count = np.bincount(row, minlength=drives.size)
+    speed = along(motion.direction[row], motion.velocity[other])
+    total = np.bincount(row, speed, drives.size)
+    return np.where(count > 0, np.maximum(total / np.maximum(count, 1), 0.5), np.nan)

@@ -10,13 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behaviors.sorted_ids import find
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from behaviors.row_index import find_sorted
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 
 SPAN_S: Final = 0.4
 """Span over which positions are differenced for velocity (four frames at 10 Hz)."""
@@ -74,7 +70,7 @@ def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
         >>> align(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([0, 2]), array([1, 2]))
     """
-    at, there = find(old_ids, new_ids)
+    at, there = find_sorted(old_ids, new_ids)
     into = np.flatnonzero(there)
     return into, at[into]
 
@@ -86,7 +82,7 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
         >>> merge(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([2, 5, 7, 9]), array([1, 2, 3]))
     """
-    rows, there = find(known, ids)
+    rows, there = find_sorted(known, ids)
     if there.all():
         return known, rows
     merged = np.sort(np.concatenate((known, ids[~there])), kind="stable")
@@ -101,6 +97,9 @@ class RawMotion:
 
     is_noisy: Final = False
     """Noise is not looked for."""
+
+    is_exact: Final = False
+    """Exactness is not looked for, either."""
 
     noise_m: Final = float("nan")
     """Noise is not measured."""
@@ -125,16 +124,16 @@ class RawMotion:
         Returns:
             Motion of exactly these agents.
         """
-        from graphrqi.features.kernels import change_since
-
         rows = self._remember(time_s, ids, xy)
         times = np.array(self._times)
 
         def change(values: FloatArray, span_s: float) -> tuple[FloatArray, FloatArray]:
-            difference, elapsed_s = np.full((rows.size, 2), np.nan), np.ones(rows.size)
-            since_s = time_s - span_s - 1e-6
-            change_since(rows, times, values, since_s, difference, elapsed_s)
-            return difference, elapsed_s[:, None]
+            """Difference of values now from the oldest known ones within a span, and its time."""
+            first = min(int(np.searchsorted(times, time_s - span_s - 1e-6)), times.size - 1)
+            if first == times.size - 1:
+                return np.full((rows.size, 2), np.nan), np.ones((rows.size, 1))
+            at = first + (~np.isnan(values[rows, first:-1, 0])).argmax(axis=1)
+            return values[rows, -1] - values[rows, at], (time_s - times[at])[:, None]
 
         difference, elapsed_s = change(self._trail, SPAN_S)
         velocity = difference / elapsed_s
@@ -162,26 +161,19 @@ class RawMotion:
         """Store the positions, forget old ones, and return the agents' rows."""
         known = self._ids[self._seen_s >= time_s - FORGET_S]
         merged, rows = merge(known, ids)
-        drop = sum(1 for t in self._times if t < time_s - DIRECTION_SPAN_S - 1e-6)
-        kept = len(self._times) - drop
-        trail = np.full((merged.size, kept + 1, 2), np.nan)
-        velocity = np.full((merged.size, kept + 1, 2), np.nan)
-        if merged.size == known.size == self._ids.size:
-            trail[:, :kept] = self._trail[:, drop:]
-            velocity[:, :kept] = self._velocity[:, drop:]
-        else:
-            into, source = align(self._ids, merged)
-            direction = np.full((merged.size, 2), np.nan)
-            seen = np.full(merged.size, time_s)
-            trail[into, :kept] = self._trail[source, drop:]
-            velocity[into, :kept] = self._velocity[source, drop:]
-            direction[into] = self._direction[source]
-            seen[into] = self._seen_s[source]
-            self._direction, self._seen_s = direction, seen
-        trail[rows, -1] = xy
-        self._seen_s[rows] = time_s
-        self._times = [*self._times[drop:], time_s]
+        into, source = align(self._ids, merged)
+        first = int(np.searchsorted(self._times, time_s - DIRECTION_SPAN_S - 1e-6))
+        self._times = [*self._times[first:], time_s]
+
+        trail, velocity = np.full((2, merged.size, len(self._times), 2), np.nan)
+        trail[into, :-1], velocity[into, :-1] = (
+            old[source, first:] for old in (self._trail, self._velocity)
+        )
+        direction, seen = np.full((merged.size, 2), np.nan), np.empty(merged.size)
+        direction[into], seen[into] = self._direction[source], self._seen_s[source]
+        trail[rows, -1], seen[rows] = xy, time_s
         self._ids, self._trail, self._velocity = merged, trail, velocity
+        self._direction, self._seen_s = direction, seen
         return rows
 
 

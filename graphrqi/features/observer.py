@@ -1,4 +1,4 @@
-"""The contract of observers, and the running sums that they keep for each driver.
+"""Observers, and the running sums that they keep for each driver.
 
 An observer takes positions frame by frame and gives a feature vector for every driver. Live frames
 and recordings go through the same observer, so training and streaming cannot differ.
@@ -7,16 +7,11 @@ and recordings go through the same observer, so training and streaming cannot di
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.motion import FORGET_S, align, merge
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +35,21 @@ class Observation:
         return Observation(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
 
-class Observer(Protocol):
-    """Follows traffic and describes each driver."""
+class Observer:
+    """Measures how long each driver is present; others derive from it and add features.
 
-    @property
-    def feature_names(self) -> tuple[str, ...]:
-        """Names of the columns of `features`."""
-        ...
+    Args:
+        solver: a key of ``SOLVERS``; only observers of the spectrum use it.
+        width: columns of the additive evidence.
+
+    Attributes:
+        feature_names: names of the columns of `features`.
+    """
+
+    feature_names: tuple[str, ...] = ()
+
+    def __init__(self, solver: str = "graphrqi", width: int = 0) -> None:
+        self._sums = RunningSums(width)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
         """Take the next positions.
@@ -60,15 +63,22 @@ class Observer(Protocol):
         Returns:
             Whether anything was measured, so that evidence changed.
         """
-        ...
+        self._sums.add(time_s, ids[drives], self._moment(time_s, ids, xy, drives)[drives])
+        return True
+
+    def _moment(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> FloatArray:
+        """(n, width) evidence of one moment on all agents."""
+        return np.zeros((ids.size, 0))
 
     def observation(self) -> Observation:
         """Evidence on the drivers present."""
-        ...
+        return self._sums.observation()
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """Turn evidence over any stretch of time into feature vectors (n, F)."""
-        ...
+        return instant
 
 
 class RunningSums:

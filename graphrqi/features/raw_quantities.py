@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.features.interaction import differences, interactions
+from graphrqi.arrays import BoolArray
+from graphrqi.features.interaction import differences
 from graphrqi.features.moment import Moment, Quantities
 from graphrqi.features.motion import Motion
 from graphrqi.features.scene import FreeFlowSpeed
 from graphrqi.graph import TrafficGraph
-
-BoolArray = NDArray[np.bool_]
 
 MOVING_MPS: Final = 2.0
 """Speed above which a driver moves, m/s."""
@@ -26,8 +23,7 @@ class RawMoment(Moment):
     def __init__(
         self, time_s: float, motion: Motion, near: TrafficGraph, free_flow: FreeFlowSpeed
     ) -> None:
-        around = interactions(motion, motion.drives, near)
-        super().__init__(motion, around, partial(free_flow.update, time_s), MOVING_MPS)
+        super().__init__(time_s, motion, near, free_flow, MOVING_MPS)
         v, a, drives = self.v, self.a, motion.drives
         self.speed_signal = differences(near, v, drives)
         self.side_signal = np.abs(differences(near, motion.sideways, drives, scales=1)[:, 0])
@@ -66,7 +62,7 @@ _LAW_S = (-1.0, -0.3, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2, 1.5, 1.8, 2.2, 2.6, 3.1
 _OF_PACE = tuple(round(0.3 + 0.06 * k, 2) for k in range(26))
 
 # fmt: off
-RAW: Final[Quantities[RawMoment]] = (
+RAW: Final[Quantities] = (
     ("speed", _SPEED_MPS, lambda m: (m.v, m.always)),
     ("free speed", _SPEED_MPS, lambda m: (m.v, m.free)),
     ("speed over neighbours", _DIFFERENCE_MPS, lambda m: (m.speed_signal[:, 0], m.always)),
@@ -125,26 +121,11 @@ RAW: Final[Quantities[RawMoment]] = (
 # fmt: on
 """Quantities of raw motion, in the order of the features."""
 
-_MOTION: Final = ("speed", "acceleration", "braking", "sideways", "speed while turning",
-                  "pull-away when slow")  # fmt: skip
 _SIGNALS: Final = (
     "speed over neighbours", "speed over wider neighbours", "sideways over neighbours",
 )  # fmt: skip
 
-PARTS: Final = ("motion", "interaction", "spectrum", "law")
-"""Parts of the features of raw motion: a driver's own motion; its neighbours and the free-flow
-speed; the graph's spectrum and signals; the car-following law."""
-
-
-def part_of(name: str) -> str:
-    """The part of a quantity of `RAW`, one of `PARTS`.
-
-    Examples:
-        >>> part_of("speed"), part_of("headway"), part_of("speed over neighbours")
-        ('motion', 'interaction', 'spectrum')
-    """
-    if name in _MOTION:
-        return "motion"
-    if name in _SIGNALS:
-        return "spectrum"
-    return "law" if name.startswith("law's headway") else "interaction"
+PLAIN: Final[Quantities] = tuple(
+    row for row in RAW if row[0] not in _SIGNALS and not row[0].startswith("law's headway")
+)
+"""Those that need neither signals on the graph nor the law of following."""

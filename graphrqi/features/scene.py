@@ -10,11 +10,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 
 MEMORY_S: Final = 300.0
 """Time constant of the exponential forgetting, s; many drivers pass meanwhile."""

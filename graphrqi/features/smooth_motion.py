@@ -19,13 +19,9 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.motion import Motion, align, along, leftward
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 EVERY_S: Final = 0.4
 """Time between moments that are measured, s; half the shortest stretch that is smoothed."""
@@ -153,6 +149,11 @@ class SmoothMotion:
         that positions are exact.
         """
         return self._fits >= LEAST_FITS and self._least_noise_m >= EXACT_M
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether a moment showed no noise, so that `is_noisy` stays False."""
+        return self._least_noise_m < EXACT_M
 
     def _half_s(self) -> float:
         """Half the stretch that is fitted now, s."""

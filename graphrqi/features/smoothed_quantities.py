@@ -6,21 +6,17 @@ turning and weaving are included, since they are comparable within one site.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.features.interaction import interactions, neighbor_speed
+from graphrqi.arrays import BoolArray, FloatArray
+from graphrqi.features.interaction import neighbor_speed
 from graphrqi.features.moment import Moment, Quantities, Values
 from graphrqi.features.motion import Motion
 from graphrqi.features.scene import FreeFlowSpeed, PlaceSpeeds, UsualValues
 from graphrqi.features.smooth_motion import Courses
 from graphrqi.graph import TrafficGraph
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 MOVING_MPS, MOVING_OF_PACE, STANDING_MPS = 2.0, 0.25, 0.5
 """Speed above which drivers move, m/s. In slow traffic it is the second number times the free-flow
@@ -42,8 +38,7 @@ class SmoothedMoment(Moment):
         self, time_s: float, motion: Motion, near: TrafficGraph, free_flow: FreeFlowSpeed,
         places: PlaceSpeeds, usual: UsualValues, courses: Courses,
     ) -> None:  # fmt: skip
-        around, pace = interactions(motion, motion.drives, near), partial(free_flow.update, time_s)
-        super().__init__(motion, around, pace, slowest_moving(free_flow.mean_mps))
+        super().__init__(time_s, motion, near, free_flow, slowest_moving(free_flow.mean_mps))
         v, a, drives = self.v, self.a, motion.drives
         self.weaving, self.unrest = courses.update(motion.time_s, motion.ids, motion.xy)
         passed = places.update(time_s, motion.xy, motion.velocity, self.moving & drives)
@@ -83,7 +78,7 @@ def _log(values: FloatArray, least: float = 0.05) -> FloatArray:
 
 
 # fmt: off
-COMPARED: Final[dict[str, Values[SmoothedMoment]]] = {
+COMPARED: Final[dict[str, Values]] = {
     "headway": lambda m: (_log(m.headway), m.following),
     "law's headway": lambda m: (_log(m.middle), m.law),
     "speed over pace": lambda m: (m.over_pace, m.clear & m.moving),
@@ -121,7 +116,7 @@ _SLOW_MPS = (0.0, 0.5, 1.0, 2.0, 3.0, 4.5, 6.5)
 _GAP_M = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 14.0, 20.0, 30.0)
 _LEFT_OVER_M = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.6, 1.2)
 
-SMOOTHED: Final[Quantities[SmoothedMoment]] = (
+SMOOTHED: Final[Quantities] = (
     ("headway while following", _HEADWAY_S, lambda m: (m.headway, m.following)),
     ("steady headway", _HEADWAY_S, lambda m: (m.headway, m.steady)),
     ("law's headway, close", _LAW_S, lambda m: (m.close, m.law)),

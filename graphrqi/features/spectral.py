@@ -1,9 +1,9 @@
 """Features of vertices in the spectrum of the paper's accumulated traffic graph.
 
-`eigenvector_rows` is what the paper feeds to its classifier: row i of the eigenvector matrix U. An
-eigenvector is defined up to its sign, or up to a rotation where its eigenvalue is repeated. Rows of
-U are therefore not functions of the graph. The features of `invariant` are. They are sums of
-f(lambda) u_i^2 over whole eigenspaces, which do not depend on the choice of eigenvectors.
+The paper feeds its classifier with row i of the eigenvector matrix U. An eigenvector is defined up
+to its sign, or up to a rotation where its eigenvalue is repeated. Rows of U are therefore not
+functions of the graph. The features of `invariant` are. They are sums of f(lambda) u_i^2 over whole
+eigenspaces, which do not depend on the choice of eigenvectors.
 Eigenvalues are scaled by the largest one, so that neither number nor order of the vehicles matters.
 `GraphSpectrum` follows the graph and its largest eigenpairs from frame to frame, for two observers:
 `EigenvectorObserver` gives rows of U, `SpectrumObserver` invariant features.
@@ -16,15 +16,11 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.features.observer import Observation, RunningSums
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.features.observer import Observation, Observer
 from graphrqi.graph import Sighting, TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 NEIGHBORS: Final = 4
 """Nearest neighbours joined by an edge (the paper)."""
@@ -55,22 +51,6 @@ SPECTRAL: Final = len(INVARIANT_NAMES) + 1
 
 _SAME_EIGENVALUE: Final = 1e-6
 """Relative distance below which two eigenvalues count as one (solvers deliver 1e-8)."""
-
-
-def eigenvector_rows(eigenvectors: FloatArray, num_pairs: int = NUM_PAIRS) -> FloatArray:
-    """Rows of U, padded with zeros where the graph has fewer pairs than asked for.
-
-    Args:
-        eigenvectors: (d, k) columns in descending order of eigenvalue.
-        num_pairs: columns wanted.
-
-    Returns:
-        (d, num_pairs) one row per vertex.
-    """
-    d, k = eigenvectors.shape
-    out = np.zeros((d, num_pairs))
-    out[:, : min(k, num_pairs)] = eigenvectors[:, :num_pairs]
-    return out
 
 
 def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
@@ -157,9 +137,7 @@ class GraphSpectrum:
             return np.zeros((ids.size, SPECTRAL))
         self._solved_s = time_s
         spectrum, rows, degrees = self.solve(ids)
-        values = invariant(
-            np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
-        )
+        values = invariant(spectrum.eigenvalues, spectrum.eigenvectors, degrees)
         return np.concatenate([values[rows], np.ones((ids.size, 1))], axis=1)
 
 
@@ -169,34 +147,7 @@ def spectral_means(sums: FloatArray) -> FloatArray:
     return np.asarray(sums[:, :-1] / np.where(total > 1e-9, total, 1.0))
 
 
-class NullObserver:
-    """Measures how long each driver is present and has no features.
-
-    Args:
-        solver: not used; every observer takes one.
-    """
-
-    feature_names: tuple[str, ...] = ()
-
-    def __init__(self, solver: str = "graphrqi") -> None:
-        self._sums = RunningSums(0)
-
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
-        drivers = ids[drives]
-        self._sums.add(time_s, drivers, np.zeros((drivers.size, 0)))
-        return True
-
-    def observation(self) -> Observation:
-        """The drivers present and their time observed."""
-        return self._sums.observation()
-
-    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """(n, 0) no columns."""
-        return np.zeros((seconds.size, 0))
-
-
-class EigenvectorObserver(NullObserver):
+class EigenvectorObserver(Observer):
     """The features of the paper: rows of the matrix of the largest eigenvectors, now.
 
     Args:
@@ -209,24 +160,24 @@ class EigenvectorObserver(NullObserver):
         super().__init__()
         self._spectrum = GraphSpectrum(solver)
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+    def _moment(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> FloatArray:
+        """Extend the graph; there is no additive evidence."""
         self._spectrum.observe(Sighting.of(ids, xy))
-        return super().update(time_s, ids, xy, drives)
+        return np.zeros((ids.size, 0))
 
     def observation(self) -> Observation:
         """The drivers present with their rows of the graph's present spectrum."""
         present = super().observation()
         spectrum, rows, _ = self._spectrum.solve(present.ids)
-        vectors = eigenvector_rows(np.asarray(spectrum.eigenvectors))
-        return dataclasses.replace(present, instant=vectors[rows])
-
-    def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
-        """(n, NUM_PAIRS) the rows."""
-        return instant
+        vectors = np.zeros((rows.size, NUM_PAIRS))  # stay zero where there are fewer pairs
+        known = spectrum.eigenvectors[rows, :NUM_PAIRS]
+        vectors[:, : known.shape[1]] = known
+        return dataclasses.replace(present, instant=vectors)
 
 
-class SpectrumObserver:
+class SpectrumObserver(Observer):
     """Invariant spectral features of each driver, averaged over the time observed.
 
     Args:
@@ -236,18 +187,15 @@ class SpectrumObserver:
     feature_names = tuple(f"spectrum_{name}" for name in INVARIANT_NAMES)
 
     def __init__(self, solver: str = "graphrqi") -> None:
+        super().__init__(solver, SPECTRAL)
         self._spectrum = GraphSpectrum(solver)
-        self._sums = RunningSums(SPECTRAL)
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+    def _moment(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> FloatArray:
+        """(n, SPECTRAL) see `GraphSpectrum.moment`."""
         self._spectrum.observe(Sighting.of(ids, xy))
-        self._sums.add(time_s, ids[drives], self._spectrum.moment(time_s, ids)[drives])
-        return True
-
-    def observation(self) -> Observation:
-        """Evidence on the drivers present."""
-        return self._sums.observation()
+        return self._spectrum.moment(time_s, ids)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, F) means over the time observed."""

@@ -14,17 +14,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.drivers import NEIGHBORS
 from graphrqi.features.interaction import differences, interactions
 from graphrqi.features.motion import RawMotion, align
-from graphrqi.features.observer import Observation, RunningSums
+from graphrqi.features.observer import Observer
 from graphrqi.graph import TrafficGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 QUANTITIES: Final = (
     "speed",
@@ -45,11 +41,10 @@ MAX_JERK_MPS3: Final = 20.0
 _K: Final = len(QUANTITIES)
 
 
-class TrajectoryObserver:
+class TrajectoryObserver(Observer):
     """Mean and deviation of each quantity, and the share of the time for which it was defined.
 
-    Args:
-        solver: not used; every observer takes one.
+    The solver is not used.
     """
 
     feature_names = tuple(
@@ -57,13 +52,15 @@ class TrajectoryObserver:
     )
 
     def __init__(self, solver: str = "graphrqi") -> None:
+        super().__init__(solver, 3 * _K)
         self._near = TrafficGraph.empty(neighbors=NEIGHBORS, kind="instantaneous")
         self._motion = RawMotion()
-        self._sums = RunningSums(3 * _K)
         self._last: tuple[float, IntArray, FloatArray] = (0.0, np.empty(0, np.int64), np.empty(0))
 
-    def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> bool:
-        """Take the next positions; see `graphrqi.features.observer.Observer.update`."""
+    def _moment(
+        self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
+    ) -> FloatArray:
+        """(n, 3 K) whether each quantity is defined, its value and its square."""
         motion = self._motion.update(time_s, ids, xy, drives)
         self._near = self._near.observe(ids, xy)
         around = interactions(motion, drives, self._near)
@@ -89,13 +86,7 @@ class TrajectoryObserver:
         )
         known = ~np.isnan(value)
         value = np.where(known, value, 0.0)
-        moment = np.concatenate([known, value, value**2], axis=1, dtype=np.float64)
-        self._sums.add(time_s, ids[drives], moment[drives])
-        return True
-
-    def observation(self) -> Observation:
-        """Evidence on the drivers present."""
-        return self._sums.observation()
+        return np.concatenate([known, value, value**2], axis=1, dtype=np.float64)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:
         """(n, 27) means, deviations and shares of the time."""

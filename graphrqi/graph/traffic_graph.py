@@ -1,4 +1,4 @@
-"""The traffic graph and the rule by which observations of positions extend it.
+"""Traffic graphs: vehicles are the nodes, nearness makes the edges.
 
 Each vehicle is joined to its k nearest, and edges of all frames since the last reset are kept.
 Source: Chandra et al., GraphRQI: Classifying driver behaviors using graph spectrums (ICRA 2020),
@@ -8,14 +8,14 @@ not give a Laplacian, see docs/spectrum.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from behaviors.errors import InputError
-from graphrqi.graph.sighting import Sighting, checked_ids
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -23,32 +23,97 @@ if TYPE_CHECKING:
 Kind: TypeAlias = Literal["accumulated", "instantaneous"]
 
 
-@dataclass(frozen=True)
-class ObservationRule:
-    """How positions become edges.
+MAX_COORDINATE_M = 1e9
+"""Positions beyond this are refused: doubles there are 0.1 um apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Vehicles at one moment; make one with `of`, which checks them.
+
+    The nearest neighbours are searched once; a later call for fewer of them returns the first ones.
 
     Attributes:
-        neighbors: nearest vehicles that each vehicle is joined to.
-        reset: observations between resets of an accumulated graph.
-        kind: "accumulated" keeps every vehicle and edge since the reset, "instantaneous" none.
+        ids: (n,) different ids.
+        xy: (n, 2) positions, m, read-only.
+
+    Examples:
+        >>> seen = Sighting.of([3, 1, 2], [[0.0, 0.0], [1.0, 0.0], [9.0, 0.0]])
+        >>> seen.nearest(1).tolist()
+        [[1], [0], [1]]
     """
 
-    neighbors: int = 4
-    reset: int = 100
-    kind: Kind = "accumulated"
+    ids: NDArray[np.int64]
+    xy: NDArray[np.float64]
+    _searched: list[NDArray[np.int32]] = field(default_factory=list, init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Check every field.
+    @classmethod
+    def of(cls, ids: ArrayLike, xy: ArrayLike) -> Sighting:
+        """Check what was seen.
+
+        Args:
+            ids: (n,) different whole numbers.
+            xy: (n, 2) finite positions, m.
 
         Raises:
-            InputError: naming the field.
+            InputError: for repeated ids, positions that are not finite, or wrong shapes.
         """
-        for name, value in (("neighbors", self.neighbors), ("reset", self.reset)):
-            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-            if not whole or value < 1:
-                raise InputError(f"{name}: found {value!r}, expected a whole number from 1 on")
-        if self.kind not in get_args(Kind):
-            raise InputError(f"kind: found {self.kind!r}, expected {' or '.join(get_args(Kind))}")
+        new_ids = checked_ids(ids)
+        ordered = np.sort(new_ids)
+        twice = ordered[:-1][ordered[1:] == ordered[:-1]]
+        if twice.size:
+            raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
+        try:
+            positions = np.array(xy, dtype=np.float64, order="C")  # the caller may reuse its array
+        except (TypeError, ValueError) as error:
+            raise InputError(f"xy: found {xy!r:.60}, expected numbers ({error})") from error
+        if positions.size == 0 and new_ids.size == 0:
+            positions = np.empty((0, 2))
+        if positions.shape != (new_ids.size, 2):
+            raise InputError(f"xy: found shape {positions.shape}, expected ({new_ids.size}, 2)")
+        if not (np.abs(positions) <= MAX_COORDINATE_M).all():
+            row = int(np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE_M).all(axis=1))[0])
+            raise InputError(
+                f"xy: found {positions[row].tolist()} for vehicle {new_ids[row]}, "
+                f"expected finite metres below {MAX_COORDINATE_M:g}"
+            )
+        positions.flags.writeable = False
+        return cls(new_ids, positions)
+
+    def nearest(self, neighbors: int) -> NDArray[np.int32]:
+        """The nearest others of every vehicle, by distance, then by id.
+
+        Args:
+            neighbors: how many; n - 1 where fewer exist.
+
+        Returns:
+            (n, k) rows of the neighbours, nearest first.
+        """
+        from graphrqi.graph.kernels import nearest_neighbors
+
+        k = max(min(neighbors, self.ids.size - 1), 0)
+        if not self._searched or self._searched[-1].shape[1] < k:
+            self._searched.append(nearest_neighbors(self.ids, self.xy, k))
+        return np.ascontiguousarray(self._searched[-1][:, :k])
+
+
+def checked_ids(ids: ArrayLike, what: str = "ids") -> NDArray[np.int64]:
+    """A copy as (n,) whole numbers.
+
+    Raises:
+        InputError: naming ``what``, if it is anything else.
+    """
+    try:
+        found = np.asarray(ids)
+    except ValueError as error:  # lists of different lengths
+        raise InputError(f"{what}: found {ids!r:.60}, expected an array ({error})") from error
+    if found.ndim != 1:
+        raise InputError(f"{what}: found shape {found.shape}, expected one id per vehicle")
+    if found.size == 0:
+        return np.empty(0, np.int64)
+    if found.dtype.kind not in "iu":
+        raise InputError(f"{what}: found {found.dtype} values, expected whole numbers")
+    return found.astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,8 +127,10 @@ class TrafficGraph:
         indptr: (d + 1,) row starts of the Laplacian in CSR form.
         indices: (z,) its columns, sorted in each row.
         values: (z,) its values.
-        rule: how observations extend the graph, if they do.
         observations: how many since the last reset.
+        neighbors: nearest vehicles that `observe` joins each vehicle to; 0 if it does nothing.
+        reset: observations between resets of an accumulated graph.
+        kind: "accumulated" keeps every vehicle and edge since the reset, "instantaneous" none.
 
     Examples:
         >>> graph = TrafficGraph.empty(neighbors=1).observe([3, 1, 2], [[0, 0], [1, 0], [9, 0]])
@@ -75,8 +142,10 @@ class TrafficGraph:
     indptr: NDArray[np.int32]
     indices: NDArray[np.int32]
     values: NDArray[np.float64]
-    rule: ObservationRule | None = None
     observations: int = 0
+    neighbors: int = 0
+    reset: int = 0
+    kind: Kind = "accumulated"
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -95,8 +164,8 @@ class TrafficGraph:
         parts = [f"{d} vehicle{'s' * (d != 1)}", f"{edges} edge{'s' * (edges != 1)}"]
         if d:
             parts[0] += f" with ids {self.ids.min()} to {self.ids.max()}"
-        if self.rule is not None:
-            parts.append(f"{self.rule.kind} over {self.observations} observations")
+        if self.neighbors:
+            parts.append(f"{self.kind} over {self.observations} observations")
         return f"TrafficGraph({', '.join(parts)})"
 
     @classmethod
@@ -134,17 +203,14 @@ class TrafficGraph:
                 f"edges: found {pairs[itself[0], 0]} joined to itself, expected two vehicles"
             )
         rows = order[np.searchsorted(ordered, pairs)] if len(pairs) else pairs
-        both = np.concatenate([rows, rows[:, ::-1], np.arange(d)[:, None].repeat(2, axis=1)])
-        line, column = np.unique(both, axis=0).T
-        indptr = np.searchsorted(line, np.arange(d + 1)).astype(np.int32)
-        value = np.where(line == column, np.diff(indptr)[line] - 1.0, -1.0)
-        return cls(row_ids, indptr, column.astype(np.int32), value)
+        line, column = np.concatenate([rows, rows[:, ::-1]]).T
+        return cls(row_ids, *_laplacian(line, column, d))
 
     @classmethod
     def empty(
         cls, neighbors: int = 4, reset: int = 100, kind: Kind = "accumulated"
     ) -> TrafficGraph:
-        """Return a graph without vehicles that knows how to grow, see `ObservationRule`.
+        """Return a graph without vehicles that grows by observations.
 
         Args:
             neighbors: nearest vehicles each vehicle is joined to.
@@ -157,9 +223,14 @@ class TrafficGraph:
         Raises:
             InputError: naming the argument that is out of range.
         """
-        rule = ObservationRule(neighbors, reset, kind)
-        none = np.empty(0, np.int32)
-        return cls(np.empty(0, np.int64), np.zeros(1, np.int32), none, np.empty(0), rule)
+        for name, value in (("neighbors", neighbors), ("reset", reset)):
+            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+            if not whole or value < 1:
+                raise InputError(f"{name}: found {value!r}, expected a whole number from 1 on")
+        if kind not in get_args(Kind):
+            raise InputError(f"kind: found {kind!r}, expected {' or '.join(get_args(Kind))}")
+        none = np.empty(0, np.int64)
+        return cls(none, *_laplacian(none, none, 0), 0, neighbors, reset, kind)
 
     def observe(self, ids: ArrayLike, xy: ArrayLike) -> TrafficGraph:
         """Return the next graph, after one look at all vehicles.
@@ -189,28 +260,25 @@ class TrafficGraph:
         Raises:
             InputError: if the graph was made from edges.
         """
-        from graphrqi.graph.kernels import join
-
-        rule = self.rule
-        if rule is None:
+        if not self.neighbors:
             raise InputError("graph: found one made from edges, expected TrafficGraph.empty(...)")
-        keep = rule.kind == "accumulated" and 0 < self.observations < rule.reset
-        row_of, all_ids = np.arange(seen.ids.size), seen.ids
-        base = self if keep else TrafficGraph.empty()
-        if keep and not np.array_equal(self.ids, seen.ids):
-            row_of = self.rows_of(seen.ids)
+        keep = self.kind == "accumulated" and 0 < self.observations < self.reset
+        row_of, ids = np.arange(seen.ids.size), seen.ids
+        if keep:
+            row_of, ids = self.rows_of(seen.ids), self.ids  # one array for the same vehicles
             unseen = row_of < 0
-            row_of[unseen] = np.arange(unseen.sum()) + self.ids.size
-            all_ids = np.concatenate([self.ids, seen.ids[unseen]])
-        neighbors = seen.nearest(rule.neighbors)
-        indptr, indices, values = join(row_of, all_ids.size, neighbors, base.indptr, base.indices)
-        if np.array_equal(all_ids, self.ids):
-            all_ids = self.ids  # one array for a sequence of the same vehicles
-        size = indptr[-1]
+            if unseen.any():
+                row_of[unseen] = np.arange(unseen.sum()) + self.ids.size
+                ids = np.concatenate([self.ids, seen.ids[unseen]])
+        elif np.array_equal(self.ids, ids):
+            ids = self.ids
+        nearest = seen.nearest(self.neighbors)
+        ends = np.repeat(row_of, nearest.shape[1]), row_of[nearest.ravel()]
+        joined = [ends, ends[::-1], *([self.pairs] if keep else [])]
+        line, column = (np.concatenate(part) for part in zip(*joined, strict=True))
         count = self.observations + 1 if keep else 1
-        return TrafficGraph(
-            all_ids, indptr, indices[:size].copy(), values[:size].copy(), rule, count
-        )
+        rule = self.neighbors, self.reset, self.kind
+        return TrafficGraph(ids, *_laplacian(line, column, ids.size), count, *rule)
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Rows (n,) of vehicles ``ids`` (n,), -1 for those that are not in the graph."""
@@ -237,14 +305,36 @@ class TrafficGraph:
         found.eliminate_zeros()
         return found
 
+    @cached_property
+    def pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows (2 m,) and (2 m,) of the joined vehicles, each edge both ways, in order."""
+        rows = np.repeat(np.arange(self.ids.size), np.diff(self.indptr))
+        apart = rows != self.indices
+        return rows[apart], self.indices[apart].astype(np.int64)
+
     @property
     def edges(self) -> NDArray[np.int64]:
         """(m, 2) ids of the joined vehicles, each edge once, in the order of the rows."""
-        rows = np.repeat(np.arange(self.ids.size), np.diff(self.indptr))
-        once = rows < self.indices
-        return np.stack([self.ids[rows[once]], self.ids[self.indices[once]]], axis=1)
+        rows, columns = self.pairs
+        once = rows < columns
+        return np.stack([self.ids[rows[once]], self.ids[columns[once]]], axis=1)
 
     @property
     def degree(self) -> NDArray[np.float64]:
         """(d,) number of edges of each vehicle, the diagonal of the Laplacian."""
         return np.diff(self.indptr) - 1.0  # every diagonal entry is stored
+
+
+def _laplacian(
+    line: NDArray[np.int64], column: NDArray[np.int64], d: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
+    """Row starts, columns and values in CSR form, from places of entries, repeated in any order."""
+    place = np.concatenate([line * d + column, np.arange(d) * (d + 1)])
+    place.sort()
+    place = place[np.diff(place, prepend=-1) > 0]
+    line = place // max(d, 1)
+    column = place - line * d
+    count = np.bincount(line, minlength=d)
+    indptr = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+    values = np.where(line == column, count[line] - 1.0, -1.0)
+    return indptr, column.astype(np.int32), values

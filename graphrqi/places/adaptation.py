@@ -16,14 +16,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify.calibrated import FLOOR, softmax
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from graphrqi.arrays import BoolArray, FloatArray
+from graphrqi.classify.contract import FLOOR, softmax
 
 OFFSET_SD: Final = 1.0
 """Prior standard deviation of the offsets, in logarithms of odds."""

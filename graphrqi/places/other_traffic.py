@@ -19,16 +19,14 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from graphrqi.arrays import FloatArray, SingleArray
 from graphrqi.classify.contract import part_of, saved
 from graphrqi.features.drivers import LEFT_OVER, SCENE_NAMES, UNKNOWN_SCENE, DriverObserver
 from graphrqi.features.observer import Observation
 from graphrqi.features.smoothed_quantities import LEAST_LEFT_OVER_M
-from graphrqi.places.drivers import PlaceDrivers
-from graphrqi.places.network import PlaceNetwork, SingleArray
-from graphrqi.places.people import beside_others, level_shown, log_odds_of, restyled
+from graphrqi.places.drivers import PlaceDrivers, beside_others, level_shown, log_odds_of, restyled
+from graphrqi.places.network import PlaceNetwork
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
-
-FloatArray = NDArray[np.float64]
 
 Traffic = Literal["simulated", "recorded", "other"]
 """Kinds of traffic: from the engines of this project, from recordings, or from other simulators."""

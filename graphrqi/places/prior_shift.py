@@ -14,12 +14,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray, IntArray
 from graphrqi.features.motion import FORGET_S
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PRIOR_DRIVERS: Final = 60.0
 """Strength of a Dirichlet prior at the training shares, in drivers (chosen on validation episodes;

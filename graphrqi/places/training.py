@@ -14,12 +14,11 @@ from typing import Final
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.classify.contract import CodeArray
+from graphrqi.arrays import CodeArray, FloatArray, IntArray
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.features.drivers import SCENE_NAMES
 from graphrqi.networks.portable_torch import Descent, one_thread, root
@@ -35,9 +34,6 @@ from graphrqi.places.network import (
 from graphrqi.places.other_traffic import OtherTraffic, scene_of
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 KEPT: Final = (0.4, 1.0)
 """Least and largest share of a site's drivers that an example has."""

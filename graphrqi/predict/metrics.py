@@ -1,8 +1,5 @@
 """Errors of predictions as Argoverse 2 defines them, and which agents are predicted to collide.
 
-Every function takes the futures (n, K, H, 2), their probabilities (n, K) and what happened
-(n, H, 2) of agents seen throughout, and gives one number per agent.
-
 References:
     Wilson et al. (2021), "Argoverse 2: next generation datasets for self-driving perception and
     forecasting", NeurIPS Datasets and Benchmarks; ``av2.datasets.motion_forecasting.eval.metrics``.
@@ -12,15 +9,13 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from sim.geometry import Outlines, separation
-
-FloatArray = NDArray[np.float64]
 
 MISS_THRESHOLD_M: Final = 2.0
 """An agent is missed when no future ends this close (Argoverse 2)."""
@@ -34,62 +29,40 @@ def distances(xy: FloatArray, truth: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(xy - truth[:, None], axis=-1))
 
 
-def _likeliest(values: FloatArray, probability: FloatArray) -> FloatArray:
-    return np.asarray(values[np.arange(len(values)), probability.argmax(axis=1)])
+METRICS: Final = (
+    "ade_m", "fde_m", "rmse_m", "miss_rate", "min_ade_m", "min_fde_m", "brier_min_fde_m",
+)  # fmt: skip
+"""Names of displacement errors."""
 
 
-def ade_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) mean distance of the likeliest future, m; ``gap`` from `distances`."""
-    return _likeliest(gap.mean(axis=2), probability)
+def displacement_errors(gap: FloatArray, probability: FloatArray) -> dict[str, FloatArray]:
+    """Displacement errors of each agent, whose means are the metrics.
 
+    Args:
+        gap: (n, K, H) from `distances`, m.
+        probability: (n, K) of the futures.
 
-def fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) final distance of the likeliest future, m."""
-    return _likeliest(gap[:, :, -1], probability)
-
-
-def squared_m2(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) squared final distance of the likeliest future, m2; RMSE is the root of its mean."""
-    return fde_m(gap, probability) ** 2
-
-
-def min_ade_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) mean distance of the best future, m."""
-    return np.asarray(gap.mean(axis=2).min(axis=1))
-
-
-def min_fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) final distance of the best future, m."""
-    return np.asarray(gap[:, :, -1].min(axis=1))
-
-
-def miss_rate(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) 1 where every future ends farther than `MISS_THRESHOLD_M` away, else 0.
+    Returns:
+        (n,) numbers by name, m: mean and final distance of the likeliest future; its squared final
+        distance, m2, the root of whose mean is the metric; 1 where every future ends farther than
+        `MISS_THRESHOLD_M` away; mean and final distance of the best future, and that final distance
+        plus (1 - its probability)^2.
 
     Examples:
-        >>> miss_rate(np.array([[[0.5], [3.0]], [[2.5], [4.0]]]), np.full((2, 2), 0.5)).tolist()
+        >>> two = np.array([[[0.5], [3.0]], [[2.5], [4.0]]])
+        >>> displacement_errors(two, np.full((2, 2), 0.5))["miss_rate"].tolist()
         [0.0, 1.0]
     """
-    return np.asarray(min_fde_m(gap, probability) > MISS_THRESHOLD_M, dtype=np.float64)
-
-
-def brier_min_fde_m(gap: FloatArray, probability: FloatArray) -> FloatArray:
-    """(n,) final distance of the best future plus (1 - its probability)^2, m."""
-    best = gap[:, :, -1].argmin(axis=1)
-    row = np.arange(len(gap))
-    return np.asarray(gap[row, best, -1] + (1.0 - probability[row, best]) ** 2)
-
-
-METRICS: Final[dict[str, Callable[[FloatArray, FloatArray], FloatArray]]] = {
-    "ade_m": ade_m,
-    "fde_m": fde_m,
-    "rmse_m": squared_m2,
-    "miss_rate": miss_rate,
-    "min_ade_m": min_ade_m,
-    "min_fde_m": min_fde_m,
-    "brier_min_fde_m": brier_min_fde_m,
-}
-"""Numbers per agent whose mean (of ``rmse_m``: the root of the mean) is the metric."""
+    row, likeliest = np.arange(len(gap)), probability.argmax(axis=1)
+    mean, final = gap.mean(axis=2), gap[:, :, -1]
+    best = final.argmin(axis=1)
+    least = final[row, best]
+    found = (
+        mean[row, likeliest], final[row, likeliest], final[row, likeliest] ** 2,
+        (least > MISS_THRESHOLD_M).astype(np.float64), mean.min(axis=1), least,
+        least + (1.0 - probability[row, best]) ** 2,
+    )  # fmt: skip
+    return dict(zip(METRICS, found, strict=True))
 
 
 def overlap(

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas
-
-FloatArray = NDArray[np.float64]
+from graphrqi.arrays import FloatArray
 
 STEP_S: Final = 0.1
 """Time between predicted positions, s: the simulators' usual step."""
-
-SHOWN: Final = 10
-"""Agents in the table that a notebook shows."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -108,37 +101,6 @@ class Prediction:
             f"{_counted(self.time_s.size, 'time')}{horizon}, "
             f"{'without' if self.spread is None else 'with'} spread)"
         )
-
-    def _repr_html_(self) -> str:
-        """A table of the likeliest futures' ends, for notebooks; the first ten agents."""
-        rows = [
-            f"<tr><td>{agent}</td><td>{probability:.2f}</td><td>{x:.1f}</td><td>{y:.1f}</td></tr>"
-            for agent, probability, (x, y) in zip(
-                self.ids[:SHOWN],
-                self.probability[:SHOWN].max(axis=1, initial=0.0),
-                self.best[:SHOWN, -1] if self.time_s.size else (),
-                strict=False,
-            )
-        ]
-        head = "<tr><th>agent</th><th>probability</th><th>end x, m</th><th>end y, m</th></tr>"
-        return f"<p>{self!r}</p><table>{head}{''.join(rows)}</table>"
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """One row per agent, future and time: agent, future, probability, time_s, x, y, spread."""
-        import pandas
-
-        n, k, h = self.xy.shape[:3]
-        columns = {
-            "agent": np.repeat(self.ids, k * h),
-            "future": np.tile(np.repeat(np.arange(k), h), n),
-            "probability": np.repeat(self.probability.ravel(), h),
-            "time_s": np.tile(self.time_s, n * k),
-            "x": self.xy[..., 0].ravel(),
-            "y": self.xy[..., 1].ravel(),
-        }
-        if self.spread is not None:
-            columns["spread"] = self.spread.ravel()
-        return pandas.DataFrame(columns)
 
 
 def _counted(number: int, what: str) -> str:

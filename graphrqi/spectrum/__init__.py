@@ -13,7 +13,6 @@ from typing import Final
 from behaviors.registry import Registry
 from graphrqi.spectrum.certified.certificate import certify
 from graphrqi.spectrum.contract import Solver
-from graphrqi.spectrum.full import full_spectrum, topology
 from graphrqi.spectrum.spectrum import Spectrum
 
 SOLVERS: Final[Registry[Solver]] = Registry(
@@ -35,4 +34,4 @@ SOLVERS: Final[Registry[Solver]] = Registry(
 )
 """Every eigenvalue algorithm by name; the first is the default."""
 
-__all__ = ["SOLVERS", "Solver", "Spectrum", "certify", "full_spectrum", "topology"]
+__all__ = ["SOLVERS", "Solver", "Spectrum", "certify"]

@@ -10,54 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol, get_args
+from typing import get_args
 
 import numpy as np
 
 from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.spectrum import End, Floats, Spectrum
-from graphrqi.spectrum.subspaces import (
-    carry_rows,
-    dense_pairs,
-    laplacian_scale,
-    null_space,
-    pick,
-)
+from graphrqi.spectrum.subspaces import all_pairs, carry_rows, laplacian_scale, pick
 
 ENDS = get_args(End)
-
-
-class Solver(Protocol):
-    """The one contract of all solvers."""
-
-    def __call__(
-        self,
-        graph: TrafficGraph,
-        num_pairs: int = 8,
-        end: End = "largest",
-        previous: Spectrum | None = None,
-        tol: float = 1e-8,
-        nonzero: bool = False,
-    ) -> Spectrum:
-        """Compute eigenpairs at one end of the spectrum.
-
-        Args:
-            graph: d vehicles.
-            num_pairs: how many, at least 1; all there are where fewer exist.
-            end: "largest" or "smallest".
-            previous: any earlier answer, of other vehicles too, to start from.
-            tol: residuals up to tol * max(1, lambda_max) are asked for.
-            nonzero: leave out the null space (one pair per connected component).
-
-        Returns:
-            The pairs, with their residuals.
-
-        Raises:
-            InputError: for an argument out of range.
-        """
-        ...
 
 
 def check_arguments(num_pairs: int, end: str, tol: float, previous: object = None) -> None:
@@ -110,7 +72,6 @@ class Problem:
         end: "largest" or "smallest".
         previous: an earlier answer to start from, perhaps of other vehicles.
         tol: residual asked for, relative to ``scale``.
-        nonzero: whether the null space is left out.
     """
 
     graph: TrafficGraph
@@ -118,36 +79,29 @@ class Problem:
     end: End
     previous: Spectrum | None
     tol: float
-    nonzero: bool
 
     @property
     def scale(self) -> float:
         """Size of the Laplacian: max(1, largest degree), at least half of lambda_max."""
         return laplacian_scale(self.graph)
 
-    @cached_property
-    def null(self) -> Floats:
-        """(d, c) orthonormal basis of what is left out; no columns if nothing is."""
-        return null_space(self.graph) if self.nonzero else np.zeros((self.graph.ids.size, 0))
-
     @property
     def num_pairs(self) -> int:
         """How many pairs are wanted; so many exist."""
-        return int(min(self.asked, self.graph.ids.size - self.null.shape[1]))
+        return int(min(self.asked, self.graph.ids.size))
 
-    def starting_block(self, size: int | None = None, outside: Floats | None = None) -> Floats:
+    def starting_block(self, size: int | None = None) -> Floats:
         """(d, k) orthonormal columns to start from: the earlier vectors, or noise of a fixed seed.
 
         Args:
             size: k; as many as are wanted if not given.
-            outside: (d, m) orthonormal columns that they are orthogonal to; ``null`` if not given.
         """
-        d, outside = self.graph.ids.size, self.null if outside is None else outside
+        d = self.graph.ids.size
         noise = np.random.default_rng(d).normal(size=(d, size or self.num_pairs))
         if self.previous is not None:
             known = carry_rows(self.previous, self.graph)[:, : noise.shape[1]]
             noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
-        return np.linalg.qr(noise - outside @ (outside.T @ noise))[0]
+        return np.linalg.qr(noise)[0]
 
     def chosen(self, values: Floats, vectors: Floats) -> tuple[Floats, Floats]:
         """Those of the given pairs that are wanted, in the order of the end."""
@@ -155,44 +109,58 @@ class Problem:
         return values[wanted], vectors[:, wanted]
 
     def dense(self, note: str = "") -> Pairs:
-        """The answer of LAPACK's dense symmetric solver."""
-        found = dense_pairs(self.graph, self.null)
-        return Pairs(*self.chosen(*found), complete=True, note=note)
+        """The answer of LAPACK's dense symmetric solver, component by component."""
+        return Pairs(*self.chosen(*all_pairs(self.graph)), complete=True, note=note)
 
 
-def eigensolver(
-    dense_share: int | None = None,
-) -> Callable[[Callable[[Problem], Pairs]], Solver]:
-    """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`.
+@dataclass(frozen=True)
+class Solver:
+    """A solver: a function that finds the pairs of a `Problem`, which checks and measures.
 
-    Args:
+    Attributes:
+        find: the function.
         dense_share: a dense solution answers where this many times the pairs wanted reach d; None
             for never.
     """
 
-    def decorate(find: Callable[[Problem], Pairs]) -> Solver:
-        def solve(
-            graph: TrafficGraph,
-            num_pairs: int = 8,
-            end: End = "largest",
-            previous: Spectrum | None = None,
-            tol: float = 1e-8,
-            nonzero: bool = False,
-        ) -> Spectrum:
-            check_arguments(num_pairs, end, tol, previous)
-            problem = Problem(graph, num_pairs, end, previous, tol, nonzero)
-            pairs = None
-            if dense_share is not None:
-                k = problem.num_pairs
-                if k < 1 or dense_share * k + problem.null.shape[1] >= graph.ids.size:
-                    pairs = problem.dense()
-            return answer(graph, find(problem) if pairs is None else pairs, end, tol)
+    find: Callable[[Problem], Pairs]
+    dense_share: int | None = None
 
-        solve.__name__, solve.__qualname__ = find.__name__, find.__qualname__
-        solve.__module__, solve.__doc__ = find.__module__, find.__doc__
-        return solve
+    def __call__(
+        self,
+        graph: TrafficGraph,
+        num_pairs: int = 8,
+        end: End = "largest",
+        previous: Spectrum | None = None,
+        tol: float = 1e-8,
+    ) -> Spectrum:
+        """Compute eigenpairs at one end of the spectrum.
 
-    return decorate
+        Args:
+            graph: d vehicles.
+            num_pairs: how many, at least 1; all there are where fewer exist.
+            end: "largest" or "smallest".
+            previous: any earlier answer, of other vehicles too, to start from.
+            tol: residuals up to tol * max(1, lambda_max) are asked for.
+
+        Returns:
+            The pairs, with their residuals.
+
+        Raises:
+            InputError: for an argument out of range.
+        """
+        check_arguments(num_pairs, end, tol, previous)
+        problem = Problem(graph, num_pairs, end, previous, tol)
+        if self.dense_share is not None:
+            k = problem.num_pairs
+            if k < 1 or self.dense_share * k >= graph.ids.size:
+                return answer(graph, problem.dense(), end, tol)
+        return answer(graph, self.find(problem), end, tol)
+
+
+def eigensolver(dense_share: int | None = None) -> Callable[[Callable[[Problem], Pairs]], Solver]:
+    """Decorator that makes a `Solver` of a function that finds the pairs of a `Problem`."""
+    return lambda find: Solver(find, dense_share)
 
 
 def answer(graph: TrafficGraph, pairs: Pairs, end: End, tol: float) -> Spectrum:

@@ -11,10 +11,10 @@ from graphrqi.features import following_law
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.interaction import NOMINAL_LENGTH_M, differences, interactions
 from graphrqi.features.motion import FORGET_S, RawMotion
+from graphrqi.features.observer import Observer
 from graphrqi.features.scene import FreeFlowSpeed
 from graphrqi.features.spectral import (
     EigenvectorObserver,
-    NullObserver,
     SpectrumObserver,
     invariant,
     whole_eigenspaces,
@@ -27,7 +27,7 @@ def driving(solver: str = "graphrqi") -> DriverObserver:
     return DriverObserver("raw", solver)
 
 
-OBSERVERS = [NullObserver, EigenvectorObserver, SpectrumObserver, driving]
+OBSERVERS = [Observer, EigenvectorObserver, SpectrumObserver, driving]
 
 
 def drive(estimator, times, path):

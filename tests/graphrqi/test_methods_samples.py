@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphrqi.features.spectral import NullObserver
+from graphrqi.features.observer import Observer
 from graphrqi.samples import collect
 from sim.frames import Tracks
 
@@ -33,7 +33,7 @@ def drivers(n: int = 6, seconds: float = 21.0) -> Tracks:
 def test_every_length_asked_for_is_cut(every_s):
     """However seldom windows end, each length that fits into a life is there."""
     lengths = (1.0, 2.0, 5.0, 10.0)
-    samples = collect(drivers(), NullObserver(), 0, lengths, every_s=every_s)
+    samples = collect(drivers(), Observer(), 0, lengths, every_s=every_s)
     found, counts = np.unique(samples.seconds.round(6), return_counts=True)
     assert found.tolist() == list(lengths)
     ends = np.unique(samples.time_s[samples.seconds == 1.0])
@@ -57,9 +57,7 @@ def at_times(time_s: np.ndarray, n: int = 3) -> Tracks:
 @pytest.mark.parametrize("step_s", [0.04, 0.1, 0.3, 0.4, 0.5, 0.7])
 def test_windows_are_found_at_any_frame_step(step_s):
     """One ends near every second, and lasts as long as asked for to half a frame step."""
-    samples = collect(
-        at_times(step_s * np.arange(round(24.0 / step_s))), NullObserver(), 0, (10.0,)
-    )
+    samples = collect(at_times(step_s * np.arange(round(24.0 / step_s))), Observer(), 0, (10.0,))
     ends = np.unique(samples.time_s)
     assert ends.size >= 11
     near_s = max(0.25, 0.5 * step_s) + 1e-6
@@ -71,7 +69,7 @@ def test_windows_are_found_at_any_frame_step(step_s):
 def test_no_window_spans_a_hole_in_the_recording():
     """Nobody is known to have been there meanwhile, so nothing is said of that time."""
     time_s = np.concatenate([np.arange(0.0, 12.0, 0.3), np.arange(40.0, 52.0, 0.3)])
-    samples = collect(at_times(time_s), NullObserver(), 0, (5.0,))
+    samples = collect(at_times(time_s), Observer(), 0, (5.0,))
     begin_s = samples.time_s - samples.seconds
     assert ((samples.time_s < 12.0) | (begin_s >= 39.9)).all()
     assert (samples.time_s > 40.0).any()

@@ -16,8 +16,9 @@ from safetensors.numpy import load_file, save_file
 
 from behaviors.errors import InputError
 from graphrqi.features.drivers import DriverObserver
+from graphrqi.features.observer import Observer
 from graphrqi.features.smooth_motion import EVERY_S
-from graphrqi.features.spectral import NullObserver, SpectrumObserver
+from graphrqi.features.spectral import SpectrumObserver
 from graphrqi.methods import train
 from graphrqi.model_files import FILE, load_model, save_model
 from graphrqi.posterior import Posterior
@@ -55,7 +56,7 @@ def test_a_window_is_the_difference_of_two_moments(tracks):
 
 
 def test_samples_are_of_labelled_drivers_only(tracks):
-    samples = collect(tracks, NullObserver(), windows_s=(5.0,))
+    samples = collect(tracks, Observer(), windows_s=(5.0,))
     driving = set(tracks.ids[tracks.behavior >= 0].tolist())
     assert set(samples.agent.tolist()) <= driving
     code = dict(zip(tracks.ids.tolist(), tracks.behavior.tolist(), strict=True))

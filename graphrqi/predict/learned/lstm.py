@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.predict.learned.features import AROUND, NEIGHBORS, PAST, PAST_S, PER_NEIGHBOR
+from graphrqi.arrays import FloatArray
+from graphrqi.predict.learned.inputs import AROUND, NEIGHBORS, PAST, PAST_S, PER_NEIGHBOR
 from graphrqi.predict.networks.futures import ANCHORS, KNOTS, MODES, PER_MODE
 from graphrqi.predict.networks.perceptron import Arrays, standardized
 
 if TYPE_CHECKING:
     import torch
 
-FloatArray = NDArray[np.float64]
 
 ENCODED, POOLED, MIXED, DECODED = 32, 48, 256, 48
 """Widths of the encoder, the pooled neighbours, what joins them and the decoder."""

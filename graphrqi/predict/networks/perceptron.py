@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 from graphrqi.networks.weights import load_weights, save_weights
 from graphrqi.predict.networks.futures import Futures, PredictorInputs, decode
 
-FloatArray = NDArray[np.float64]
 Layers = tuple[NDArray[np.float32], ...]
 Arrays = Mapping[str, NDArray[Any]]
 

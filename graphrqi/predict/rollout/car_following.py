@@ -20,16 +20,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors import driver_models
+from graphrqi.arrays import BoolArray, CodeArray, FloatArray, IntArray
 from graphrqi.predict.scene.stop_constraints import PREPARE_TO_STOP, PROCEED, STOP_IF_COMFORTABLE
-from sim.compiled import in_place, inlined, reordered
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-CodeArray = NDArray[np.int8]
+from sim.compiled import in_place, inlined
 
 LOOK_AHEAD_M = 120.0
 """Distance beyond which drivers react to nothing ahead, m (5 s at 24 m/s)."""
@@ -118,15 +113,35 @@ def _limit_by_stops(
     return target
 
 
-@reordered
-def roll(
-    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, stop_state: Any,
-    paths: Any, others: Any, steps: Any,
-) -> Any:  # fmt: skip
+class Simulated(NamedTuple):
+    """M futures of n drivers at each of the steps.
+
+    Attributes:
+        lane: (M, n, steps) lanes.
+        s: (M, n, steps) distances along them, m.
+        offset: (M, n, steps) distances to the left of their centre lines, m.
+        speed: (M, n, steps) m/s.
+        travelled: (M, n, steps) distances since the present, m.
+        asked: (M, n) the law's accelerations at present, m/s2.
+    """
+
+    lane: IntArray
+    s: FloatArray
+    offset: FloatArray
+    speed: FloatArray
+    travelled: FloatArray
+    asked: FloatArray
+
+
+def simulate(
+    present: Present, path: IntArray, lateral: FloatArray, following: FloatArray,
+    ignores: BoolArray, stop_state: CodeArray, paths: Any, others: Others,
+    steps: tuple[int, float, float, float],
+) -> Simulated:  # fmt: skip
     """Simulate n drivers in M variants.
 
     Args:
-        present: `Present` of the drivers.
+        present: the drivers.
         path: (M, n) row of ``paths`` of each driver; -1 minus it for a driver that is present but
             not simulated. The next three may have a first axis of 1.
         lateral: (M, n, 2) distance left of the lane's centre, m, and speed of return, m/s.
@@ -139,23 +154,37 @@ def roll(
             residual acceleration, s.
 
     Returns:
-        (M, n, steps) lanes, distances along them and to their left, m, speeds, m/s, and distances
-        travelled, m. (M, n) accelerations of the law at present, m/s2.
+        The futures.
     """
-    (m, n), (count, step_s, states, decay_s) = path.shape, steps
-    lane, asked = np.zeros((m, n, count), np.int64), np.zeros((m, n))
-    s, offset = np.zeros((m, n, count)), np.zeros((m, n, count))
-    speed, travelled = np.zeros((m, n, count)), np.zeros((m, n, count))
-    x, v, accel, residual = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    on, seen_lane = np.empty(n, np.int64), np.zeros(n, np.int64)
-    seen_s, seen_v = np.empty(n), np.empty(n)
-    first, after = np.full(paths.lane_length.size, -1), np.empty(n, np.int64)
-    drives = np.flatnonzero(present.on_path)
+    m, n = path.shape
+    s, offset, speed, travelled = np.zeros((4, m, n, steps[0]))
+    lane, asked = np.zeros((m, n, steps[0]), np.int64), np.zeros((m, n))
+    out = Simulated(lane, s, offset, speed, travelled, asked)
+    _simulate(
+        present, path, lateral, following, ignores, stop_state, paths, others, steps,
+        np.flatnonzero(present.on_path), np.full(paths.lane_length.size, -1),
+        np.zeros((3, n), np.int64), np.zeros((6, n)), out,
+    )  # fmt: skip
+    return out
+
+
+@in_place(reordered=True)
+def _simulate(
+    present: Any, path: Any, lateral: Any, following: Any, ignores: Any, stop_state: Any,
+    paths: Any, others: Any, steps: Any, drives: Any, first: Any, ints: Any, floats: Any, out: Any,
+) -> None:  # fmt: skip
+    """See `simulate`; ``first``, ``ints`` and ``floats`` are room to work in."""
+    m, n = path.shape
+    count, step_s, states, decay_s = steps
+    on, seen_lane, after = ints[0], ints[1], ints[2]
+    x, v, accel, residual = floats[0], floats[1], floats[2], floats[3]
+    seen_s, seen_v = floats[4], floats[5]
     for w in range(m):
         drivers = following[min(w, len(following) - 1)]
         passes = ignores[min(w, len(ignores) - 1)]
         aside = lateral[min(w, len(lateral) - 1)]
-        x[:], v[:], residual[:], on[:] = present.s, present.speed, 0.0, 0
+        for i in range(n):
+            x[i], v[i], residual[i], on[i] = present.s[i], present.speed[i], 0.0, 0
         for h in range(count):
             for i in drives:  # the drivers of each lane make a list: first[lane], after[first] ...
                 first[seen_lane[i]] = -1
@@ -173,7 +202,8 @@ def roll(
                 q, half = path[w, i], present.half_length[i]
                 if q < 0:
                     continue
-                factor, headway, standstill, most, decel = drivers[i]
+                factor, headway, standstill = drivers[i, 0], drivers[i, 1], drivers[i, 2]
+                most, decel = drivers[i, 3], drivers[i, 4]
                 wish, distance, leader = factor * paths.limit[q, on[i]], 1e9, -1
                 for k in range(on[i], paths.lane.shape[1]):
                     begin = paths.start[q, k] - x[i]
@@ -201,9 +231,9 @@ def roll(
                 if q < 0:
                     continue
                 if h == 0:
-                    asked[w, i] = (max(0.0, v[i] + accel[i] * step_s) - v[i]) / step_s
+                    out.asked[w, i] = (max(0.0, v[i] + accel[i] * step_s) - v[i]) / step_s
                     if decay_s > 0.0 and present.accel[i] > UNKNOWN_ACCELERATION / 2:
-                        residual[i] = present.accel[i] - asked[w, i]
+                        residual[i] = present.accel[i] - out.asked[w, i]
                 faster = max(0.0, v[i] + (accel[i] + residual[i] * fade) * step_s)
                 x[i] += 0.5 * (v[i] + faster) * step_s
                 v[i] = faster
@@ -211,8 +241,7 @@ def roll(
                 while k + 1 < paths.lane.shape[1] and paths.start[q, k + 1] <= x[i]:
                     k += 1
                 on[i] = k
-                lane[w, i, h], s[w, i, h] = paths.lane[q, k], x[i] - paths.start[q, k]
+                out.lane[w, i, h], out.s[w, i, h] = paths.lane[q, k], x[i] - paths.start[q, k]
                 left = max(abs(aside[i, 0]) - aside[i, 1] * step_s * (h + 1), 0.0)
-                offset[w, i, h] = math.copysign(left, aside[i, 0])
-                speed[w, i, h], travelled[w, i, h] = v[i], x[i] - present.s[i]
-    return lane, s, offset, speed, travelled, asked
+                out.offset[w, i, h] = math.copysign(left, aside[i, 0])
+                out.speed[w, i, h], out.travelled[w, i, h] = v[i], x[i] - present.s[i]

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, PROFILES
+from graphrqi.arrays import BoolArray, FloatArray
 from graphrqi.networks.weights import load_weights, save_weights
-
-FloatArray = NDArray[np.float64]
+from graphrqi.predict.scene.scene import Scene
 
 DRIVER_FIELDS: Final = (
     "speed_factor",
@@ -33,6 +32,13 @@ KIND: Final = "drivers"
 
 SHIPPED: Final = Path(__file__).parent.parent / "weights" / "drivers.safetensors"
 """The calibrated numbers that ship, with their card."""
+
+
+FREE_WEIGHT: Final = 0.1
+"""Weight of the behaviour's desired speed against the driver's observed free speed."""
+
+LEAST_FACTOR: Final = 0.05
+"""Least desired speed over limit where limits are unknown (the driver models divide by it)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,3 +101,65 @@ def load_table(path: Path = SHIPPED) -> DriverTable:
         )
     except KeyError as error:
         raise InputError(f"{path}: found no {error}, expected calibrated drivers") from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriverParameters:
+    """How n drivers drive.
+
+    Attributes:
+        following: (n, 5) car-following parameters, columns as ``DRIVER_FIELDS``.
+        ignores: (n, 2) whether each ignores red lights, and pedestrians at crossings.
+    """
+
+    following: FloatArray
+    ignores: BoolArray
+
+
+def expected_parameters(
+    scene: Scene, probability: FloatArray, table: DriverTable
+) -> DriverParameters:
+    """The parameters expected under (n, 6) beliefs about the drivers' behaviours."""
+    return DriverParameters(
+        following=_personal(scene, table.expected(probability)[None])[0],
+        ignores=_ignored(probability @ RUNS_RED, probability @ YIELDS),
+    )
+
+
+def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
+    """The parameters of each driver under each behaviour.
+
+    Returns:
+        (6, n, 5) car-following parameters. (6, n, 2) kinds of stop constraints ignored.
+    """
+    each = (len(BEHAVIORS), scene.ids.size)
+    runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
+    return _personal(scene, table.behavior[:, None]), _ignored(runs, yields)
+
+
+def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:
+    """The average driver's parameters for all drivers, who ignore nothing."""
+    return DriverParameters(
+        following=_personal(scene, table.average[None, None])[0],
+        ignores=np.zeros((scene.ids.size, 2), dtype=np.bool_),
+    )
+
+
+def _ignored(runs_red: FloatArray, yields: FloatArray) -> BoolArray:
+    """(..., n, 2) whether drivers ignore red lights, and pedestrians at crossings."""
+    return np.stack([runs_red > 0.5, yields < 0.5], axis=-1)
+
+
+def _personal(scene: Scene, following: FloatArray) -> FloatArray:
+    """(M, n, 5) parameters, each driver's desired speed corrected by its observed speeds."""
+    states = scene.states
+    shape = len(following), scene.ids.size, following.shape[2]
+    found = np.broadcast_to(following, shape).copy()
+    free = np.log(np.maximum(states.free_factor, 0.1))
+    shown = np.exp((FREE_WEIGHT * np.log(found[..., 0]) + free) / (1.0 + FREE_WEIGHT))
+    wished = np.where(np.isnan(free), found[..., 0], shown)
+    found[..., 0] = np.maximum(wished, states.least_factor)
+    knows = scene.road.knows
+    if not (knows.limits and knows.limits_rule):  # the speeds seen are all that is known of wishes
+        found[..., 0] = np.maximum(states.least_factor, LEAST_FACTOR)
+    return found

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
+from graphrqi.arrays import FloatArray, IntArray
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.rollout.driver_parameters import (
+from graphrqi.predict.rollout.driver_table import (
     DriverParameters,
+    DriverTable,
     average_parameters,
     expected_parameters,
+    load_table,
 )
-from graphrqi.predict.rollout.driver_table import DriverTable, load_table
 from graphrqi.predict.rollout.rollout import positions, roll
 from graphrqi.predict.rollout.route import on_likely_paths
 from graphrqi.predict.scene.scene import Scene
 from sim.frames import PEDESTRIAN, Tracks
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def blind(scene: Scene, posterior: Posterior) -> Prediction:

@@ -6,24 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.prediction import STEP_S
-from graphrqi.predict.rollout import car_following
-from graphrqi.predict.rollout.driver_parameters import DriverParameters
+from graphrqi.predict.rollout.car_following import (
+    UNKNOWN_ACCELERATION,
+    Others,
+    Present,
+    Simulated,
+    simulate,
+)
+from graphrqi.predict.rollout.driver_table import DriverParameters
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
 from sim.geometry import to_own_frame
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 CHANGE_S = 3.0
 """Duration of a lane change, s (3 to 6 s are observed)."""
 
-_MOVE_TOGETHER = car_following.Others(
-    np.empty((0, 0), dtype=np.int64), np.empty((0, 0)), np.empty((0, 0))
-)
+_MOVE_TOGETHER = Others(np.empty((0, 0), dtype=np.int64), np.empty((0, 0)), np.empty((0, 0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,15 +72,15 @@ def roll(
     """
     present = _present(scene)
     if planned is not None:
-        present.accel[planned] = car_following.UNKNOWN_ACCELERATION
+        present.accel[planned] = UNKNOWN_ACCELERATION
     count = steps or round(scene.steps * STEP_S / step_s)
-    found = car_following.roll(
+    found = simulate(
         present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
         drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
         _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    lane, s, offset, speed, travelled, asked = (column[0] for column in found)
-    return Rollout(lane, s, offset, speed, travelled, asked, step_s)
+    only = Simulated(*(column[0] for column in found))
+    return Rollout(*only, step_s=step_s)
 
 
 def roll_each(
@@ -109,13 +109,12 @@ def roll_each(
         for name in ("path", "offset", "lateral_speed")
     )
     count, step_s = others.s.shape[1], others.step_s
-    lane, s, aside, speed, travelled, asked = car_following.roll(
+    found = simulate(
         _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
-        scene.stop_state, scene.paths.columns,
-        car_following.Others(others.lane, others.s, others.speed),
+        scene.stop_state, scene.paths.columns, Others(others.lane, others.s, others.speed),
         (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    return Rollout(lane, s, aside, speed, travelled, asked, step_s)
+    return Rollout(*found, step_s=step_s)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
@@ -126,17 +125,16 @@ def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatAr
         path: (C, n) paths; -1 minus a path where the result is to be 0.
         drivers: how each drives.
     """
-    *_, asked = car_following.roll(
+    return simulate(
         _present(scene), path, _lateral(scene.offset, scene.lateral_speed)[None],
         drivers.following[None], drivers.ignores[None], scene.stop_state,
         scene.paths.columns, _MOVE_TOGETHER, (1, STEP_S, 1.0, 0.0),
-    )  # fmt: skip
-    return np.asarray(asked)
+    ).asked  # fmt: skip
 
 
-def _present(scene: Scene) -> car_following.Present:
+def _present(scene: Scene) -> Present:
     """What a rollout starts from."""
-    return car_following.Present(
+    return Present(
         scene.s, np.maximum(scene.speed, 0.0), scene.accel.copy(), scene.history.length / 2,
         scene.on_path,
     )  # fmt: skip
@@ -167,22 +165,20 @@ def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) ->
 
 
 def in_own_frame(
-    scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray, every: int, step_s: float
+    scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray, time_s: FloatArray
 ) -> FloatArray:
-    """(n, J, 2) a rollout's positions in the drivers' frames, ahead and to the left, m.
+    """(..., n, J, 2) places on lanes in the drivers' frames, ahead and to the left, m.
 
     Args:
         scene: the present.
-        lane: (n, H) lanes.
-        s: (n, H) distances along, m.
-        offset: (n, H) distances to the left, m.
-        every: steps between positions.
-        step_s: time between steps, s.
+        lane: (..., n, J) lanes.
+        s: (..., n, J) distances along, m.
+        offset: (..., n, J) distances to the left, m.
+        time_s: (J,) when, s; agents without a path go straight on.
     """
-    xy = on_lanes(scene, lane, s, offset)[:, every - 1 :: every]
-    own = to_own_frame(xy, scene.xy, scene.heading)
-    time_s = np.arange(every, lane.shape[1] + 1, every) * step_s
-    straight = np.zeros_like(own)
+    xy = np.moveaxis(on_lanes(scene, lane, s, offset), -3, 0)
+    own = np.moveaxis(to_own_frame(xy, scene.xy, scene.heading), 0, -3)
+    straight = np.zeros(own.shape[-3:])
     straight[..., 0] = scene.speed[:, None] * time_s
     return np.where(scene.on_path[:, None, None], own, straight)
 

@@ -11,15 +11,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray, IntArray
 from graphrqi.predict.scene.paths import limits
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
 from sim.road.lane_search import LaneView, adjacent_vehicles, perceive
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 PAST_EVERY_S: Final = 1.0
 """Time between the moments of the past from which wished speeds are estimated, s."""

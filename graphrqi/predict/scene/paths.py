@@ -10,13 +10,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray, IntArray
 from graphrqi.predict.scene.priority import priority_of
 from sim.road import Road
 from sim.road.cells import members
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 REACH_M: Final = 150.0
 """Paths continue at least this far beyond their first lane, unless more is asked for (5 s at 30

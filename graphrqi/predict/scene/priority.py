@@ -9,16 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from sim.geometry import meeting
 from sim.road import Road
 from sim.road.cells import boxes_of, members, near_pairs
 from sim.road.lane_graph import CELL_M, DIRECTIONS, NEAR_M, LaneGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray, IntArray
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import PathTable
 from sim.frames import PEDESTRIAN, Tracks
@@ -20,8 +21,6 @@ from sim.road import Road, SignalPlan, lane_coordinates
 from sim.road.cells import boxes_of, members
 from sim.road.lane_graph import LaneGraph
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 StateArray = NDArray[np.int8]
 
 PROCEED, STOP_IF_COMFORTABLE, STOP, PREPARE_TO_STOP = 0, 1, 2, 3

@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
+from graphrqi.arrays import BoolArray, FloatArray
 from graphrqi.predict.rollout.driver_table import DRIVER_FIELDS, DriverTable, initial_table
 from graphrqi.predict.rollout.following import aware_with, blind_with, certain
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 EVERY: Final = 5
 """Errors are taken at every fifth step, 0.5 s apart."""

@@ -12,12 +12,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from graphrqi.arrays import FloatArray
 from graphrqi.predict.learned.lstm import TrajectoryLstm, make_module
 from graphrqi.predict.metrics import covered
 from graphrqi.predict.networks.futures import (
@@ -35,7 +36,8 @@ from graphrqi.predict.networks.perceptron import standardized as standardized_fe
 if TYPE_CHECKING:
     import torch
 
-FloatArray = NDArray[np.float64]
+    Module = TypeVar("Module", bound=torch.nn.Module)
+
 
 HIDDEN: Final = (256, 256, 256)
 """Widths of the hidden layers (as in the first study)."""
@@ -110,54 +112,6 @@ def displacement_loss(
     return guess + 0.5 * winner + SCORE_WEIGHT * score + SPREAD_WEIGHT * spread
 
 
-def fit(
-    module: torch.nn.Module,
-    draw: Callable[[int], Examples],
-    validation: Examples,
-    epochs: int,
-    seed: int,
-    on_epoch: Callable[[int, float], None],
-) -> float:
-    """Fit a module that maps features to outputs, keeping the epoch best on validation.
-
-    Args:
-        module: called with standardised features (m, F).
-        draw: gives the training examples of an epoch; as many every time.
-        validation: examples of other episodes.
-        epochs: passes over the training examples.
-        seed: of the order.
-        on_epoch: called with each epoch and its validation ADE, m.
-
-    Returns:
-        The best validation ADE, m; the module holds that epoch's weights.
-    """
-    import torch
-
-    from graphrqi.networks.portable_torch import Descent
-
-    training = draw(0)
-    steps = max(1, len(training.features) // BATCH) * epochs
-    descent = Descent(module, steps + 1, LEARNING_RATE, WEIGHT_DECAY, 0.1, 5.0)
-    generator = torch.Generator().manual_seed(seed)
-    best, kept = float("inf"), {k: v.clone() for k, v in module.state_dict().items()}
-    for epoch in range(epochs):
-        module.train()
-        training = draw(epoch) if epoch else training
-        features, anchors = torch.from_numpy(training.features), torch.from_numpy(training.anchors)
-        truth = torch.from_numpy(training.truth)
-        order = torch.randperm(len(features), generator=generator)
-        whole = max(1, len(order) // BATCH) * BATCH
-        for batch in torch.split(order[:whole], BATCH):
-            guesses = module(features[batch])
-            descent.step(displacement_loss(guesses, anchors[batch], truth[batch]))
-        ade = validation_ade(module, validation)
-        on_epoch(epoch, ade)
-        if ade < best:
-            best, kept = ade, {k: v.clone() for k, v in module.state_dict().items()}
-    module.load_state_dict(kept)
-    return best
-
-
 def validation_ade(module: torch.nn.Module, examples: Examples) -> float:
     """Mean distance of the best guess, m."""
     import torch
@@ -203,22 +157,14 @@ def train_perceptron(
     """
     import torch
 
-    torch.manual_seed(seed)
-    draw = training if callable(training) else lambda epoch: training
-    mean, scale = standardization(draw(0).features)
-    sizes = (mean.size, *HIDDEN, MODES * PER_MODE)
-    module = silu_module(sizes)
-    with torch.no_grad():  # start as the likeliest rollout
-        *_, last_bias = module.parameters()
-        last_bias.view(MODES, PER_MODE)[:, 0] = 2.0
-    fit(
-        module,
-        lambda epoch: standardized(draw(epoch), mean, scale),
-        standardized(validation, mean, scale),
-        epochs,
-        seed,
-        on_epoch,
-    )
+    def made(features: int) -> torch.nn.Sequential:
+        module = silu_module((features, *HIDDEN, MODES * PER_MODE))
+        with torch.no_grad():  # start as the likeliest rollout
+            *_, last_bias = module.parameters()
+            last_bias.view(MODES, PER_MODE)[:, 0] = 2.0
+        return module
+
+    module, mean, scale = _trained(made, training, validation, epochs, seed, on_epoch)
     return _scaled(Perceptron(mean, scale, *layers_of(module)), validation)
 
 
@@ -231,17 +177,49 @@ def train_lstm(
     on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
 ) -> FuturesNetwork:
     """Train the network of `graphrqi.predict.learned.lstm`; see `train_perceptron`."""
+    found = _trained(make_module, training, validation, epochs, seed, on_epoch)
+    return _scaled(TrajectoryLstm(*found), validation)
+
+
+def _trained(
+    make: Callable[[int], Module],
+    training: Examples | Callable[[int], Examples],
+    validation: Examples,
+    epochs: int,
+    seed: int,
+    on_epoch: Callable[[int, float], None],
+) -> tuple[Module, FloatArray, FloatArray]:
+    """A module in its best epoch on validation, and the standardisation of its features."""
     import torch
 
+    from graphrqi.networks.portable_torch import Descent
+
     torch.manual_seed(seed)
-    mean, scale = standardization(training.features)
-    train = standardized(training, mean, scale)
-    module = make_module(training.features.shape[1])
-    fit(
-        module, lambda epoch: train, standardized(validation, mean, scale),
-        epochs, seed, on_epoch,
-    )  # fmt: skip
-    return _scaled(TrajectoryLstm(module, mean, scale), validation)
+    draw = training if callable(training) else lambda epoch: training
+    drawn = draw(0)
+    mean, scale = standardization(drawn.features)
+    module, checked = make(mean.size), standardized(validation, mean, scale)
+    steps = max(1, len(drawn.features) // BATCH) * epochs
+    descent = Descent(module, steps + 1, LEARNING_RATE, WEIGHT_DECAY, 0.1, 5.0)
+    generator = torch.Generator().manual_seed(seed)
+    best, kept = float("inf"), {k: v.clone() for k, v in module.state_dict().items()}
+    for epoch in range(epochs):
+        module.train()
+        if epoch == 0 or callable(training):
+            now = standardized(draw(epoch), mean, scale)
+            features, anchors = torch.from_numpy(now.features), torch.from_numpy(now.anchors)
+            truth = torch.from_numpy(now.truth)
+        order = torch.randperm(len(features), generator=generator)
+        whole = max(1, len(order) // BATCH) * BATCH
+        for batch in torch.split(order[:whole], BATCH):
+            guesses = module(features[batch])
+            descent.step(displacement_loss(guesses, anchors[batch], truth[batch]))
+        ade = validation_ade(module, checked)
+        on_epoch(epoch, ade)
+        if ade < best:
+            best, kept = ade, {k: v.clone() for k, v in module.state_dict().items()}
+    module.load_state_dict(kept)
+    return module, mean, scale
 
 
 def _scaled(network: RawNetwork, validation: Examples) -> FuturesNetwork:
