@@ -197,16 +197,8 @@ def rows_of(
 ) -> list[Row]:  # fmt: skip
     """One row per behaviour and metric, with a 95 % interval over drivers.
 
-    Args:
-        counts: of one scenario.
-        engine: what drove it.
-        scenario: its name.
-        seed: of the bootstrap.
-        classes: the behaviours that codes stand for.
-
-    Returns:
-        Rows with the keys ``engine scenario behavior metric value low high n``; n is the number of
-        drivers with something to count.
+    Rows have the keys ``engine scenario behavior metric value low high n``; n is the number of
+    drivers with something to count. Codes stand for the behaviours in ``classes``.
     """
     rng = np.random.default_rng(seed)
     place: dict[str, Cell] = {"engine": engine, "scenario": scenario}
@@ -249,13 +241,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Measure every behaviour against every trait.
 
-    Args:
-        scenarios: keys of ``SCENARIOS``; () for all.
-        engine: a key of ``ENGINES``.
-        seeds: one for each episode.
-        duration_s: length of each episode, s.
-        jobs: processes; None for one per core.
-        behaviors: those of one's own, as `read_behaviors` takes them, beside the six.
+    Scenarios are keys of ``SCENARIOS`` (() for all), each with an episode of ``duration_s`` for
+    every seed. Behaviours of one's own, as `read_behaviors` takes them, drive beside the six.
 
     Yields:
         The rows of each scenario; last, where there are several, those of all together, as

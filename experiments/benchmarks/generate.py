@@ -15,7 +15,10 @@ from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.generate.episode import Task
 from experiments.score.rows import Cell, Row, tidy_row
+from sim.engines import get_engine
 from sim.files import place_of
+from sim.frames import Tracks
+from sim.safety import conflicts
 from sim.scenario import sample_agents
 from sim.store.writing import EpisodeWriter
 
@@ -53,8 +56,14 @@ def episode_costs(scenario_name: str, index: int, duration_s: float) -> dict[str
             steps = task.write(out).agent_steps
         written_s = time.process_time() - begin_s
         size = sum(file.size for file in out.files.values())
+    frames = get_engine(config.engine)(scenario, sample_agents(scenario, task.seed), task.seed)
+    tracks = Tracks.from_frames(frames)
+    begin_s = time.process_time()
+    conflicts(tracks, scenario.road)
+    conflicts_s = time.process_time() - begin_s
     return {
         "over_bare_stepping": written_s / bare_s - 1,
+        "conflicts_over_the_rest": conflicts_s / (written_s - conflicts_s),
         "times_real_time": duration_s / written_s,
         "us_per_agent_step": 1e6 * written_s / steps,
         "bytes_per_agent_step": size / steps,
@@ -71,7 +80,8 @@ def measure(repeats: int = 4, duration_s: float = 300.0, episodes: int = 8) -> I
 
     Yields:
         Rows of each scenario: CPU time of a written episode over that of bare SUMO steps, less 1,
-        and its costs per agent-step; then steps per second of the wall clock and the speedup.
+        that of its conflicts over that of everything else, and its costs per agent-step. Then steps
+        per second of the wall clock and the speedup.
     """
     for name in TIMED:
         episode_costs(name, 0, duration_s)  # the first warms up

@@ -15,7 +15,7 @@ from experiments.benchmarks import yielding
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.metrics import bootstrap, ratio
+from experiments.score.metrics import bootstrap, ratio, root_ratio
 from experiments.score.predictions import (
     EVERY_S,
     HORIZONS_S,
@@ -23,7 +23,6 @@ from experiments.score.predictions import (
     Errors,
     beliefs,
     instants,
-    root_ratio,
     score_episode,
     score_predictions,
 )
@@ -65,27 +64,24 @@ RATIOS: Final = (
 """Metric, and the predictor and its beliefs by whose figure that of `OURS` is divided, at the
 longest horizon."""
 
-Figures = Mapping[tuple[str, str], Errors]
+_Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
 
 
-def true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
+def _true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
     """Certain beliefs in the true behaviours: what perfect classification would give."""
     if history.behavior is None:
         raise InputError("beliefs: found no true behaviours, expected labelled tracks")
     return Posterior(history.ids, certain(history.behavior.astype(np.int64)))
 
 
-def no_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
-    """Uniform posteriors: every behaviour is equally likely."""
-    return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-
-
 BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "classifier": lambda history, posterior: posterior,
-    "truth": true_beliefs,
+    "truth": _true_beliefs,
     "shuffled": shuffled_posterior,
-    "uniform": no_beliefs,
+    "uniform": lambda history, posterior: Posterior(
+        np.empty(0, np.int64), np.empty((0, len(BEHAVIORS)))
+    ),
 }
 """Beliefs about the drivers present that predictors are given, from the classifier's
 posteriors."""
@@ -99,11 +95,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Predict on fresh episodes of both scenarios with several beliefs about the drivers.
 
-    Args:
-        episodes: per scenario.
-        duration_s: of each, s; None for the scenario's own.
-        predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
-        jobs: processes; None for one per core.
+    Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. An episode is
+    ``duration_s`` long; None for the scenario's own length.
 
     Yields:
         The rows of each scenario: errors with the road and without it; ratios; and how well
@@ -122,12 +115,15 @@ def measure(
         for scenario in SCENARIOS:
             arguments = [(folder, e, names) for e in dataset.episodes(None, scenario)]
             mapped, map_free, chances = zip(
-                *in_parallel(predicted_episode, arguments, jobs), strict=True
+                *in_parallel(_predicted_episode, arguments, jobs), strict=True
             )
             rows: list[Row] = []
             for split, results in (("unseen", mapped), ("unseen, no map", map_free)):
                 for kind in BELIEFS:
-                    chosen = [_with_beliefs(one, kind) for one in results]
+                    chosen = [
+                        {name: errors for (name, given), errors in one.items() if given == kind}
+                        for one in results
+                    ]
                     keys = {"scenario": scenario, "split": split, "beliefs": kind}
                     if chosen[0]:
                         rows += score_predictions(chosen, keys)
@@ -138,14 +134,9 @@ def measure(
             yield rows
 
 
-def _with_beliefs(figures: Figures, kind: str) -> dict[str, Errors]:
-    """Errors by predictor, of those that were given these beliefs."""
-    return {name: errors for (name, told), errors in figures.items() if told == kind}
-
-
-def predicted_episode(
+def _predicted_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str]
-) -> tuple[Figures, Figures, dict[str, FloatArray]]:
+) -> tuple[_Figures, _Figures, dict[str, FloatArray]]:
     """Errors with the road and without it, and chances of yielding, with each kind of beliefs."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
@@ -164,12 +155,11 @@ def predicted_episode(
         found = score_episode(tracks, moments, road, names)
         errors |= {(name, kind): one for name, one in found.items()}
         chances[kind] = yielding.yield_chances(tracks, road, posteriors)
-    moments = {stop: believed[stop] for stop in scored}
-    found = score_episode(tracks, moments, None, MAP_FREE)
+    found = score_episode(tracks, {stop: believed[stop] for stop in scored}, None, MAP_FREE)
     return errors, {(name, "classifier"): one for name, one in found.items()}, chances
 
 
-def compare(episodes: Sequence[Figures], scenario: str, split: str) -> list[Row]:
+def compare(episodes: Sequence[_Figures], scenario: str, split: str) -> list[Row]:
     """Ratios of our predictor's figures to others', with intervals over episodes."""
     rows: list[Row] = []
     ours = (OURS, "classifier")

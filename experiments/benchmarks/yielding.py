@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from sklearn.metrics import roc_auc_score
 
 from experiments.score.metrics import RESAMPLES, RESAMPLING_SEED
 from experiments.score.predictions import HISTORY_S
@@ -20,7 +21,7 @@ from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout.driver_table import YIELDS
 from graphrqi.predict.scene.scene import LEARNED_S, Scene, make_scene
 from graphrqi.predict.scene.stop_constraints import PROCEED
-from sim.frames import EventKind, FloatArray, IntArray, Tracks
+from sim.frames import EventKind, FloatArray, Tracks
 from sim.road import Road
 
 BEFORE_S: Final = (1.5, 2.5)
@@ -38,45 +39,35 @@ EVERY_S: Final = 0.5
 
 
 def yield_chances(tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior]) -> FloatArray:
-    """Believed chances of yielding in every first encounter of a driver in an episode.
+    """(m, 2) believed chance of yielding in every first encounter of a driver, and what happened.
 
-    Args:
-        tracks: the episode.
-        road: where it happened.
-        posteriors: beliefs about the drivers, by index of the frame after which they are held.
-
-    Returns:
-        (m, 2) the chance of yielding, and 1 if the driver went on to yield or 0 if not.
+    Beliefs about the drivers are given by index of the frame after which they are held. What
+    happened is 1 if the driver went on to yield, and 0 if not.
     """
     met: set[int] = set()
-    found = [np.empty((0, 2))]
+    found = []
     for stop, posterior in posteriors.items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         if not history.ids.size:
             continue
         scene = make_scene(history, road, LEARNED_S)
-        row, room = _approaching(scene)
-        new = ~np.isin(history.ids[row], list(met))
-        row, room = row[new], room[new]
-        met.update(history.ids[row].tolist())
-        yielded = _outcome(tracks, stop - 1, np.searchsorted(tracks.ids, history.ids[row]), room)
-        chance = posterior.of(scene.ids[row]) @ YIELDS
-        found.append(np.stack([chance, yielded], axis=1)[np.isfinite(yielded)])
-    return np.concatenate(found)
+        for row, left_m in _approaching(scene).items():
+            agent = int(history.ids[row])
+            if agent in met:
+                continue
+            met.add(agent)
+            yielded = _outcome(tracks, stop - 1, agent, left_m)
+            if yielded is not None:
+                chance = float(posterior.of(scene.ids[[row]])[0] @ YIELDS)
+                found.append((chance, yielded))
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def auc_row(episodes: Sequence[FloatArray], keys: Mapping[str, Cell]) -> list[Row]:
     """The area under the ROC curve of `yield_chances`, with an interval over encounters.
 
-    Args:
-        episodes: the chances of each episode.
-        keys: what was measured, for the row.
-
-    Returns:
-        A row ``yield_auc``; none unless some drivers yielded and some did not.
+    There is no row ``yield_auc`` unless some drivers yielded and some did not.
     """
-    from sklearn.metrics import roc_auc_score
-
     chance, happened = np.concatenate(episodes).T
     if np.unique(happened).size < 2:
         return []
@@ -88,11 +79,10 @@ def auc_row(episodes: Sequence[FloatArray], keys: Mapping[str, Cell]) -> list[Ro
     return [tidy_row(keys, "yield_auc", value, low, high, happened.size)]
 
 
-def _approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
-    """Rows of the drivers about two seconds before an occupied crossing, and the way left, m."""
+def _approaching(scene: Scene) -> dict[int, float]:
+    """The way left, m, of each row whose driver is two seconds before an occupied crossing."""
     graph, paths = scene.graph, scene.paths
-    zones = graph.cross_lane.size
-    row, room = [], []
+    found: dict[int, float] = {}
     soon = scene.stop_state[:, : round(BEFORE_S[1] / STEP_S) + 1]
     shut = (soon != PROCEED).any(axis=1)
     for i in np.flatnonzero(scene.on_path & (scene.speed > LEAST_SPEED_MPS)):
@@ -102,36 +92,28 @@ def _approaching(scene: Scene) -> tuple[IntArray, FloatArray]:
             if lane < 0:
                 break
             for z in np.flatnonzero(graph.cross_lane == lane):
-                left = float(paths.start[q, j] + graph.cross_s[z] - front)
+                at = paths.start[q, j] + graph.cross_s[z]
+                left = float(at - front)
                 timely = BEFORE_S[0] <= left / scene.speed[i] <= BEFORE_S[1]
-                gates = (paths.stop_row[q] < paths.groups) & (
-                    paths.stop_x[q] <= paths.start[q, j] + graph.cross_s[z] + 1e-6
-                )
+                gates = (paths.stop_row[q] < paths.groups) & (paths.stop_x[q] <= at + 1e-6)
                 red = shut[paths.stop_row[q][gates & (paths.stop_x[q] > front)]].any()
                 if timely and shut[paths.groups + z] and not red:
-                    row.append(i)
-                    room.append(left)
-    if zones == 0 or not row:
-        return np.empty(0, np.int64), np.empty(0)
-    first = np.unique(np.array(row), return_index=True)[1]
-    return np.array(row, dtype=np.int64)[first], np.array(room)[first]
-
-
-def _outcome(tracks: Tracks, column: int, rows: IntArray, room: FloatArray) -> FloatArray:
-    """(m,) 1 if a driver went on to yield, 0 if not, by the episode's events; NaN without one."""
-    found = np.full(len(rows), np.nan)
-    now_s = float(tracks.time_s[column])
-    for k, row in enumerate(rows):
-        events = [
-            e for e in tracks.events
-            if e.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED)
-            and e.agent == tracks.ids[row] and e.time_s > now_s
-        ]  # fmt: skip
-        if not events:
-            continue
-        first = min(events, key=lambda event: event.time_s)
-        until = int(np.searchsorted(tracks.time_s, first.time_s - 1e-6))
-        way = np.diff(tracks.xy[row, column : until + 1], axis=0)
-        if abs(np.hypot(*way.T).sum() - room[k]) <= SAME_PLACE_M:
-            found[k] = first.kind == EventKind.YIELDED
+                    found.setdefault(int(i), left)
     return found
+
+
+def _outcome(tracks: Tracks, column: int, agent: int, left_m: float) -> bool | None:
+    """Whether a driver went on to yield, by the episode's events; None without one there."""
+    events = [
+        e for e in tracks.events
+        if e.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED)
+        and e.agent == agent and e.time_s > float(tracks.time_s[column])
+    ]  # fmt: skip
+    if not events:
+        return None
+    first = min(events, key=lambda event: event.time_s)
+    until = int(np.searchsorted(tracks.time_s, first.time_s - 1e-6))
+    row = int(np.searchsorted(tracks.ids, agent))
+    way = np.diff(tracks.xy[row, column : until + 1], axis=0)
+    near = abs(np.hypot(*way.T).sum() - left_m) <= SAME_PLACE_M
+    return first.kind is EventKind.YIELDED if near else None

@@ -125,9 +125,8 @@ def export(
 def verify(dataset: DatasetFolder, json: Json = None) -> None:
     """Compare every file with its checksum."""
     from experiments.console.notices import say
-    from experiments.console.tables import show_table
     from experiments.data.verify import verify_dataset
-    from experiments.score.rows import stamped, tidy_row
+    from experiments.score.rows import show_table, stamped, tidy_row
 
     flaws = verify_dataset(dataset)
     if flaws or json is not None:
@@ -166,9 +165,8 @@ def road(
 ) -> None:  # fmt: skip
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
     from experiments.console.notices import say
-    from experiments.console.tables import show_table
     from experiments.guard import guarded_call
-    from experiments.score.rows import stamped, tidy_row
+    from experiments.score.rows import show_table, stamped, tidy_row
     from scenarios.own.survey import survey
     from sim.files import write_whole
     from sim.input_files import read_bytes
@@ -198,7 +196,6 @@ def road(
 def list_names(json: Json = None) -> None:
     """Show every registered name, the distribution that it comes from, and what it is."""
     from experiments.cli.names import registered_names
-    from experiments.console.tables import show_table
-    from experiments.score.rows import stamped
+    from experiments.score.rows import show_table, stamped
 
     show_table(stamped(registered_names(), "list"), json)

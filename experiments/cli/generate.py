@@ -44,9 +44,8 @@ def run(
     traffic: Traffic,
 ) -> None:  # fmt: skip
     """Run a scenario headless and sum up what happened."""
-    from experiments.console.tables import show_table
     from experiments.run import read_window, run_scenario, shown
-    from experiments.score.rows import stamped
+    from experiments.score.rows import show_table, stamped
 
     config = traffic.config([scenario] if scenario else None, episodes=1, seed=seed)
     used = model if stream or predict else None

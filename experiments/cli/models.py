@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +21,7 @@ from experiments.cli.options import (
     TableFile,
     TrafficKind,
     file_option,
+    named_dataset,
     option,
     refuse_to_overwrite,
     table_to_write,
@@ -55,8 +55,7 @@ def train(
 ) -> None:
     """Train a classifier on datasets, adapt one to recordings, or train the predictor."""
     from behaviors.errors import InputError
-    from experiments.console.tables import show_table
-    from experiments.score.rows import melted, stamped
+    from experiments.score.rows import melted, show_table, stamped
 
     if labels is not None and start is None:
         raise InputError("--labels: found no --from, expected the model that labels adapt")
@@ -114,13 +113,12 @@ def classify(
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Name each driver's behaviour as it drives."""
-    from experiments.console.tables import show_table
     from experiments.score.labels import classify_dataset, domain_notice, named_table
-    from experiments.score.rows import stamped
+    from experiments.score.rows import show_table, stamped
     from experiments.score.tables import write_conflicts
 
     refuse_to_overwrite([source, net, labels], [out, conflicts, json])
-    with _named_dataset(source, format, net) as (dataset, known):
+    with named_dataset(source, format, net) as (dataset, known):
         if conflicts is not None:
             write_conflicts(dataset, conflicts)
         found = classify_dataset(
@@ -151,22 +149,13 @@ def evaluate(
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Score a model where drivers are known; report makes a page of the JSON."""
-    from experiments.score.compare import compare
-    from experiments.score.labels import evaluate, trained_here
+    from experiments.score.evaluate import evaluate
     from experiments.score.rows import stamped
 
     refuse_to_overwrite([source, net, labels, answers], [json])
-    with _named_dataset(source, format, net) as (dataset, known):
-        if answers is None:
-            found = evaluate(model, dataset, labels, traffic=traffic, jobs=jobs, quiet=quiet)
-        else:
-            found = compare(
-                model, dataset, answers, labels, traffic=traffic, jobs=jobs, quiet=quiet
-            )
-        trained = trained_here(model, dataset)
-    _show_scores(stamped(found, "evaluate", dataset=known), json)
-    if trained and str(json) != "-":
-        typer.echo("the model was trained on data like these: the test split counts", err=True)
+    with named_dataset(source, format, net) as (dataset, known):
+        rows = evaluate(model, dataset, labels, answers, traffic=traffic, jobs=jobs, quiet=quiet)
+    _show_scores(stamped(rows, "evaluate", dataset=known), json)
 
 
 def predict(
@@ -194,13 +183,12 @@ def predict(
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Predict the motion of every agent, and score it."""
-    from experiments.console.tables import show_table
-    from experiments.score.predict import default_split, errors_table, predict_dataset
-    from experiments.score.rows import stamped
+    from experiments.score.predictions import default_split, errors_table, predict_dataset
+    from experiments.score.rows import show_table, stamped
 
     refuse_to_overwrite([source, net], [out, json])
     names = [word.strip() for word in predictors.split(",") if word.strip()]
-    with _named_dataset(source, format, net) as (dataset, known):
+    with named_dataset(source, format, net) as (dataset, known):
         found = predict_dataset(
             dataset, names, horizon_s, model, out=out, weights=weights, traffic=traffic,
             split=split or default_split(dataset), jobs=jobs,
@@ -220,8 +208,7 @@ def calibrate(
 ) -> None:
     """Infer every driver's car-following numbers, and the population they come from."""
     from experiments.calibration import population_rows, quantile_rows, write_calibration
-    from experiments.console.tables import show_table
-    from experiments.score.rows import melted, stamped
+    from experiments.score.rows import melted, show_table, stamped
 
     calibrated = write_calibration(source, out, format, net, quiet)
     lines = population_rows(calibrated)
@@ -232,23 +219,10 @@ def calibrate(
         show_table(places, title="quantiles at which each behaviour's median driver lies")
 
 
-@contextmanager
-def _named_dataset(
-    source: Path, format: str | None, net: Path | None
-) -> Iterator[tuple[Path, str]]:
-    """A dataset, made of recordings where need be, with its id in rows."""
-    from experiments.data.exchange import as_dataset
-    from experiments.score.rows import dataset_id
-    from sim.store.dataset import open_dataset
-
-    with as_dataset(source, format, net) as folder:
-        yield folder, dataset_id(open_dataset(folder))
-
-
 def _show_scores(rows: Sequence[Row], json: Path | None) -> None:
     """Write all rows, and print the scores and confusions of those over many episodes."""
-    from experiments.console.tables import show_table
     from experiments.score.answers import confusion_table, is_scored, scores_table
+    from experiments.score.rows import show_table
 
     totals = [row for row in rows if row.get("name") is None]
     if not is_scored(totals) and json is None:

@@ -16,6 +16,7 @@ from experiments.cli.options import (
     Quiet,
     Source,
     file_option,
+    named_dataset,
     option,
     refuse_to_overwrite,
 )
@@ -37,19 +38,16 @@ def summary(
     import pandas as pd
 
     from behaviors.errors import lookup
-    from experiments.console.tables import show_table
-    from experiments.data.exchange import as_dataset
-    from experiments.score.rows import dataset_id, stamped
+    from experiments.score.rows import show_table, stamped
     from experiments.summary import BY, summary, table
     from sim.files import write_whole
     from sim.store.dataset import open_dataset
 
     if by is not None:
         lookup(BY, by, "--by")
-    with as_dataset(source, format, net) as folder:
-        dataset = open_dataset(folder)
-        found = summary(dataset, by)
-        rows = stamped(found, "summary", dataset=dataset_id(dataset))
+    with named_dataset(source, format, net) as (folder, known):
+        found = summary(open_dataset(folder), by)
+    rows = stamped(found, "summary", dataset=known)
     if out is not None:
         write_whole(out, pd.DataFrame(rows, dtype=object).to_csv(index=False).encode())
     show_table(rows, json, lines=table(found, by))

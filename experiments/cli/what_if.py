@@ -60,10 +60,9 @@ def what_if(
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import InputError, lookup
     from behaviors.labels import BEHAVIORS, read_behaviors
-    from experiments.console.tables import show_table
     from experiments.figure_files import check_figure_file
-    from experiments.replay.paths import write_paths
-    from experiments.score.rows import dataset_id, melted, stamped
+    from experiments.replay.pictures import write_paths
+    from experiments.score.rows import dataset_id, melted, show_table, stamped
     from experiments.what_if.branches import WhatIf, make_what_if
     from experiments.what_if.outcomes import outcomes
     from sim.store.dataset import open_dataset
@@ -99,9 +98,8 @@ def what_if(
 
 def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | None) -> None:
     """Print a line for each incident of an episode and driver who was tried."""
-    from experiments.console.tables import show_table
     from experiments.generate.episode import Task
-    from experiments.score.rows import melted, stamped
+    from experiments.score.rows import melted, show_table, stamped
     from experiments.what_if.blame import judge
     from sim.scenario import sample_agents
 

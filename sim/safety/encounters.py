@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from behaviors.row_index import RowIndex
 from sim.compiled import in_place
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.geometry import Outlines
-from sim.road.cells import cells_of
-from sim.safety.kernels import SLABS, apart, least_shift, meeting, on_axes, reaches
+from sim.safety.kernels import SLABS, least_shift, on_axes, reaches
 from sim.safety.measures import Bodies
 
 SAME_WAY_RAD: Final = math.radians(30.0)
@@ -27,11 +24,11 @@ SAME_WAY_RAD: Final = math.radians(30.0)
 
 SAME_WAY_COSINE: Final = math.cos(SAME_WAY_RAD)
 
-BLOCK_ROWS: Final = 100_000
-"""Rows that are searched at once."""
-
 CELL_M: Final = 5.0
 """Width of the cells in which driven areas are looked for (a car's length)."""
+
+ROUNDING_M: Final = 1e-6
+"""Boxes around motions are this much larger, m."""
 
 BREAK_S: Final = 1.0
 """Motion is unknown between frames farther apart than this and than three usual steps."""
@@ -103,36 +100,25 @@ def shared_places(driven: Driven, within_s: float) -> Shared:
     Each piece is compared with the others' of the last seconds, and for each other body the least
     time counts. Among bodies that went the same way only the last counts, which is the leader.
     """
-    by_time, _ = driven.index.by_time
-    time_s = driven.time_s[by_time]
-    longest_s = within_s + float(driven.piece_s.max(initial=0.0))
-    found = [Shared(*np.empty((2, 0), np.int64), *np.empty((2, 0)))]
-    for begin in range(0, by_time.size, BLOCK_ROWS):
-        since = int(np.searchsorted(time_s, time_s[begin] - longest_s))
-        rows = by_time[since : begin + BLOCK_ROWS]
-        found.append(_shared_in_block(driven, rows, begin - since, within_s, longest_s))
-    return Shared(*(np.concatenate(part) for part in zip(*found, strict=True)))
-
-
-def _shared_in_block(
-    driven: Driven, rows: IntArray, begin: int, within_s: float, longest_s: float
-) -> Shared:
-    """`shared_places` of the rows from ``begin`` on, with all of them as those before."""
-    xy, ahead, half = driven.outlines(driven.piece_heading).rows(rows)
-    way, piece_s = driven.piece_mps[rows], driven.piece_s[rows, None]
-    ends = np.stack([xy, xy + way * piece_s])
-    reach = np.abs(ahead) * half[:, :1] + np.abs(ahead[:, ::-1]) * half[:, 1:]
-    boxes = np.concatenate([ends.min(axis=0) - reach, ends.max(axis=0) + reach], axis=1)
-    cells = cells_of(boxes, np.arange(rows.size), CELL_M)
-    corners = (boxes - np.tile([cells.x0, cells.y0], 2)) / cells.size
-    pieces = np.concatenate([xy, ahead, way, half, driven.time_s[rows, None], piece_s], axis=1)
+    rows, _ = driven.index.by_time
+    if not rows.size:
+        return Shared(*np.empty((2, 0), np.int64), *np.empty((2, 0)))
+    outlines = driven.outlines(driven.piece_heading)
+    pieces = _pieces(driven, outlines, driven.piece_mps, driven.piece_s)[rows]
+    boxes = pieces[:, 10:]
+    corner, cell_m = boxes[:, :2].min(axis=0), CELL_M
+    while np.prod((boxes[:, 2:].max(axis=0) - corner) / cell_m + 1.0) > 64 * rows.size + 16:
+        cell_m *= 2.0
+    cells = ((boxes - np.tile(corner, 2)) / cell_m).astype(np.int64)
+    columns, lines = cells[:, 2:].max(axis=0) + 1
+    touched = int((cells[:, 2:] - cells[:, :2] + 1).prod(axis=1).sum())
     size = 4 * rows.size
     while True:
         pairs, times = np.empty((size, 2), np.int64), np.empty((size, 2))
-        best = np.full((driven.index.agents, 4), np.inf)
         size = _find_shared(
-            pieces, driven.index.agent[rows], driven.walking[rows], corners.astype(np.int64),
-            cells.columns, cells.first, cells.items, begin, within_s, longest_s, best,
+            pieces, driven.index.agent[rows], driven.walking[rows], cells,
+            np.full((lines, columns), -1), np.empty((touched, 2), np.int64), within_s,
+            within_s + pieces[:, 9].max(), np.full((driven.index.agents, 4), np.inf),
             np.empty((SLABS, 3)), pairs, times,
         )  # fmt: skip
         if size <= len(pairs):
@@ -141,31 +127,43 @@ def _shared_in_block(
 
 @in_place()
 def _find_shared(
-    pieces: FloatArray, agent: IntArray, walking: BoolArray, corners: IntArray, columns: int,
-    first: IntArray, items: Any, begin: int, within_s: float, longest_s: float, best: FloatArray,
-    slab: FloatArray, pairs: IntArray, times: FloatArray,
+    pieces: FloatArray, agent: IntArray, walking: BoolArray, cells: IntArray, head: IntArray,
+    entries: IntArray, within_s: float, longest_s: float, best: FloatArray, slab: FloatArray,
+    pairs: IntArray, times: FloatArray,
 ) -> Any:  # fmt: skip
     """Find the moments of `Shared`; returns how many, of which those that fit are set.
 
-    A piece is x, y, heading as a vector, velocity, half sizes, time, duration. ``corners`` are the
-    cells that it touches; ``best`` holds each agent's least time and its piece.
+    A piece is x, y, heading as a vector, velocity, half sizes, time, duration, and the box around
+    it. ``cells`` are the corners of that box among the cells. ``head`` has the last entry of each
+    cell; an entry is a piece and the entry before it. ``best`` holds each agent's least time and
+    its piece. Pieces are compared in the first cell that both touch.
     """
-    found = 0
-    for i in range(begin, len(pieces)):
-        seen, same_way_s = 0, np.inf
-        for row in range(corners[i, 1], corners[i, 3] + 1):
-            for cell in range(row * columns + corners[i, 0], row * columns + corners[i, 2] + 1):
-                here = items[first[cell] : first[cell + 1]]
-                for n in range(np.searchsorted(here, i) - 1, -1, -1):
-                    j = here[n]
-                    one, since_s = agent[j], pieces[i, 8] - pieces[j, 8]
+    found, entry = 0, 0
+    for i in range(len(pieces)):
+        seen, same_way_s, me = 0, np.inf, pieces[i]
+        for row in range(cells[i, 1], cells[i, 3] + 1):
+            for column in range(cells[i, 0], cells[i, 2] + 1):
+                at_entry = head[row, column]
+                entries[entry, 0], entries[entry, 1] = i, at_entry
+                head[row, column] = entry
+                entry += 1
+                while at_entry >= 0:
+                    j, at_entry = entries[at_entry, 0], entries[at_entry, 1]
+                    one, other = agent[j], pieces[j]
+                    since_s = me[8] - other[8]
                     if since_s > longest_s:
                         break
-                    if one == agent[i] or (walking[i] and walking[j]):
+                    if one == agent[i] or since_s - other[9] >= min(best[one, 0], within_s):
                         continue
-                    if since_s - pieces[j, 9] >= min(best[one, 0], within_s):
+                    if other[10] > me[12] or other[12] < me[10]:
                         continue
-                    low, high, at = _shift_of(pieces[j], pieces[i], slab)
+                    if other[11] > me[13] or other[13] < me[11] or (walking[i] and walking[j]):
+                        continue
+                    if column > max(cells[i, 0], cells[j, 0]) or row > max(
+                        cells[i, 1], cells[j, 1]
+                    ):
+                        continue
+                    low, high, at = _shift_of(other, me, slab)
                     low, high = low + since_s, high + since_s
                     gap_s = max(low, -high, 0.0)
                     if low > high or gap_s > within_s or gap_s >= best[one, 0]:
@@ -173,12 +171,12 @@ def _find_shared(
                     if best[one, 0] == np.inf:
                         best[seen, 3] = one
                         seen += 1
-                    best[one, 0], best[one, 1] = gap_s, pieces[j, 8] + at + gap_s
+                    best[one, 0], best[one, 1] = gap_s, other[8] + at + gap_s
                     best[one, 2] = j if high >= 0.0 else -j - 1  # the other one comes later
         for k in range(seen):
             one = int(best[k, 3])
             j = int(best[one, 2])
-            if _same_way(pieces[i], pieces[j if j >= 0 else -j - 1]):
+            if _same_way(me, pieces[j if j >= 0 else -j - 1]):
                 same_way_s = min(same_way_s, best[one, 0])
         for k in range(seen):
             one = int(best[k, 3])
@@ -200,16 +198,12 @@ def _same_way(one: Any, other: Any) -> Any:
 
 @in_place(inner=True)
 def _shift_of(piece: Any, other: Any, slab: Any) -> Any:
-    """`least_shift` of two pieces, from the beginning of each; cheap where they are apart."""
+    """`least_shift` of two pieces, from the beginning of each."""
     ahead, ahead_2 = (piece[2], piece[3]), (other[2], other[3])
     place = on_axes(other[0] - piece[0], other[1] - piece[1], ahead, ahead_2)
     reach = reaches(ahead, (piece[6], piece[7]), ahead_2, (other[6], other[7]))
     rate = on_axes(piece[4], piece[5], ahead, ahead_2)
     rate_2 = on_axes(other[4], other[5], ahead, ahead_2)
-    way = on_axes(piece[4] * piece[9], piece[5] * piece[9], ahead, ahead_2)
-    way_2 = on_axes(other[4] * other[9], other[5] * other[9], ahead, ahead_2)
-    if apart(place, reach, way, way_2):
-        return np.inf, -np.inf, 0.0
     return least_shift(place, rate, rate_2, reach, piece[9], other[9], slab)
 
 
@@ -219,40 +213,52 @@ def areas_ahead(driven: Driven, within_s: float) -> IntArray:
     An area ahead is what a body sweeps in ``within_s`` at constant velocity. Bodies that go the
     same way count on a collision course only.
     """
-    xy, ahead, half = driven.outlines(driven.bodies.heading)
-    way = within_s * driven.bodies.speed[:, None] * ahead
-    middle, reach = xy + 0.5 * way, np.hypot(*half.T) + 0.5 * np.hypot(*way.T)
-    bodies = np.concatenate([xy, ahead, way, half], axis=1)
-    order, begins = driven.index.by_time
-    found = [np.empty((0, 2), np.int64)]
-    for begin, end in pairwise(begins.tolist()):
-        rows = order[begin:end]
-        if rows.size > 1:
-            tree = cKDTree(middle[rows])
-            near = tree.query_pairs(2.0 * float(reach[rows].max()), output_type="ndarray")
-            kept = np.empty(len(near), dtype=bool)
-            _meet(bodies[rows], near, kept)
-            pairs = rows[near[kept]]
-            found.append(pairs[~driven.walking[pairs].all(axis=1)])
-    return np.concatenate(found)
+    outlines = driven.outlines(driven.bodies.heading)
+    velocity = driven.bodies.speed[:, None] * outlines.forward
+    pieces = _pieces(driven, outlines, velocity, np.full(driven.time_s.size, within_s))
+    rows = np.lexsort((pieces[:, 10], driven.index.step))
+    size = 4 * rows.size
+    while True:
+        pairs = np.empty((size, 2), np.int64)
+        walking, slab = driven.walking[rows], np.empty((SLABS, 3))
+        size = _find_ahead(pieces[rows], driven.index.step[rows], walking, slab, pairs)
+        if size <= len(pairs):
+            return rows[pairs[:size]]
 
 
 @in_place()
-def _meet(bodies: FloatArray, pairs: IntArray, kept: BoolArray) -> None:
-    """Select the pairs of `areas_ahead`; a body is x, y, heading, length, half sizes."""
-    for n in range(len(pairs)):
-        one, other = bodies[pairs[n, 0]], bodies[pairs[n, 1]]
-        ahead, ahead_2 = (one[2], one[3]), (other[2], other[3])
-        place = on_axes(other[0] - one[0], other[1] - one[1], ahead, ahead_2)
-        reach = reaches(ahead, (one[6], one[7]), ahead_2, (other[6], other[7]))
-        way, way_2 = (
-            on_axes(one[4], one[5], ahead, ahead_2),
-            on_axes(other[4], other[5], ahead, ahead_2),
-        )
-        kept[n] = not apart(place, reach, way, way_2)
-        if kept[n] and _same_way(one, other):
-            between = on_axes(other[4] - one[4], other[5] - one[5], ahead, ahead_2)
-            kept[n] = meeting(place, between, reach) <= 1.0
+def _find_ahead(
+    pieces: FloatArray, step: IntArray, walking: BoolArray, slab: FloatArray, pairs: IntArray
+) -> Any:
+    """Find the pairs of `areas_ahead`, as `_find_shared` does; pieces are by time, then by x."""
+    found = 0
+    for i in range(len(pieces)):
+        me = pieces[i]
+        for j in range(i + 1, len(pieces)):
+            other = pieces[j]
+            if step[j] != step[i] or other[10] > me[12]:
+                break
+            if other[11] > me[13] or other[13] < me[11] or (walking[i] and walking[j]):
+                continue
+            low, high, _ = _shift_of(me, other, slab)
+            if low > high or (_same_way(me, other) and not low <= 0.0 <= high):
+                continue
+            if found < len(pairs):
+                pairs[found, 0], pairs[found, 1] = i, j
+            found += 1
+    return found
+
+
+def _pieces(
+    driven: Driven, outlines: Outlines, velocity: FloatArray, duration_s: FloatArray
+) -> FloatArray:
+    """(m, 14) straight motions from each row on, as `_find_shared` takes them."""
+    xy, ahead, half = outlines
+    ends = xy + velocity * duration_s[:, None]
+    reach = np.abs(ahead) * half[:, :1] + np.abs(ahead[:, ::-1]) * half[:, 1:] + ROUNDING_M
+    box = np.minimum(xy, ends) - reach, np.maximum(xy, ends) + reach
+    times = np.stack([driven.time_s, duration_s], axis=1)
+    return np.concatenate([xy, ahead, velocity, half, times, *box], axis=1)
 
 
 def _rate(change: FloatArray, over_s: FloatArray) -> FloatArray:

@@ -49,17 +49,6 @@ def reaches(ahead: Any, half: Any, ahead_2: Any, half_2: Any) -> Any:
 
 
 @in_place(inner=True)
-def apart(place: Any, reach: Any, way: Any, way_2: Any) -> Any:
-    """Whether an axis separates the areas that bodies sweep on their ways, m along the axes."""
-    for k in range(4):
-        if place[k] + min(-way[k], 0.0) + min(way_2[k], 0.0) > reach[k]:
-            return True
-        if place[k] + max(-way[k], 0.0) + max(way_2[k], 0.0) < -reach[k]:
-            return True
-    return False
-
-
-@in_place(inner=True)
 def to_corners(u: Any, v: Any, half: Any, cosine: Any, sine: Any, half_2: Any) -> Any:
     """Shortest way, along and to the left, from a body to a corner of one at (u, v), turned."""
     best, along, aside = np.inf, 0.0, 0.0

@@ -39,6 +39,7 @@ def priorities(
         bodies = driven.bodies
         lane = LaneGraph.of(road).project(bodies.xy[drives], bodies.heading[drives]).lane
         link[drives], ahead[drives] = road.connection_of_lane[lane], begins[lane]
+    on_link = link >= 0
     walks = rows[driven.walking[rows]]
     for number, place in enumerate(road.crossings):
         u, across, total = along(place.centerline, driven.bodies.xy[walks])
@@ -65,13 +66,13 @@ def priorities(
 
     def way_of(row: int) -> tuple[int, int, bool]:
         """A vehicle's connection, where it enters it, and whether it does while it is seen."""
-        mine = driven.index.rows(int(driven.index.agent[row]))
-        inside = mine.start + np.flatnonzero(link[mine] >= 0)
-        away = np.abs(driven.time_s[inside] - driven.time_s[row])
-        if away.min(initial=np.inf) > NEAR_S:
-            return int(ahead[row]), row, False
-        came = int(inside[away.argmin()])
-        return int(link[came]), entered(came, link), True
+        begin, end = driven.index.first[driven.index.agent[row] :][:2]
+        inside = begin + np.flatnonzero(on_link[begin:end])
+        if inside.size:
+            came = int(inside[np.abs(driven.time_s[inside] - driven.time_s[row]).argmin()])
+            if abs(driven.time_s[came] - driven.time_s[row]) <= NEAR_S:
+                return int(link[came]), entered(came, link), True
+        return int(ahead[row]), row, False
 
     def vehicle_first(pair: tuple[int, int]) -> int:
         """Index of the vehicle that has priority, 0 or 1; -1 if unknown."""

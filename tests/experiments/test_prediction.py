@@ -11,16 +11,14 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
-from experiments.score.predict import (
-    errors_table,
-    predict_dataset,
-)
 from experiments.score.predictions import (
     GROUPS,
     MEASURES,
     Errors,
+    errors_table,
     future,
     instants,
+    predict_dataset,
     score_episode,
     score_predictions,
 )

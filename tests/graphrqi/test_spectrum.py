@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors.errors import InputError
-from experiments.benchmarks.graph_sequences import (
+from experiments.benchmarks.spectrum import (
     graph_sequence,
 )
 from graphrqi.graph import TrafficGraph
@@ -158,7 +158,7 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.benchmarks.graph_sequences import graph_sequence
+from experiments.benchmarks.spectrum import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
