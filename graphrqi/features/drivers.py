@@ -164,17 +164,18 @@ class DriverObserver(Observer):
 
     @property
     def is_noisy(self) -> bool:
-        """Whether every moment so far showed noise; False before it can be known."""
-        return self._motion.is_noisy
+        """Whether every moment of smoothed motion showed noise; False before it can be known."""
+        return isinstance(self._motion, SmoothMotion) and self._motion.is_noisy
 
     @property
     def is_exact(self) -> bool:
-        """Whether a moment showed no noise, so that `is_noisy` stays False."""
-        return self._motion.is_exact
+        """Whether a moment of smoothed motion showed no noise, so that `is_noisy` stays False."""
+        return isinstance(self._motion, SmoothMotion) and self._motion.is_exact
 
     def scene(self) -> FloatArray:
-        """(S,) the numbers of the scene so far, named by ``SCENE_NAMES``; NaN where unknown."""
+        """(S,) numbers of a scene of smoothed motion, named by ``SCENE_NAMES``; NaN if unknown."""
         mean, deviation = self._usual.moments
+        assert isinstance(self._motion, SmoothMotion)
         noise_m = self._motion.noise_m
         noise = np.log(max(noise_m, LEAST_LEFT_OVER_M))
         left_over = [mean[list(COMPARED).index(name)] - noise for name in LEFT_OVER]
