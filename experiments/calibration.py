@@ -20,7 +20,7 @@ from behaviors.labels import PROFILES
 from behaviors.populations import NUMBERS, Population
 from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
-from experiments.score.rows import Row
+from experiments.score.rows import Cell, Row
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
 from graphrqi.calibrate.following import RecordedDriver, Stretch, recorded_drivers
 from sim.files import new_folder
@@ -201,15 +201,15 @@ def quantile_rows(population: Population) -> list[Row]:
         >>> rows[0]["number"], rows[0]["timid"]
         ('time_headway_s', 1.0)
     """
-    return [
-        {
-            "number": number,
-            "median": float(population.median[k]),
-            "log_spread": float(population.log_spread[k]),
-            **{
-                str(behavior): round(population.quantile(number, getattr(profile, number)), 3)
-                for behavior, profile in PROFILES.items()
-            },
-        }
-        for k, number in list(enumerate(NUMBERS))[1:]
-    ]
+    from scipy.stats import norm
+
+    rows: list[Row] = []
+    for number, median, spread in zip(
+        NUMBERS[1:], population.median[1:].tolist(), population.log_spread[1:].tolist(), strict=True
+    ):
+        row: dict[str, Cell] = {"number": number, "median": median, "log_spread": spread}
+        for behavior, profile in PROFILES.items():
+            z = np.log(getattr(profile, number) / median) / max(spread, 1e-12)
+            row[str(behavior)] = round(float(norm.cdf(z)), 3)
+        rows.append(row)
+    return rows

@@ -9,8 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from experiments.console.exit_codes import exit_on_user_error
-from experiments.console.notices import show_notices
+from experiments.console.notices import exit_on_user_error, show_notices
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.report.findings import findings

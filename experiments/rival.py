@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.detector_inputs import lane_changes
 from behaviors.labels import BEHAVIORS
+from behaviors.traits import lane_changes
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from graphrqi.samples import Samples

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 import pyarrow.compute as pc
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
+from behaviors.traits import ShownTrait
 from experiments.score.metrics import bootstrap, ratio
 from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from sim.episode.annotate import annotated_parts

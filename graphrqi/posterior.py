@@ -10,7 +10,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
-from behaviors.sorted_ids import find
+from behaviors.row_index import find_sorted
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ class Posterior:
         Distance of the traffic from training, and unknown style, move them towards equal
         probabilities. Agents without an answer get equal probabilities.
         """
-        row, known = find(self.ids, ids)
+        row, known = find_sorted(self.ids, ids)
         doubt = np.full(ids.size, self.domain)
         doubt[known] *= self.unknown[row[known]]
         return (1.0 - doubt)[:, None] * self.of(ids) + doubt[:, None] / len(BEHAVIORS)
@@ -155,7 +155,7 @@ class Posterior:
     def of(self, ids: IntArray) -> FloatArray:
         """(m, 6) probabilities of the six for the given agents; uniform without an answer."""
         out = np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
-        row, known = find(self.ids, ids)
+        row, known = find_sorted(self.ids, ids)
         out[known] = of_the_six(self.probability[row[known]], self.classes)
         return out
 

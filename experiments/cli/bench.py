@@ -51,20 +51,22 @@ def behaviors(
 
 @bench.command(epilog="example: graphrqi bench attention --quick --json attention.json")
 def attention(
-    behavior: Annotated[str, option("Of the six, or distracted, novice.")] = "careful",
+    behavior: Annotated[str, option("Whose numbers the drivers have.")] = "careful",
+    behaviors: Annotated[str | None, option("Behaviours of your own, too: a TOML file.")] = None,
     engine: Engine = "sumo-idm",
     jobs: Jobs = None,
     quick: Quick = False,
     json: Json = None,
 ) -> None:
-    """Measure reactions, headway and rear-end collisions as the reaction time grows."""
+    """Measure reactions, rear-end collisions, and what is overlooked."""
     from behaviors.errors import lookup
     from behaviors.labels import BEHAVIORS, SHIPPED, read_behaviors
     from experiments.benchmarks.attention import measure
     from experiments.score.rows import show_parts
 
-    known = {str(one): one for one in (*BEHAVIORS, *read_behaviors(",".join(SHIPPED)))}
-    seeds, duration_s = (1, 120.0) if quick else (10, 300.0)
+    own = *read_behaviors(",".join(SHIPPED)), *read_behaviors(behaviors)
+    known = {str(one): one for one in (*BEHAVIORS, *own)}
+    seeds, duration_s = (1, 120.0) if quick else (5, 300.0)
     parts = measure(lookup(known, behavior, "behavior"), engine, seeds, duration_s, jobs)
     show_parts("bench attention", parts, json)
 

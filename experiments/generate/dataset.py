@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple
 import pyarrow as pa
 
 from behaviors.errors import InputError
-from experiments.console.exit_codes import Interrupted
+from experiments.console.notices import Interrupted
 from experiments.console.progress import Progress
 from experiments.data.data_card import CARD_HEAD, DATA_CARD, write_data_card
 from experiments.data.parallel import checked_jobs

@@ -22,8 +22,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
-from behaviors.labels import BEHAVIORS, TRAITS
+from behaviors.labels import BEHAVIORS, COLORS, TRAITS, UNKNOWN_COLOR
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.scene import ReplayScene
 from graphrqi.posterior import LABEL_PROBABILITY

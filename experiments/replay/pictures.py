@@ -15,9 +15,8 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, OWN_COLOR
+from behaviors.labels import BEHAVIORS, COLORS, OWN_COLOR, UNKNOWN_COLOR
 from experiments.console.progress import Progress
 from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.page import ramp_color

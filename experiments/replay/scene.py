@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
+from behaviors.traits import ShownTrait
 from experiments.console.progress import Progress
 from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale

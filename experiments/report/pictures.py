@@ -10,8 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
 from experiments.report.tables import FIRST, is_everyone, name_of, subject_of, varying
 
 CYCLE: Final = ("#4477AA", "#EE6677", "#228833", "#CCBB44", "#66CCEE", "#AA3377", UNKNOWN_COLOR)

@@ -325,7 +325,7 @@ def score_predictions(
 
 def _evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
-    model: str, keep: bool, weights: Path | None, traffic: str | None,
+    model: Model, keep: bool, weights: Path | None, traffic: str | None,
 ) -> tuple[dict[str, Errors], pa.Table, float]:  # fmt: skip
     """Errors by predictor, futures as rows if they are kept, and the length of one episode, s.
 
@@ -342,9 +342,7 @@ def _evaluate_episode(
     def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
         tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
 
-    posteriors = beliefs(
-        tracks, load_model(model), stops, is_scene(entry), traffic_of(entry, traffic)
-    )
+    posteriors = beliefs(tracks, model, stops, is_scene(entry), traffic_of(entry, traffic))
     errors = score_episode(
         tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
     )
@@ -404,7 +402,7 @@ def predict_dataset(
     wanted = lookup(SPLITS, split, "split")
     if weights is not None:
         trained_network(weights)
-    load_model(model)
+    classifier = load_model(model)
     horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
     dataset = open_dataset(source)
     entries, scored = [], {}
@@ -419,7 +417,7 @@ def predict_dataset(
     found: dict[str, list[Mapping[str, Errors]]] = {}
     short: list[tuple[EpisodeEntry, float]] = []
     least_s = horizon_s + min(LEAST_SEEN_S, horizon_s)
-    same = (predictors, horizons_s, model, out is not None, weights, traffic)
+    same = (predictors, horizons_s, classifier, out is not None, weights, traffic)
     arguments = [(source, entry, *same) for _, entry in entries]
     with nullcontext() if out is None else table_file(out, PREDICTIONS) as file:
         answers = in_parallel(_evaluate_episode, arguments, jobs, "predicting episodes", quiet)

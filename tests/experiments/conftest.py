@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Trait
+from behaviors.traits import ShownTrait
 from experiments.replay.layers import Beliefs, Forecast, graph_history, kept_steps, sampled
 from experiments.replay.scene import ReplayScene
 from scenarios import SCENARIOS

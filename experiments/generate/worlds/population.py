@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior
-from behaviors.populations.draw import LOWEST_HEADWAY_S
+from behaviors.populations import LOWEST_HEADWAY_S
 from behaviors.profiles import FARTHEST_SPREADS, Profile
 from graphrqi.posterior import AGGRESSIVE
 from sim.frames import AgentKind, FloatArray
