@@ -134,9 +134,10 @@ class Rollout(NamedTuple):
     asked: FloatArray
     step_s: float
 
-    def of(self, variants: int | slice) -> Rollout:
-        """One of M futures, or some."""
-        return Rollout(*(each[variants] for each in self[:-1]), self.step_s)  # type: ignore[arg-type]
+    def of(self, variant: int) -> Rollout:
+        """One of M futures."""
+        lane, s, offset, speed, travelled, asked = (each[variant] for each in self[:6])
+        return Rollout(lane, s, offset, speed, travelled, asked, self.step_s)
 
 
 def simulate(
