@@ -95,15 +95,6 @@ class RawMotion:
     Memory is bounded: the last two seconds of the agents that were present in the last three.
     """
 
-    is_noisy: Final = False
-    """Noise is not looked for."""
-
-    is_exact: Final = False
-    """Exactness is not looked for, either."""
-
-    noise_m: Final = float("nan")
-    """Noise is not measured."""
-
     def __init__(self) -> None:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._times: list[float] = []
