@@ -16,6 +16,7 @@ from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
 from experiments.score.answers import known_answers, score_answers
+from experiments.score.labels import note_unknown
 from experiments.score.predictions import EVERY_S, WARM_UP_S, score_episode, score_predictions
 from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import get_engine
@@ -106,6 +107,7 @@ def run_scenario(
     truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:
         classes = next((p.classes for p, _ in latest.values()), BEHAVIORS)
+        note_unknown(str(model), truth.values(), classes, "not scored")
         answers = _last_answers(latest, truth, classes)
         rows += score_answers(answers, {**keys, "model": model}, classes=classes)
     if predict and kept:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,6 +189,17 @@ def _answers(
     return episode.tracks.names, table if every_frame else _last_answers(table)
 
 
+def note_unknown(
+    model: str, truth: Iterable[str | None], classes: Iterable[Behavior], scored: str
+) -> None:
+    """Say in one line which drivers' behaviours a model does not know, and what to do."""
+    if strange := {*truth} - {None, *classes}:
+        LOGGER.warning(
+            "model %s does not know %s: %s; graphrqi train on such data makes a model that does",
+            model, ", ".join(sorted(map(str, strange))), scored,
+        )  # fmt: skip
+
+
 def scored_answers(
     answered: Sequence[Answered], model: str, classes: tuple[Behavior, ...] = BEHAVIORS
 ) -> list[Row]:
@@ -196,12 +207,8 @@ def scored_answers(
 
     Both are "all" over several of them.
     """
-    strange = {word for one in answered for word in one.table["truth"].to_pylist()}
-    if strange := strange - {None, *classes}:
-        LOGGER.warning(
-            "model %s does not know %s: scored by their style alone; graphrqi train on such data "
-            "makes a model that does", model, ", ".join(sorted(strange))
-        )  # fmt: skip
+    truth = {word for one in answered for word in one.table["truth"].to_pylist()}
+    note_unknown(model, truth, classes, "scored by their style alone")
     found = [one for one in answered if one.table.num_rows]
     scenarios = list(dict.fromkeys(one.place for one in found))
     splits = [split for split in get_args(Split) if any(one.entry.split == split for one in found)]
