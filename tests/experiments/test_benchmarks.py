@@ -45,7 +45,6 @@ def test_following_conflicts_agree_with_those_of_sumo() -> None:
 
 def test_costs_of_an_episode() -> None:
     cost = generate.episode_costs("straight_road", 0, 10.0)
-    assert cost["over_bare_stepping"] > 0.0
     assert 1.0 < cost["bytes_per_agent_step"] < 10_000.0
 
 
