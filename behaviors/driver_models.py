@@ -31,18 +31,14 @@ LEAST_GAP_M: Final = 0.1
 
 
 def idm_free_acceleration(speed: float, desired_speed: float, max_accel: float) -> float:
-    """IDM's acceleration on a free road, ``a (1 - (v / v0)^delta)``.
+    """IDM's acceleration on a free road, ``a (1 - (v / v0)^delta)``, m/s2.
+
+    Treiber et al. (2000), eq. 2 without its interaction term.
 
     Args:
         speed: v, m/s.
         desired_speed: v0, m/s.
         max_accel: a, m/s2.
-
-    Returns:
-        m/s2; negative above the desired speed.
-
-    References:
-        Treiber et al. (2000), eq. 2 without its interaction term.
 
     Examples:
         >>> [idm_free_acceleration(v, 20.0, 1.6) for v in (0.0, 10.0, 20.0)]
@@ -60,7 +56,10 @@ def idm_desired_gap(
     max_accel: float,
     comfort_decel: float,
 ) -> float:
-    """The gap that an IDM driver wants, ``s* = s0 + max(0, v T + v (v - u) / (2 sqrt(a b)))``.
+    """The gap that an IDM driver wants, ``s* = s0 + max(0, v T + v (v - u) / (2 sqrt(a b)))``, m.
+
+    Treiber et al. (2000), eq. 3 with s1 = 0; the maximum as in Treiber, Kesting, Traffic Flow
+    Dynamics, eq. 11.15.
 
     Args:
         speed: v, m/s.
@@ -69,13 +68,6 @@ def idm_desired_gap(
         time_headway: T, s.
         max_accel: a, m/s2.
         comfort_decel: b, m/s2.
-
-    Returns:
-        Bumper to bumper, m.
-
-    References:
-        Treiber et al. (2000), eq. 3 with s1 = 0; the maximum as in Treiber, Kesting, Traffic Flow
-        Dynamics, eq. 11.15.
 
     Examples:
         >>> idm_desired_gap(10.0, 8.0, 2.0, 1.5, 1.0, 4.0)
@@ -88,17 +80,12 @@ def idm_desired_gap(
 def idm_interaction(gap: float, desired_gap: float) -> float:
     """The share of its largest acceleration that a leader costs an IDM driver, ``(s* / s)^2``.
 
-    The whole law is ``idm_free_acceleration(v, v0, a) - a * idm_interaction(s, s*)``.
+    The whole law is ``idm_free_acceleration(v, v0, a) - a * idm_interaction(s, s*)``
+    (Treiber et al. 2000, eq. 2).
 
     Args:
         gap: s, bumper to bumper, m; infinite without a leader.
         desired_gap: s*, from `idm_desired_gap`, m.
-
-    Returns:
-        A number without unit; not bounded above.
-
-    References:
-        Treiber et al. (2000), eq. 2.
 
     Examples:
         >>> idm_interaction(44.0, 22.0), idm_interaction(math.inf, 22.0)
@@ -108,21 +95,16 @@ def idm_interaction(gap: float, desired_gap: float) -> float:
 
 
 def krauss_safe_speed(gap: float, leader_speed: float, reaction_time: float, decel: float) -> float:
-    """The speed from which a driver can still stop behind its leader.
+    """The speed from which a driver can still stop behind its leader, m/s.
 
-    ``-b T + sqrt((b T)^2 + u^2 + 2 b g)``: both brake with b, the follower a reaction time later.
+    ``-b T + sqrt((b T)^2 + u^2 + 2 b g)``: both brake with b, the follower a reaction time later
+    (Krauss 1998, in SUMO's form; derived from Gipps 1981).
 
     Args:
         gap: g, beyond the gap at a standstill, m; may be negative.
         leader_speed: u, m/s.
         reaction_time: T, s.
         decel: b, m/s2.
-
-    Returns:
-        m/s; not negative.
-
-    References:
-        Krauss (1998), eq. 4.13, in SUMO's form; derived from Gipps (1981).
 
     Examples:
         >>> krauss_safe_speed(4.0, 0.0, 1.5, 2.0)  # 3 m while reacting, 1 m while braking
@@ -134,15 +116,12 @@ def krauss_safe_speed(gap: float, leader_speed: float, reaction_time: float, dec
 
 
 def braking_speed(distance: float, end_speed: float, decel: float) -> float:
-    """The speed from which braking over a distance ends at a given speed, ``sqrt(u^2 + 2 b d)``.
+    """The speed from which braking over a distance ends at another, ``sqrt(u^2 + 2 b d)``, m/s.
 
     Args:
         distance: d, m; not negative.
         end_speed: u, m/s.
         decel: b, m/s2.
-
-    Returns:
-        m/s.
 
     Examples:
         >>> braking_speed(8.0, 3.0, 1.0)
@@ -154,21 +133,16 @@ def braking_speed(distance: float, end_speed: float, decel: float) -> float:
 def mobil_incentive(
     own_gain: float, new_follower_gain: float, old_follower_gain: float, politeness: float
 ) -> float:
-    """MOBIL's incentive to change lanes, ``(a'_c - a_c) + p ((a'_n - a_n) + (a'_o - a_o))``.
+    """MOBIL's incentive to change lanes, ``(a'_c - a_c) + p ((a'_n - a_n) + (a'_o - a_o))``, m/s2.
 
-    A driver changes if the change is safe (`mobil_safe`) and the incentive is above its threshold.
+    A driver changes if the change is safe (`mobil_safe`) and the incentive is above its threshold
+    (Kesting et al. 2007, eq. 3).
 
     Args:
         own_gain: the driver's gain in acceleration, m/s2.
         new_follower_gain: the new follower's, m/s2; 0 for none.
         old_follower_gain: the old follower's, m/s2; 0 for none.
         politeness: p, the weight of the others.
-
-    Returns:
-        m/s2.
-
-    References:
-        Kesting et al. (2007), eq. 3.
 
     Examples:
         >>> mobil_incentive(1.0, -1.5, 0.5, 0.25)
@@ -180,12 +154,11 @@ def mobil_incentive(
 def mobil_safe(follower_accel: float, safe_decel: float) -> bool:
     """MOBIL's safety criterion: the new follower need not brake harder than ``safe_decel``.
 
+    Kesting et al. (2007), eq. 2.
+
     Args:
         follower_accel: acceleration of the follower on the new lane after the change, m/s2.
         safe_decel: positive, m/s2.
-
-    References:
-        Kesting et al. (2007), eq. 2.
 
     Examples:
         >>> mobil_safe(-2.0, 2.0), mobil_safe(-2.1, 2.0)
@@ -205,6 +178,7 @@ def gap_accepted(
     """Whether a driver without priority crosses before or after another one.
 
     It goes after the other has left, or first if it leaves its critical gap before the other comes.
+    A gap below the critical one is rejected (Raff, Hart 1950).
 
     Args:
         enter_s: when the driver would enter the conflict area, s from now.
@@ -213,9 +187,6 @@ def gap_accepted(
         other_leaves_s: when that one has left it, s.
         critical_gap_s: time that the driver demands between leaving and the other's arrival, s.
         clearance_s: time that must have passed since the other has left, s.
-
-    References:
-        Raff, Hart (1950): a gap below the critical one is rejected.
 
     Examples:
         >>> gap_accepted(1.0, 3.0, 5.0, 6.0, 1.5, 0.25), gap_accepted(1.0, 4.0, 5.0, 6.0, 1.5, 0.25)

@@ -9,30 +9,14 @@ slow for features of whole scenes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+exponential = np.vectorize(math.exp, otypes=[np.float64], doc="The exponential of each value.")
 
-def exponential(values: ArrayLike) -> NDArray[np.float64]:
-    """The exponential of each value.
-
-    Examples:
-        >>> exponential([0.0, 1.0]).round(3)
-        array([1.   , 2.718])
-    """
-    return _of_each(math.exp, values)
-
-
-def logarithm(values: ArrayLike) -> NDArray[np.float64]:
-    """The natural logarithm of each value, which is positive.
-
-    Examples:
-        >>> logarithm([1.0, 10.0]).round(3)
-        array([0.   , 2.303])
-    """
-    return _of_each(math.log, values)
+logarithm = np.vectorize(
+    math.log, otypes=[np.float64], doc="The natural logarithm of each value, which is positive."
+)
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -43,9 +27,3 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
         True
     """
     return math.exp(rng.uniform(math.log(low), math.log(high)))
-
-
-def _of_each(function: Callable[[float], float], values: ArrayLike) -> NDArray[np.float64]:
-    given = np.asarray(values, dtype=np.float64)
-    found = np.array([function(value) for value in given.ravel().tolist()], dtype=np.float64)
-    return found.reshape(given.shape)

@@ -34,13 +34,7 @@ class InputError(ValueError):
 def lookup(registry: Mapping[str, T], name: str, what: str) -> T:
     """Return ``registry[name]``, or say which name was probably meant.
 
-    Args:
-        registry: the names that exist.
-        name: the name asked for.
-        what: what the registry holds, in the singular ("solver"); used in the message.
-
-    Returns:
-        The registered value.
+    ``what`` the registry holds, in the singular ("solver"), is used in the message.
 
     Raises:
         InputError: if the name is not registered.

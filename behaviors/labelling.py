@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final, Literal, TypeVar
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, TRAITS, Behavior, Style, Trait
+from behaviors.traits import ShownTrait
 
 T = TypeVar("T", bound=Hashable)
 
@@ -28,37 +27,19 @@ RESOLUTIONS: Final[tuple[Resolution, ...]] = ("strict", "lenient")
 """How annotators' disagreement is resolved."""
 
 
-@dataclass(frozen=True, slots=True)
-class Threshold:
-    """How much of a trait makes it characteristic.
-
-    Attributes:
-        amount: the amount that counts as one vote.
-        in_seconds: whether ``amount`` is a total duration, s; otherwise it is a number of times.
-    """
-
-    amount: float
-    in_seconds: bool = False
-
-
-THRESHOLDS: Final[dict[Trait, Threshold]] = {
-    Trait.OVERTAKING: Threshold(3.0),
-    Trait.OVER_SPEEDING: Threshold(10.0, in_seconds=True),
-    Trait.TAILGATING: Threshold(10.0, in_seconds=True),
-    Trait.WEAVING: Threshold(2.0),
-    Trait.CUTTING_IN: Threshold(1.0),
-    Trait.DRIVING_CLOSE: Threshold(4.0, in_seconds=True),
-    Trait.WRONG_DIRECTION: Threshold(1.0),
-    Trait.JAYWALKING: Threshold(1.0),
-    Trait.BREAKING_RULES: Threshold(1.0),
-    Trait.KEEPING_NEIGHBORS: Threshold(30.0, in_seconds=True),
-    Trait.UNIFORM_SPEED: Threshold(20.0, in_seconds=True),
-    Trait.FOLLOWING_RULES: Threshold(1.0),
-    Trait.NOT_MOVING: Threshold(1.0),
-    Trait.SLOWING: Threshold(1.0),
-    Trait.WAITING: Threshold(1.0),
+IN_SECONDS: Final[dict[Trait, float]] = {
+    Trait.OVER_SPEEDING: 10.0,
+    Trait.TAILGATING: 10.0,
+    Trait.DRIVING_CLOSE: 4.0,
+    Trait.KEEPING_NEIGHBORS: 30.0,
+    Trait.UNIFORM_SPEED: 20.0,
 }
-"""How much of each trait counts as characteristic (our choice: the paper gives no numbers)."""
+"""For how long in all a trait that lasts has to be shown to count as characteristic, s."""
+
+THRESHOLDS: Final[dict[Trait, float]] = {
+    **dict.fromkeys(Trait, 1.0), Trait.OVERTAKING: 3.0, Trait.WEAVING: 2.0, **IN_SECONDS
+}  # fmt: skip
+"""How often each trait has to be shown, or for how long (our choice: the paper has no numbers)."""
 
 _RAREST_FIRST: Final = (
     Behavior.RECKLESS,
@@ -147,9 +128,8 @@ def characteristic_traits(shown: Iterable[ShownTrait]) -> tuple[Trait, ...]:
     """
     amount = dict.fromkeys(TRAITS, 0.0)
     for one in shown:
-        in_seconds = THRESHOLDS[one.trait].in_seconds
-        amount[one.trait] += one.end_s - one.begin_s if in_seconds else 1.0
-    return tuple(trait for trait in TRAITS if amount[trait] >= THRESHOLDS[trait].amount)
+        amount[one.trait] += one.end_s - one.begin_s if one.trait in IN_SECONDS else 1.0
+    return tuple(trait for trait in TRAITS if amount[trait] >= THRESHOLDS[trait])
 
 
 def label_from_traits(shown: Iterable[ShownTrait]) -> Behavior | None:

@@ -8,6 +8,7 @@ behaviour in ``BEHAVIORS``. A file of one's own has a table for each behaviour.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping
 from enum import StrEnum
@@ -16,7 +17,7 @@ from typing import Any, ClassVar, Final
 
 from behaviors.errors import InputError, lookup
 from behaviors.profiles import PROFILE_FIELDS, Profile
-from behaviors.toml_files import read_toml
+from behaviors.toml_files import in_file, read_toml, shipped_or_path
 
 
 class Style(StrEnum):
@@ -76,26 +77,11 @@ class Behavior(str):
     traits: tuple[Trait, ...]
     source: str
 
-    def __new__(
-        cls,
-        name: str,
-        style: Style,
-        color: str,
-        profile: Profile,
-        like: str,
-        traits: tuple[Trait, ...] = (),
-        source: str = "",
-    ) -> Behavior:
-        """A behaviour of that name."""
+    def __new__(cls, name: str, **parts: Any) -> Behavior:
+        """A behaviour of that name, with its attributes."""
         self = super().__new__(cls, name)
-        vars(self).update(
-            style=style, color=color, profile=profile, like=like, traits=traits, source=source
-        )
+        vars(self).update(parts)
         return self
-
-    def __reduce__(self) -> tuple[type[Behavior], tuple[Any, ...]]:
-        """How it is pickled: by everything that belongs to it."""
-        return Behavior, (str(self), *(vars(self)[name] for name in _PARTS))
 
     def __repr__(self) -> str:
         """Its name, as that of a class attribute."""
@@ -128,7 +114,8 @@ class Behavior(str):
         }
 
 
-_PARTS: Final = ("style", "color", "profile", "like", "traits", "source")
+KEYS: Final = ("style", "color", "like", "traits", "source", *PROFILE_FIELDS)
+"""What a file may say of a behaviour."""
 
 SHIPPED: Final = {
     path.stem: path for path in sorted(Path(__file__).with_name("shipped").glob("*.toml"))
@@ -146,35 +133,34 @@ def _behavior(name: str, said: Mapping[str, Any], known: Mapping[str, Behavior])
     if not re.fullmatch("[a-z][a-z0-9_-]{0,39}", name) or name in tuple(Style):
         raise InputError(f"{name!r:.60}: expected a name of small letters that is no style's")
     for key in said:
-        lookup(dict.fromkeys((*_PARTS[:2], *_PARTS[3:], *PROFILE_FIELDS)), key, f"key of {name}")
+        lookup(dict.fromkeys(KEYS), key, f"key of {name}")
     like = said.get("like")
     if known and like is None:
         raise InputError(f"{name}.like: found none, expected one of {', '.join(known)}")
     base = lookup(known, str(like), f"{name}.like") if known else None
-    style = said.get("style", "" if base is None else str(base.style))
-    color = said.get("color", OWN_COLOR)
-    if not re.fullmatch("#[0-9A-Fa-f]{6}", str(color)):
-        raise InputError(f"{name}.color: found {color!r:.60}, expected one such as '#009E73'")
     numbers = {key: said[key] for key in PROFILE_FIELDS if key in said}
+    said = {"color": OWN_COLOR, "style": base and base.style, "traits": [], "source": "", **said}
+    if not re.fullmatch("#[0-9A-Fa-f]{6}", str(said["color"])):
+        raise InputError(f"{name}.color: found {said['color']!r:.60}, expected such as '#009E73'")
+    if not isinstance(said["traits"], list | tuple):
+        raise InputError(f"{name}.traits: found {said['traits']!r:.60}, expected a list")
     for key, value in numbers.items():
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise InputError(f"{name}.{key}: found {value!r:.60}, expected a number")
-    filled = {} if base is None else {key: getattr(base.profile, key) for key in PROFILE_FIELDS}
-    try:
-        profile = Profile(**{**filled, **{key: float(value) for key, value in numbers.items()}})
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-    traits = said.get("traits", [])
-    if not isinstance(traits, list | tuple):
-        raise InputError(f"{name}.traits: found {traits!r:.60}, expected a list")
+        numbers[key] = float(value)
+    with in_file(name):
+        profile = (
+            Profile(**numbers) if base is None else dataclasses.replace(base.profile, **numbers)
+        )
+    known_traits = {str(trait): trait for trait in Trait}
     return Behavior(
         name,
-        lookup({str(style): style for style in Style}, str(style), f"{name}.style"),
-        str(color),
-        profile,
-        name if base is None else base.like,
-        tuple(lookup({str(t): t for t in Trait}, str(one), f"trait of {name}") for one in traits),
-        str(said.get("source", ""))[:500],
+        style=lookup({str(one): one for one in Style}, str(said["style"]), f"{name}.style"),
+        color=str(said["color"]),
+        profile=profile,
+        like=name if base is None else base.like,
+        traits=tuple(lookup(known_traits, str(t), f"trait of {name}") for t in said["traits"]),
+        source=str(said["source"])[:1000],
     )
 
 
@@ -194,6 +180,12 @@ BEHAVIORS: Final[tuple[Behavior, ...]] = _all_of(read_toml(SHIPPED.pop("six")), 
 for _one in BEHAVIORS:
     setattr(Behavior, _one.upper(), _one)
 
+COLORS: Final[dict[str, str]] = {str(one): one.color for one in BEHAVIORS}
+"""The colours of the six by name: warm aggressive, cool conservative; sRGB, as in HTML."""
+
+UNKNOWN_COLOR: Final = "#8C8C8C"
+"""The colour of agents without a behaviour: pedestrians, and drivers not yet classified."""
+
 PROFILES: Final[dict[Behavior, Profile]] = {one: one.profile for one in BEHAVIORS}
 """The median driver of each behaviour."""
 
@@ -209,8 +201,8 @@ def read_behaviors(
     """Behaviours of one's own, beside the six.
 
     Args:
-        source: names of files that ship, separated by commas; the path of a TOML file, which has a
-            dot or a slash in it; what such a file says; or None for none.
+        source: names of files that ship and paths of TOML files, which have a dot or a slash in
+            them, separated by commas; what such a file says; or None for none.
 
     Raises:
         InputError: if a file is missing or broken, or a value out of range; the message names it.
@@ -225,16 +217,11 @@ def read_behaviors(
         return ()
     if isinstance(source, Mapping):
         return _all_of(source, known)
-    text = str(source)
-    named = isinstance(source, str) and not any(mark in text for mark in "./\\")
     found: dict[str, Behavior] = {}
-    for one in text.split(",") if named else [text]:
-        path = lookup(SHIPPED, one.strip(), "behaviour") if named else Path(one)
-        try:
+    for one in [source] if isinstance(source, Path) else source.split(","):
+        path = shipped_or_path(one, SHIPPED, "behaviour")
+        with in_file(path):
             found |= {str(b): b for b in _all_of(read_toml(path), {**known, **found})}
-        except InputError as error:
-            said = str(error)
-            raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
     return tuple(found.values())
 
 

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from behaviors.elementwise import exponential
 from behaviors.errors import InputError
+from behaviors.toml_files import read_toml
 
 DEFAULT_SPREAD: Final = 0.15
 """Log-normal spread of every positive number between drivers of one behaviour (our choice)."""
@@ -96,20 +98,13 @@ class Profile:
     def __post_init__(self) -> None:
         """Refuse what no driver can be."""
         for name in PROFILE_FIELDS:
-            value = getattr(self, name)
-            if not np.isfinite(value) or value < 0:
-                raise InputError(f"Profile.{name}: found {value}, expected a number >= 0")
-        for name in _PROBABILITIES:
-            if getattr(self, name) > 1:
-                raise InputError(f"Profile.{name}: found {getattr(self, name)}, expected <= 1")
+            value, most = getattr(self, name), _MOST.get(name, np.inf)
+            if not np.isfinite(value) or not 0 <= value <= most:
+                expected = "a number >= 0" if most == np.inf else f"0 to {most:g}"
+                raise InputError(f"Profile.{name}: found {value}, expected {expected}")
         for name in ("speed_factor", "time_headway_s", "max_accel_mps2", "comfort_decel_mps2"):
             if getattr(self, name) == 0:
                 raise InputError(f"Profile.{name}: found 0, expected a number > 0")
-        for name, most in _MOST.items():
-            if getattr(self, name) > most:
-                raise InputError(
-                    f"Profile.{name}: found {getattr(self, name)}, expected 0 to {most:g}"
-                )
 
 
 PROFILE_FIELDS: Final[tuple[str, ...]] = tuple(f.name for f in dataclasses.fields(Profile))
@@ -127,7 +122,12 @@ _PROBABILITIES: Final = (
 PERCEPTION_FIELDS: Final = PROFILE_FIELDS[-5:]
 """The numbers of perception and attention: all 0 for the six behaviours."""
 
-_MOST: Final = {"reaction_time_s": 5.0, "perception_noise": 1.0, "lapse_s": 60.0}
+_MOST: Final = {
+    **dict.fromkeys(_PROBABILITIES, 1.0),
+    "reaction_time_s": 5.0,
+    "perception_noise": 1.0,
+    "lapse_s": 60.0,
+}
 """Largest values that are accepted (our choice: a vehicle beyond them is not driven)."""
 
 SPREAD_FIELDS: Final = tuple(
@@ -137,53 +137,13 @@ SPREAD_FIELDS: Final = tuple(
 encounter, and those of perception are the same for all drivers of a behaviour."""
 
 ERROR_TIME_S: Final = 20.0
-"""Correlation time of the error of perception, s (Treiber et al. 2006, section 2.2)."""
+"""Correlation time of the error of perception, s (Treiber et al. 2006)."""
 
 CLOSING_ERROR_PER_S: Final = 0.2
 """Error of the closing speed per metre of gap, relative to that of the gap, 1/s (Treiber et al.
 2006: 0.01/s beside 5 %)."""
 
-SOURCES: Final[dict[str, str]] = {
-    "speed_factor": "SUMO's drivers have mean 1 and standard deviation 0.1; 35 to 75 % of drivers "
-    "exceed urban limits (ETSC, PIN Flash 36, 2019): half of the behaviours do; levels our choice",
-    "time_headway_s": "minimal 0.66 s and comfortable 0.98 s chosen by drivers (Taieb-Maimon and "
-    "Shinar 2001, Human Factors 43): threatening to reckless; 1 to 2 s typical (Treiber and "
-    "Kesting 2013, Traffic Flow Dynamics): careful; the advised 2 to 3 s (Vogel 2003, Accident "
-    "Analysis and Prevention 35): cautious, timid",
-    "min_gap_m": "2 m typical (Treiber and Kesting 2013), 2.5 m SUMO's default: careful; others "
-    "our choice around it",
-    "max_accel_mps2": "1 to 2 m/s2 typical (Treiber and Kesting 2013), 2.6 SUMO's default for "
-    "cars; aggressive ones up to what ordinary cars can do",
-    "comfort_decel_mps2": "2 to 3 m/s2 comfortable (Treiber and Kesting 2013), 3.4 still "
-    "comfortable to most (AASHTO Green Book 2018), 4.5 SUMO's default; aggressive ones beyond",
-    "politeness": "0 egoistic to 1 altruistic (Kesting, Treiber and Helbing 2007, Transportation "
-    "Research Record 1999); levels our choice",
-    "lane_change_gain": "1 is SUMO's default (Erdmann 2015); levels our choice, so that weaving "
-    "is seen of impatient and lane keeping of conservative drivers",
-    "lane_change_patience_s": "20 s is SUMO's default; aggressive ones our choice",
-    "lane_change_assertiveness": "1 is SUMO's default; levels our choice",
-    "gap_acceptance_s": "1 s is SUMO's default for the time left after crossing another's way; "
-    "levels our choice",
-    "crossing_gap_s": "10 is SUMO's default; levels our choice",
-    "yield_probability": "our choice, after the paper's trait table: conservative drivers wait, "
-    "reckless ones follow no rules",
-    "red_run_probability": "our choice, after the paper's trait table",
-    "stop_roll_probability": "our choice, after the paper's trait table",
-    "yellow_run_s": "yellow lasts 3 s at 50 km/h (RiLSA 2015): from never to all of it, our choice",
-    "insistence": "0 is SUMO's default and its range 0 to 1: its two ends",
-    "startup_delay_s": "about 2 s are lost when a queue starts (Highway Capacity Manual 2010): "
-    "from a fraction of it to a little more, our choice",
-    "cut_in_rate_per_min": "our choice, after the paper's trait table",
-    "stop_rate_per_min": "our choice, after the paper's trait table; more often stops everyone",
-    "wrong_way_rate_per_min": "our choice, after the paper's trait table",
-    "reaction_time_s": "0 for the six, whose laws react at once; 0.9 s is the median of surprised "
-    "drivers (Johansson and Rumar 1971, Human Factors 13)",
-    "perception_noise": "0 for the six; 0.05 typical (Treiber, Kesting and Helbing 2006)",
-    "lapse_rate_per_min": "0 for the six; glances off the road are measured in naturalistic "
-    "driving (Klauer et al. 2006, DOT HS 810 594)",
-    "lapse_s": "0 for the six; glances of 2 s double the risk of a crash (Klauer et al. 2006)",
-    "overlook_probability": "0 for the six, who see everything in the models' sight",
-}
+SOURCES: Final[dict[str, str]] = read_toml(Path(__file__).with_name("sources.toml"))
 """Where each number of ``behaviors.PROFILES`` comes from."""
 
 

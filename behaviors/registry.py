@@ -36,10 +36,8 @@ class Registry(Mapping[str, T], Generic[T]):
 
     Examples:
         >>> roots = Registry("root", "graphrqi.roots", {"square": "math:sqrt", "cube": "math:cbrt"})
-        >>> list(roots)
-        ['square', 'cube']
-        >>> roots["square"](9.0)
-        3.0
+        >>> list(roots), roots["square"](9.0)
+        (['square', 'cube'], 3.0)
         >>> roots["cub"]
         Traceback (most recent call last):
         ...
@@ -53,32 +51,26 @@ class Registry(Mapping[str, T], Generic[T]):
         entries: Mapping[str, str | T],
         made: Callable[[str, Any], T] | None = None,
     ) -> None:
-        self._what = what
-        self._group = group
-        self._entries = dict(entries)
-        self._made = made
-        self._loaded: dict[str, T] = {}
+        self._what, self._group, self._made = what, group, made
+        self._entries, self._loaded = dict(entries), dict[str, T]()
 
     def __getitem__(self, name: str) -> T:
         """The entry of that name, imported if it is asked for the first time."""
-        plugins = self._plugins()
         if name not in self._loaded:
-            known: dict[str, str | T | EntryPoint] = {**self._entries, **plugins}
-            entry = lookup(known, name, self._what)
-            self._loaded[name] = self._load(name, plugins.get(name), entry)
+            self._loaded[name] = self._load(name, lookup(self._all(), name, self._what))
         return self._loaded[name]
 
     def __iter__(self) -> Iterator[str]:
         """The names: those of this package, then those of plugins."""
-        return iter((*self._entries, *self._plugins()))
+        return iter(self._all())
 
     def __len__(self) -> int:
         """How many names there are."""
-        return len(self._entries) + len(self._plugins())
+        return len(self._all())
 
     def __contains__(self, name: object) -> bool:
         """Whether there is an entry of that name; nothing is imported."""
-        return name in self._entries or name in self._plugins()
+        return name in self._all()
 
     def get(self, name: str, default: Any = None) -> Any:
         """The entry of that name, or the default if there is none."""
@@ -96,27 +88,21 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def origin(self, name: str) -> str:
         """The distribution that an entry comes from: "graphrqi" or a plugin's name and version."""
-        plugin = self._plugins().get(name)
-        return "graphrqi" if plugin is None else _distribution(plugin)
+        return "graphrqi" if name in self._entries else _distribution(self._all()[name])
 
     def source(self, name: str) -> str | None:
-        """The "module:attribute" behind an entry of this package, with nothing imported.
-
-        An entry with a ``reader`` or ``writer``, such as a format, gives that string. The result is
-        None for a plugin's entry or an object.
-        """
+        """The "module:attribute" behind an entry of this package, or None."""
         entry = self._entries.get(name)
-        if entry is not None and not isinstance(entry, str):
-            entry = getattr(entry, "reader", None) or getattr(entry, "writer", None)
         return entry if isinstance(entry, str) else None
 
-    def _plugins(self) -> Mapping[str, EntryPoint]:
-        """The entries that other distributions add; no name stands twice."""
-        found: dict[str, EntryPoint] = {}
+    def _all(self) -> dict[str, Any]:
+        """The entries of this package, then those that other distributions add; none twice."""
+        found: dict[str, Any] = dict(self._entries)
         for plugin in _entry_points(tuple(sys.path)).get(self._group, ()):
-            if plugin.name in self._entries or plugin.name in found:
-                other = found.get(plugin.name)
-                owner = "graphrqi" if other is None else _distribution(other)
+            if plugin.name in found:
+                owner = "graphrqi"
+                if plugin.name not in self._entries:
+                    owner = _distribution(found[plugin.name])
                 raise InputError(
                     f"{self._what} {plugin.name!r}: found it in {owner} and in the plugin "
                     f"{_distribution(plugin)} ({plugin.value}), expected it once; "
@@ -125,15 +111,15 @@ class Registry(Mapping[str, T], Generic[T]):
             found[plugin.name] = plugin
         return found
 
-    def _load(self, name: str, plugin: EntryPoint | None, entry: object) -> T:
+    def _load(self, name: str, entry: Any) -> T:
         """The entry itself, imported if need be."""
-        if plugin is not None:
+        if name not in self._entries:
             try:
-                entry = plugin.load()
+                entry = entry.load()
             except Exception as error:  # a plugin's code may fail in any way
                 raise InputError(
                     f"{self._what} {name!r}: found a plugin that does not load, "
-                    f"{_distribution(plugin)} ({plugin.value}): {_reason(error)}"
+                    f"{_distribution(entry)} ({entry.value}): {_reason(error)}"
                 ) from error
         elif isinstance(entry, str):
             entry = loaded(entry)
@@ -163,20 +149,14 @@ def own_function(what: str, source: str) -> Callable[..., Any]:
     Examples:
         >>> own_function("root", "math:sqrt")(9.0)
         3.0
-        >>> own_function("root", "math:pi")
-        Traceback (most recent call last):
-        ...
-        behaviors.errors.InputError: root: found 'math:pi', expected it to name a function
     """
-    module, _, function = source.partition(":")
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last: nothing in it stands in for an installed package
     try:
-        found = getattr(importlib.import_module(module), function)
+        found = loaded(source)
     except Exception as error:  # the user's code may fail in any way
-        wanted = "'module:function' that exists"
         raise InputError(
-            f"{what}: found {source!r}, expected {wanted} ({_reason(error)})"
+            f"{what}: found {source!r}, expected 'module:function' that exists ({_reason(error)})"
         ) from error
     if not callable(found):
         raise InputError(f"{what}: found {source!r}, expected it to name a function")

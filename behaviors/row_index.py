@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-from behaviors.sorted_ids import find
 
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
@@ -25,18 +23,27 @@ BLOCK_ROWS: Final = 200_000
 """Rows that are worked on at once where one time needs nothing of the others (some 20 to 60 MB)."""
 
 
-class TimeBlock(NamedTuple):
-    """The rows of some consecutive times.
+def find_sorted(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
+    """Places of ids in an ascending array, and which of them stand there.
 
-    Attributes:
-        rows: (k,) in order of time, then of agent.
-        first: the first of the t times.
-        begins: (t + 1,) where in ``rows`` those of each time begin, and k.
+    Args:
+        known: (m,) ascending ids.
+        ids: ids of any shape, in any order.
+
+    Returns:
+        The index into `known` of each id that stands there (of another one's where it does not),
+        and whether it stands there.
+
+    Examples:
+        >>> find_sorted(np.array([2, 5, 9]), np.array([5, 7, 10]))
+        (array([1, 2, 2]), array([ True, False, False]))
+        >>> find_sorted(np.array([], dtype=int), np.array([5]))
+        (array([0]), array([False]))
     """
-
-    rows: IntArray
-    first: int
-    begins: IntArray
+    if known.size == 0:
+        return np.zeros(ids.shape, dtype=np.int64), np.zeros(ids.shape, dtype=bool)
+    at = np.minimum(np.searchsorted(known, ids), known.size - 1)
+    return at, known[at] == ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +66,7 @@ class RowIndex:
 
     @classmethod
     def of_rows(cls, agent: IntArray, step: IntArray, agents: int, times: int) -> RowIndex:
-        """From rows in order.
-
-        Args:
-            agent: (m,) which agent, ascending.
-            step: (m,) at which time, ascending for each agent.
-            agents: how many agents there are.
-            times: how many times there are.
-        """
+        """From the agent and the time of each row, in order, and how many of both there are."""
         begins = np.ones(agent.size, dtype=bool)
         begins[1:] = (agent[1:] != agent[:-1]) | (step[1:] != step[:-1] + 1)
         first = np.searchsorted(agent, np.arange(agents + 1))
@@ -74,10 +74,7 @@ class RowIndex:
 
     @classmethod
     def of(cls, valid: BoolArray) -> RowIndex:
-        """From a mask.
-
-        Args:
-            valid: (N, T) whether each agent was seen at each time.
+        """From a mask, (N, T) whether each agent was seen at each time.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[False, True, True], [True, False, True]]))
@@ -93,13 +90,7 @@ class RowIndex:
         return self.first.size - 1
 
     def rows(self, agent: int, begin: int = 0, end: int | None = None) -> slice:
-        """The rows of one agent.
-
-        Args:
-            agent: which.
-            begin: the first time wanted.
-            end: one past the last; None for all.
-        """
+        """The rows of one agent from time ``begin`` until before ``end``; None for all."""
         low, high = int(self.first[agent]), int(self.first[agent + 1])
         step = self.step[low:high]
         until = high if end is None else low + int(step.searchsorted(end))
@@ -129,21 +120,16 @@ class RowIndex:
             [2.0, 0.0, 4.0]
         """
         at = self.rows(agent, begin, end)
-        if at.stop - at.start == end - begin:
-            return values[at]
         filled = np.full((end - begin, *values.shape[1:]), empty, dtype=values.dtype)
         filled[self.step[at] - begin] = values[at]
         return filled
 
     def runs(self, flags: BoolArray, shortest: int = 1) -> Iterator[slice]:
-        """Unbroken stretches of time over which a condition holds for one agent.
+        """The rows of each unbroken stretch of time over which a condition holds for one agent.
 
         Args:
             flags: (m,) where the condition holds.
             shortest: leave out stretches shorter than this.
-
-        Yields:
-            Their rows.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))
@@ -151,8 +137,7 @@ class RowIndex:
             [(1, 3), (3, 4), (4, 5)]
         """
         at = np.flatnonzero(flags)  # usually few, so the rest works on these alone
-        new = self.begins[at] | (np.diff(at, prepend=-2) > 1)
-        first = np.flatnonzero(new)
+        first = np.flatnonzero(self.begins[at] | (np.diff(at, prepend=-2) > 1))
         count = np.diff(first, append=at.size)
         long = count >= shortest
         for begin, steps in zip(at[first[long]].tolist(), count[long].tolist(), strict=True):
@@ -179,25 +164,14 @@ class RowIndex:
         return self.agent * self.times + self.step
 
     def find(self, agent: IntArray, step: IntArray) -> tuple[IntArray, BoolArray]:
-        """Find the rows of agents at given times.
-
-        Args:
-            agent: indices of agents.
-            step: indices of times, of a shape that fits.
-
-        Returns:
-            The row for each, and whether there is one; where there is none, the row is any.
+        """The row for each agent and time, and whether there is one; if none, the row is any.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[False, True], [True, False]]))
             >>> seen.find(np.array([0, 1]), np.array([1, 1]))[1].tolist()
             [True, False]
         """
-        cell = np.asarray(agent * self.times + step)
-        if not self._cells.size:
-            return np.zeros(cell.shape, dtype=np.int64), np.zeros(cell.shape, dtype=bool)
-        row = np.minimum(np.searchsorted(self._cells, cell), self._cells.size - 1)
-        return row, self._cells[row] == cell
+        return find_sorted(self._cells, np.asarray(agent * self.times + step))
 
     def part(self, agents: IntArray, times: slice | IntArray) -> tuple[IntArray, RowIndex]:
         """The rows of some agents at some of the times.
@@ -212,14 +186,14 @@ class RowIndex:
         times = np.arange(self.times)[times]
         order, begins = self.by_time
         rows = np.sort(order[begins[times[0]] : begins[times[-1] + 1]]) if times.size else times
-        step, some = find(times, self.step[rows])
+        step, some = find_sorted(times, self.step[rows])
         rows, step = rows[some], step[some]
-        agent, some = find(agents, self.agent[rows])
+        agent, some = find_sorted(agents, self.agent[rows])
         index = RowIndex.of_rows(agent[some], step[some], agents.size, times.size)
         return rows[some], index
 
-    def time_blocks(self, most: int = BLOCK_ROWS) -> Iterator[TimeBlock]:
-        """All rows, in blocks of consecutive times.
+    def time_blocks(self, most: int = BLOCK_ROWS) -> Iterator[tuple[IntArray, int, IntArray]]:
+        """All rows, in at least one block of consecutive times.
 
         A loop over the blocks needs memory for one block only.
 
@@ -227,21 +201,18 @@ class RowIndex:
             most: rows of a block; one time is never divided.
 
         Yields:
-            At least one block.
+            (k,) rows in order of time, then of agent; the first of the t times; (t + 1,) where in
+            the rows those of each time begin, and k.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))
-            >>> [block.rows.tolist() for block in seen.time_blocks(3)]
+            >>> [rows.tolist() for rows, _, _ in seen.time_blocks(3)]
             [[0, 3, 1], [2, 4]]
         """
         rows, begins = self.by_time
         first = 0
-        while True:
+        while first < max(self.times, 1):
             end = int(np.searchsorted(begins, begins[first] + most, side="right")) - 1
             end = min(max(end, first + 1), self.times)
-            yield TimeBlock(
-                rows[begins[first] : begins[end]], first, begins[first : end + 1] - begins[first]
-            )
-            first = end
-            if first >= self.times:
-                return
+            yield rows[begins[first] : begins[end]], first, begins[first : end + 1] - begins[first]
+            first = max(end, 1)

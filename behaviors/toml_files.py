@@ -3,30 +3,40 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from behaviors.errors import InputError
-
-MOST_BYTES: Final = 1_000_000
-"""Larger files are refused (our choice: they are some thousand bytes)."""
+from behaviors.errors import InputError, lookup
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """What a TOML file says.
 
     Raises:
-        InputError: if it is missing, too large or no TOML; the message names it.
+        InputError: if it is missing or no TOML; the message names it.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise InputError(f"{path}: found more than {MOST_BYTES} bytes, expected fewer")
-        return tomllib.loads(data.decode("utf-8"))
+        return tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a TOML file") from None
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
+    except (ValueError, RecursionError) as error:  # of what no TOML says, or too deep
         raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
+
+
+def shipped_or_path(source: str | Path, shipped: Mapping[str, Path], what: str) -> Path:
+    """The file that ships under a name; a path has a dot or a slash in it."""
+    if isinstance(source, Path) or any(mark in source for mark in "./\\"):
+        return Path(source)
+    return lookup(shipped, source.strip(), what)
+
+
+@contextmanager
+def in_file(path: Path | str) -> Iterator[None]:
+    """Name a file in the errors about what it says."""
+    try:
+        yield
+    except InputError as error:
+        said = str(error)
+        raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None

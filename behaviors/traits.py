@@ -8,18 +8,138 @@ trait when, and the number behind it. The thresholds stand first, each with its 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from behaviors.detector_inputs import (
-    FOLLOWING_MPS,
-    BoolArray,
-    DetectorInputs,
-    ShownTrait,
-    lane_changes,
-)
 from behaviors.labels import Trait
+from behaviors.row_index import RowIndex
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+FOLLOWING_MPS: Final = 5.0
+"""Above this speed a time headway says how closely a driver follows (our choice: all gaps in a
+crawling queue are short)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownTrait:
+    """A trait that an agent showed.
+
+    Attributes:
+        trait: the trait.
+        agent: index of the agent (its id where an episode is stored).
+        begin_s: from when, s.
+        end_s: until when, s.
+        value: the detector's number.
+        other: index or id of the second agent, -1 if none.
+    """
+
+    trait: Trait
+    agent: int
+    begin_s: float
+    end_s: float
+    value: float
+    other: int = -1
+
+
+class RuleEncounter(NamedTuple):
+    """A rule that applied to an agent (its index) at a time, s, and whether it was kept."""
+
+    agent: int
+    time_s: float
+    kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorInputs:
+    """Measurements of N agents, one row per agent and time (`RowIndex`).
+
+    Distances are +inf, and rows and lanes -1, where there is nothing.
+
+    Attributes:
+        row_index: the m rows: which agent, when.
+        time_s: (T,) s, evenly spaced.
+        drives: (N,) whether it is a vehicle.
+        length: (N,) m.
+        width: (N,) m.
+        speed: (m,) m/s.
+        limit: (m,) speed limit, m/s; +inf where unknown.
+        edge: (m,) index of the edge (the stretch of road in one direction).
+        lane: (m,) index of the lane.
+        offset: (m,) signed distance to the left of the lane's centre line, m.
+        lane_width: (m,) m.
+        lane_heading: (m,) heading relative to the lane's, rad.
+        leader: (m,) row of the vehicle ahead at the same time.
+        follower: (m,) row of the vehicle behind at the same time.
+        gap: (m,) bumper to bumper to the leader, m.
+        closing: (m,) own speed minus the leader's, m/s.
+        stop_distance: (m,) front bumper to the next junction, m; negative inside one.
+        stop_ahead: (m,) whether a red signal, a stop sign or a lack of priority holds there.
+        crossing_distance: (m,) front bumper to the next crossing, m.
+        crossing_used: (m,) whether a pedestrian is on that crossing or about to be.
+        off_crossing: (m,) whether a pedestrian is on the carriageway, off any crossing.
+        on_red: (m,) whether a pedestrian is on a crossing entered on red.
+        encounters: the rules that applied, kept or broken.
+    """
+
+    row_index: RowIndex
+    time_s: FloatArray
+    drives: BoolArray
+    length: FloatArray
+    width: FloatArray
+    speed: FloatArray
+    limit: FloatArray
+    edge: IntArray
+    lane: IntArray
+    offset: FloatArray
+    lane_width: FloatArray
+    lane_heading: FloatArray
+    leader: IntArray
+    follower: IntArray
+    gap: FloatArray
+    closing: FloatArray
+    stop_distance: FloatArray
+    stop_ahead: BoolArray
+    crossing_distance: FloatArray
+    crossing_used: BoolArray
+    off_crossing: BoolArray
+    on_red: BoolArray
+    encounters: tuple[RuleEncounter, ...] = ()
+
+    @property
+    def step_s(self) -> float:
+        """Time between two columns, s."""
+        return float(self.time_s[-1] - self.time_s[0]) / (self.time_s.size - 1)
+
+    @property
+    def headway(self) -> FloatArray:
+        """(m,) gap over own speed, s; +inf without leader or below ``FOLLOWING_MPS``."""
+        headway = np.full(self.gap.shape, np.inf)
+        np.divide(self.gap, self.speed, out=headway, where=self.speed > FOLLOWING_MPS)
+        return headway
+
+    @property
+    def driving(self) -> BoolArray:
+        """(m,) whether the agent is a vehicle."""
+        return self.drives[self.row_index.agent]
+
+    def when(self, row: int) -> float:
+        """The time of a row, s."""
+        return float(self.time_s[self.row_index.step[row]])
+
+
+def lane_changes(inputs: DetectorInputs) -> IntArray:
+    """(k,) the first rows of vehicles with their centre on another lane of the same edge."""
+    rows = np.flatnonzero(inputs.lane[1:] != inputs.lane[:-1]) + 1
+    changed = (inputs.edge[rows - 1] == inputs.edge[rows]) & ~inputs.row_index.begins[rows]
+    changed &= (inputs.lane[rows - 1] >= 0) & (inputs.lane[rows] >= 0) & inputs.driving[rows]
+    return np.asarray(rows[changed], dtype=np.int64)
+
 
 OVER_LIMIT: Final = 1.10
 """Over-speeding: above the limit by this factor; the usual tolerance of enforcement (National
@@ -86,15 +206,23 @@ def _stretches(
     """A shown trait for every long enough stretch of ``flags``; ``value`` gives its number."""
     shortest = max(1, round(shortest_s / inputs.step_s))
     return [
-        ShownTrait(
-            trait=trait,
-            agent=int(inputs.row_index.agent[run.start]),
-            begin_s=inputs.when(run.start),
-            end_s=inputs.when(run.stop - 1),
-            value=value(run),
-        )
+        _shown(inputs, trait, run.start, run.stop - 1, value(run))
         for run in inputs.row_index.runs(flags, shortest)
     ]
+
+
+def _shown(
+    inputs: DetectorInputs, trait: Trait, begin: int, end: int, value: float, other: int = -1
+) -> ShownTrait:
+    """A trait that the agent of two rows showed from the first until the second."""
+    agent = int(inputs.row_index.agent[begin])
+    return ShownTrait(trait, agent, inputs.when(begin), inputs.when(end), value, other)
+
+
+def _how_long(inputs: DetectorInputs) -> Callable[[slice], float]:
+    """A value function that gives a stretch's duration, s."""
+    step_s = inputs.step_s
+    return lambda at: (at.stop - at.start) * step_s
 
 
 def over_speeding(inputs: DetectorInputs) -> list[ShownTrait]:
@@ -128,23 +256,13 @@ def weaving(inputs: DetectorInputs) -> list[ShownTrait]:
     """Several lane changes in a short time; the value is how many."""
     rows = lane_changes(inputs)
     who, when_s = inputs.row_index.agent[rows], inputs.time_s[inputs.row_index.step[rows]]
-    found = []
-    for agent in np.unique(who):
-        times = when_s[who == agent]
-        first = 0
-        while first < times.size:
-            last = first
-            while last + 1 < times.size and times[last + 1] - times[last] <= WEAVING_S:
-                last += 1
-            count = last - first + 1
-            if count >= WEAVING_CHANGES:
-                found.append(
-                    ShownTrait(
-                        Trait.WEAVING, int(agent), float(times[first]), float(times[last]), count
-                    )
-                )
-            first = last + 1
-    return found
+    new = (np.diff(who, prepend=-1) != 0) | (np.diff(when_s, prepend=-np.inf) > WEAVING_S)
+    series = np.split(rows, np.flatnonzero(new)[1:])
+    return [
+        _shown(inputs, Trait.WEAVING, int(one[0]), int(one[-1]), one.size)
+        for one in series
+        if one.size >= WEAVING_CHANGES
+    ]
 
 
 def overtaking(inputs: DetectorInputs) -> list[ShownTrait]:
@@ -163,24 +281,15 @@ def overtaking(inputs: DetectorInputs) -> list[ShownTrait]:
         agent, other = int(row_index.agent[row]), int(row_index.agent[leader])
         begin = int(row_index.step[row])
         end = min(begin + ahead, inputs.time_s.size)
-        faster = row_index.over(speed, agent, begin, end, np.nan) - row_index.over(
-            speed, other, begin, end, np.nan
-        )
-        both = np.isfinite(faster)
-        faster = np.where(both, faster, 0.0)
+        own, theirs = (row_index.over(speed, a, begin, end, np.nan) for a in (agent, other))
+        both = np.isfinite(own - theirs)
+        faster = np.where(both, own - theirs, 0.0)
         to_pass = inputs.gap[row - 1] + inputs.length[agent] + inputs.length[other]
-        passed = np.flatnonzero((np.cumsum(faster) * inputs.step_s > to_pass) & both)
-        if passed.size:
-            found.append(
-                ShownTrait(
-                    trait=Trait.OVERTAKING,
-                    agent=agent,
-                    begin_s=float(inputs.time_s[begin]),
-                    end_s=float(inputs.time_s[begin + int(passed[0])]),
-                    value=float(faster[: passed[0] + 1].mean()),
-                    other=other,
-                )
-            )
+        passed = np.flatnonzero((np.cumsum(faster) * inputs.step_s > to_pass) & both)[:1]
+        for last in passed.tolist():
+            mean = float(faster[: last + 1].mean())
+            times = float(inputs.time_s[begin]), float(inputs.time_s[begin + last])
+            found.append(ShownTrait(Trait.OVERTAKING, agent, *times, mean, other))
     return found
 
 
@@ -210,16 +319,8 @@ def cutting_in(inputs: DetectorInputs) -> list[ShownTrait]:
         gap = float(inputs.gap[follower]) - gained
         speed = float(inputs.speed[follower - back])
         if speed > FOLLOWING_MPS and gap / speed < CUT_IN_HEADWAY_S:
-            found.append(
-                ShownTrait(
-                    trait=Trait.CUTTING_IN,
-                    agent=int(agent[row]),
-                    begin_s=inputs.when(row - back),
-                    end_s=inputs.when(row),
-                    value=max(gap, 0.0) / speed,
-                    other=int(agent[follower]),
-                )
-            )
+            left_s, other = max(gap, 0.0) / speed, int(agent[follower])
+            found.append(_shown(inputs, Trait.CUTTING_IN, row - back, row, left_s, other))
     return found
 
 
@@ -239,18 +340,12 @@ def jaywalking(inputs: DetectorInputs) -> list[ShownTrait]:
     return _stretches(inputs, Trait.JAYWALKING, flags, JAYWALKING_S, _how_long(inputs))
 
 
-def _how_long(inputs: DetectorInputs) -> Callable[[slice], float]:
-    """A value function that gives a stretch's duration, s."""
-    step_s = inputs.step_s
-    return lambda at: (at.stop - at.start) * step_s
-
-
 def breaking_rules(inputs: DetectorInputs) -> list[ShownTrait]:
     """Disregarding a red light, a stop line or another's priority; the value is 1."""
     return [
-        ShownTrait(Trait.BREAKING_RULES, e.agent, e.time_s, e.time_s, 1.0)
-        for e in inputs.encounters
-        if not e.kept
+        ShownTrait(Trait.BREAKING_RULES, agent, time_s, time_s, 1.0)
+        for agent, time_s, kept in inputs.encounters
+        if not kept
     ]
 
 
@@ -261,10 +356,8 @@ def following_rules(inputs: DetectorInputs) -> list[ShownTrait]:
     for agent in sorted({e.agent for e in inputs.encounters}):
         met = [e for e in inputs.encounters if e.agent == agent]
         if all(e.kept for e in met) and not fast[inputs.row_index.rows(agent)].any():
-            times = [e.time_s for e in met]
-            found.append(
-                ShownTrait(Trait.FOLLOWING_RULES, agent, min(times), max(times), float(len(met)))
-            )
+            span = min(e.time_s for e in met), max(e.time_s for e in met)
+            found.append(ShownTrait(Trait.FOLLOWING_RULES, agent, *span, float(len(met))))
     return found
 
 
@@ -299,16 +392,10 @@ def uniform_speed(inputs: DetectorInputs) -> list[ShownTrait]:
     even[first[steady]] = True
     found = []
     for run in row_index.runs(even):
-        values = inputs.speed[run.start : run.stop - 1 + steps]
-        found.append(
-            ShownTrait(
-                trait=Trait.UNIFORM_SPEED,
-                agent=int(row_index.agent[run.start]),
-                begin_s=inputs.when(run.start),
-                end_s=inputs.when(run.stop - 2 + steps),
-                value=float(values.std() / values.mean()),
-            )
-        )
+        end = run.stop - 2 + steps
+        values = inputs.speed[run.start : end + 1]
+        variation = float(values.std() / values.mean())
+        found.append(_shown(inputs, Trait.UNIFORM_SPEED, run.start, end, variation))
     return found
 
 
@@ -337,8 +424,7 @@ def slowing(inputs: DetectorInputs) -> list[ShownTrait]:
     lost = np.flatnonzero((before > FOLLOWING_MPS) & (after < SLOWING_SHARE * before)) + steps
     # without a reason all that time, and every row since continues the one before
     going_on = _no_reason(inputs)
-    unbroken = going_on & ~row_index.begins
-    so_far = np.cumsum(unbroken)
+    so_far = np.cumsum(going_on & ~row_index.begins)
     lost = lost[(so_far[lost] - so_far[lost - steps] == steps) & going_on[lost - steps]]
     flags = np.zeros(inputs.speed.size, dtype=bool)
     flags[lost] = True

@@ -20,7 +20,7 @@ from behaviors.labels import PROFILES
 from behaviors.populations import NUMBERS, Population
 from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
-from experiments.score.rows import Row
+from experiments.score.rows import Cell, Row
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
 from graphrqi.calibrate.following import RecordedDriver, Stretch, recorded_drivers
 from sim.files import new_folder
@@ -90,55 +90,42 @@ class Calibrated:
 def write_calibration(
     source: Path, out: Path, format: str | None = None, net: Path | None = None, quiet: bool = False
 ) -> Calibrated:
-    """Calibrate and write everything into a new folder.
+    """Calibrate all drivers of a dataset or of recordings, and write a new or empty folder.
 
-    Args:
-        source: a dataset, a recording or a folder of recordings.
-        out: folder: new or empty.
-        format: as in `_calibrate_recordings`.
-        net: as in `_calibrate_recordings`.
-        quiet: whether to show no progress.
+    Format and net are those of `experiments.data.exchange.as_dataset`.
 
     Raises:
         InputError: if there is nothing to calibrate or ``out`` holds anything.
         OSError: if something cannot be written.
     """
     with new_folder(out) as folder:
-        calibrated = _calibrate_recordings(source, format, net, quiet)
+        names: list[str] = []
+        drivers: list[RecordedDriver] = []
+        with as_dataset(source, format, net) as data:
+            dataset = open_dataset(data)
+            episodes = list(dataset.episodes())
+            with Progress("finding drivers", len(episodes), quiet) as shown:
+                for entry in episodes:
+                    if not entry.options.get("pixels_per_m"):
+                        found = recorded_drivers(dataset.read(entry).tracks, dataset.road(entry))
+                        drivers += found
+                        names += [str(entry.options.get("recording", entry.id))] * len(found)
+                    shown.advance(entry.agents, entry.agent_steps)
+        if not drivers:
+            raise InputError(
+                f"{source}: found no driver that follows another one for 4 s, expected some"
+            )
+        label = source.resolve().name.split(".")[0] or "recordings"
+        stretches = [driver.stretches for driver in drivers]
+        with Progress("calibrating drivers", len(Law) * ROUNDS * len(drivers), quiet) as shown:
+            laws = {law: calibrate(law, stretches, shown.advance) for law in Law}
+        calibrated = Calibrated(label, tuple(names), tuple(drivers), laws)
         pq.write_table(_drivers_table(calibrated), folder / "drivers.parquet")
-        for law in Law:
-            text = calibrated.population(law).to_toml()
-            (folder / f"population_{law}.toml").write_text(text)
-        best = calibrated.population(calibrated.better)
-        (folder / "population.toml").write_text(best.to_toml())
+        populations = {f"population_{law}": calibrated.population(law) for law in Law}
+        populations["population"] = calibrated.population(calibrated.better)
+        for name, population in populations.items():
+            (folder / f"{name}.toml").write_text(population.to_toml())
     return calibrated
-
-
-def _calibrate_recordings(
-    source: Path, format: str | None = None, net: Path | None = None, quiet: bool = True
-) -> Calibrated:
-    """Calibrate all drivers of a dataset, a recording or a folder of recordings."""
-    names: list[str] = []
-    drivers: list[RecordedDriver] = []
-    with as_dataset(source, format, net) as folder:
-        dataset = open_dataset(folder)
-        episodes = list(dataset.episodes())
-        with Progress("finding drivers", len(episodes), quiet) as shown:
-            for entry in episodes:
-                if not entry.options.get("pixels_per_m"):
-                    found = recorded_drivers(dataset.read(entry).tracks, dataset.road(entry))
-                    drivers += found
-                    names += [str(entry.options.get("recording", entry.id))] * len(found)
-                shown.advance(entry.agents, entry.agent_steps)
-    if not drivers:
-        raise InputError(
-            f"{source}: found no driver that follows another one for 4 s, expected some"
-        )
-    label = source.resolve().name.split(".")[0] or "recordings"
-    stretches = [driver.stretches for driver in drivers]
-    with Progress("calibrating drivers", len(Law) * ROUNDS * len(drivers), quiet) as shown:
-        laws = {law: calibrate(law, stretches, shown.advance) for law in Law}
-    return Calibrated(label, tuple(names), tuple(drivers), laws)
 
 
 def _drivers_table(calibrated: Calibrated) -> pa.Table:
@@ -149,9 +136,10 @@ def _drivers_table(calibrated: Calibrated) -> pa.Table:
         margin = NORMAL_90 * fitted.deviation
         each = {
             "recording": calibrated.recording,
-            "agent": [driver.agent for driver in calibrated.drivers],
-            "name": [driver.name for driver in calibrated.drivers],
-            "seconds": [driver.seconds for driver in calibrated.drivers],
+            **{
+                name: [getattr(driver, name) for driver in calibrated.drivers]
+                for name in ("agent", "name", "seconds")
+            },
             "law": [str(law)] * count,
             "error_m": fitted.error_m,
         }
@@ -195,6 +183,13 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
     return rows
 
 
+def _longest_following(driver: RecordedDriver) -> Stretch | None:
+    """A driver's longest stretch behind one leader, if it is long enough to be halved."""
+    behind = [one for one in driver.stretches if np.isfinite(one.leader[0])]
+    longest = max(behind, key=lambda one: one.seconds, default=None)
+    return longest if longest is not None and longest.seconds >= 2.0 * LEAST_HALF_S else None
+
+
 def quantile_rows(population: Population) -> list[Row]:
     """The quantiles of a population at which the median driver of each behaviour lies.
 
@@ -206,22 +201,15 @@ def quantile_rows(population: Population) -> list[Row]:
         >>> rows[0]["number"], rows[0]["timid"]
         ('time_headway_s', 1.0)
     """
-    return [
-        {
-            "number": number,
-            "median": float(population.median[NUMBERS.index(number)]),
-            "log_spread": float(population.log_spread[NUMBERS.index(number)]),
-            **{
-                str(behavior): round(population.quantile(number, getattr(profile, number)), 3)
-                for behavior, profile in PROFILES.items()
-            },
-        }
-        for number in NUMBERS[1:]
-    ]
+    from scipy.stats import norm
 
-
-def _longest_following(driver: RecordedDriver) -> Stretch | None:
-    """A driver's longest stretch behind one leader, if it is long enough to be halved."""
-    behind = [one for one in driver.stretches if np.isfinite(one.leader[0])]
-    longest = max(behind, key=lambda one: one.seconds, default=None)
-    return longest if longest is not None and longest.seconds >= 2.0 * LEAST_HALF_S else None
+    rows: list[Row] = []
+    for number, median, spread in zip(
+        NUMBERS[1:], population.median[1:].tolist(), population.log_spread[1:].tolist(), strict=True
+    ):
+        row: dict[str, Cell] = {"number": number, "median": median, "log_spread": spread}
+        for behavior, profile in PROFILES.items():
+            z = np.log(getattr(profile, number) / median) / max(spread, 1e-12)
+            row[str(behavior)] = round(float(norm.cdf(z)), 3)
+        rows.append(row)
+    return rows

@@ -9,17 +9,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from experiments.console.exit_codes import exit_on_user_error
-from experiments.console.notices import show_notices
-from experiments.console.tables import show_table, write_rows
+from experiments.console.notices import exit_on_user_error, show_notices
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.report.findings import findings
 from experiments.report.page import read_source, write_report
 from experiments.score.answers import scores_table
 from experiments.score.labels import answer_episodes, scored_answers
-from experiments.score.predict import errors_table, predict_dataset
-from experiments.score.rows import Row, dataset_id, stamped
+from experiments.score.predictions import errors_table, predict_dataset
+from experiments.score.rows import Row, dataset_id, show_table, stamped, write_rows
 from experiments.training.classifier import train_model
 from graphrqi.model_files import save_model
 from sim.store.dataset import open_dataset
@@ -44,22 +42,12 @@ def run_demo(
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
-    """Run the whole loop.
+    """Run the whole loop into a folder, and return all figures, as in its ``rows.json``.
 
-    Every episode has a seed of its own. Methods learn from training episodes, are stopped and
-    calibrated on validation episodes, and are scored on test episodes by their last answers.
-    Predictors are given the classifier's beliefs, never the truth.
-
-    Args:
-        out: the run's folder; what is there already and fits is kept.
-        seed: same seed, same numbers.
-        episodes: per scenario, at least 3.
-        duration_s: of each episode, s.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
-
-    Returns:
-        All figures, as in ``rows.json``.
+    Methods learn from training episodes, are stopped and calibrated on validation episodes, and are
+    scored on test episodes by their last answers. Predictors are given the classifier's beliefs,
+    never the truth. What is in the folder already and fits is kept; there are at least 3 episodes
+    of each scenario.
     """
     data = out / "data"
     config = GenerateConfig(

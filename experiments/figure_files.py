@@ -27,11 +27,7 @@ STYLE: Final[dict[Any, Any]] = {"pdf.fonttype": 42, "svg.hashsalt": "graphrqi"}
 
 
 def check_figure_file(path: Path, option: str) -> None:
-    """Refuse a file whose name says no format of figures, or that has no folder.
-
-    Args:
-        path: the file to be.
-        option: the option that named it, for the message.
+    """Refuse an option's file whose name says no format of figures, or that has no folder.
 
     Raises:
         InputError: if so.
@@ -43,16 +39,7 @@ def check_figure_file(path: Path, option: str) -> None:
 
 
 def figure_bytes(figure: Figure, ending: str, dpi: int = 110) -> bytes:
-    """Content of a figure's file.
-
-    Args:
-        figure: what to write.
-        ending: ``.pdf``, ``.png`` or ``.svg``.
-        dpi: pixels per inch of a PNG.
-
-    Returns:
-        The bytes.
-    """
+    """Content of a figure's file with such an ending; ``dpi`` are pixels per inch of a PNG."""
     from matplotlib import rc_context
 
     out = io.BytesIO()
@@ -62,14 +49,5 @@ def figure_bytes(figure: Figure, ending: str, dpi: int = 110) -> bytes:
 
 
 def write_figure(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write a figure; the ending of the file's name says how.
-
-    Args:
-        figure: what to write.
-        path: the file; it appears complete or not at all.
-        dpi: pixels per inch of a PNG.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Write a figure as the file's ending says; the file appears complete or not at all."""
     write_whole(path, figure_bytes(figure, path.suffix.lower(), dpi))

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import IO, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from experiments.console.notices import LOGGER
 
@@ -60,19 +60,17 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
             handed on.
         arguments: of the function; they are pickled, as is each answer.
 
-    Yields:
-        The function's answers, one at a time.
-
     Raises:
         InputError: the function's own, or one line that names the file and says what happened.
     """
-    from behaviors.errors import InputError
+    from behaviors.errors import InputError  # which imports numpy
 
     if not is_guarding():
         yield from (one for one in function(*arguments) if not isinstance(one, Path))
         return
-    size = _size(source)
-    memory, time_s = MEMORY_BYTES + MEMORY_PER_BYTE * size, TIME_S + TIME_S_PER_BYTE * size
+    files = source.rglob("*") if source.is_dir() else [source]
+    size = sum(file.stat().st_size for file in files if file.is_file())
+    time_s, file, late = TIME_S + TIME_S_PER_BYTE * size, source, threading.Event()
     child = subprocess.Popen(
         [sys.executable, "-c", "from experiments.guard import child; child()"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
@@ -80,13 +78,29 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
     )  # fmt: skip
     assert child.stdin is not None
     assert child.stdout is not None
-    file = source
+
+    def stop() -> None:
+        late.set()
+        child.kill()
+
     try:
         with child.stdin as request:
-            pickle.dump(memory, request)
+            pickle.dump(MEMORY_BYTES + MEMORY_PER_BYTE * size, request)
             pickle.dump((function, arguments), request)
         while True:
-            what, found = _answer(child, child.stdout, time_s, file)
+            timer = threading.Timer(time_s, stop)
+            timer.start()
+            try:
+                what, found = pickle.load(child.stdout)
+            except (EOFError, pickle.UnpicklingError):
+                number = -child.wait()
+                ended = signal.Signals(number).name if number > 0 else f"exit code {-number}"
+                why = f"took more than {time_s:.0f} s" if late.is_set() else f"broke off ({ended})"
+                raise InputError(
+                    f"{file}: reading {why}, expected a file that can be read"
+                ) from None
+            finally:
+                timer.cancel()
             if what == "end":
                 return
             if what == "file":
@@ -106,57 +120,13 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
 
 
 def guarded_call(source: Path, function: Callable[..., T], *arguments: Any) -> T:
-    """Result of a function that runs as in `guarded`.
-
-    Args:
-        source: the file that the function reads.
-        function: of a module.
-        arguments: of the function.
-
-    Raises:
-        InputError: as `guarded`.
-    """
+    """Result of a function that reads a file, run as in `guarded`."""
     found: list[T] = list(guarded(source, _once, function, *arguments))
     return found[0]
 
 
 def _once(function: Callable[..., T], *arguments: Any) -> Iterator[T]:
     yield function(*arguments)
-
-
-def _size(source: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
-    files = source.rglob("*") if source.is_dir() else [source]
-    return sum(file.stat().st_size for file in files if file.is_file())
-
-
-def _answer(
-    child: subprocess.Popen[bytes], stream: IO[bytes], time_s: float, file: Path
-) -> tuple[str, Any]:
-    """The child's next answer; a child that dies or takes too long is an error."""
-    from behaviors.errors import InputError
-
-    late = threading.Event()
-
-    def stop() -> None:
-        late.set()
-        child.kill()
-
-    timer = threading.Timer(time_s, stop)
-    timer.start()
-    try:
-        answer: tuple[str, Any] = pickle.load(stream)
-    except (EOFError, pickle.UnpicklingError):
-        if late.is_set():
-            why = f"reading took more than {time_s:.0f} s"
-        else:
-            number = -child.wait()
-            ended = signal.Signals(number).name if number > 0 else f"exit code {-number}"
-            why = f"reading broke off ({ended})"
-        raise InputError(f"{file}: {why}, expected a file that can be read") from None
-    finally:
-        timer.cancel()
-    return answer
 
 
 def child() -> None:

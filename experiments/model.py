@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import graphrqi.predict
-from experiments.console.exit_codes import exit_on_user_error
-from experiments.console.notices import show_notices
+from experiments.console.notices import exit_on_user_error, show_notices
 from experiments.demo import BEST_METHOD, SCENARIOS
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.configuration import GenerateConfig

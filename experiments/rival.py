@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.detector_inputs import lane_changes
 from behaviors.labels import BEHAVIORS
+from behaviors.traits import lane_changes
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from graphrqi.samples import Samples
@@ -42,10 +42,6 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
 
     Speeds and accelerations are differences of positions over half a second. Leaders and lanes are
     those of the map; without one, leaders are found by position and lane changes are unknown.
-
-    Args:
-        tracks: an episode or a recording.
-        road: its map; None for none.
     """
     found = np.full((tracks.ids.size, len(NAMES)), np.nan)
     gap = _gaps(tracks) if road is None else np.full(tracks.valid.shape, np.inf)
@@ -53,8 +49,7 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
     if road is not None and tracks.time_s.size > 1:
         index, seen = tracks.rows.index, observe(tracks, road)
         gap[index.agent, index.step] = seen.gap
-        changed = lane_changes(detector_inputs(tracks, road, seen))
-        agent = index.agent[changed]
+        agent = index.agent[lane_changes(detector_inputs(tracks, road, seen))]
         changes = np.bincount(agent, minlength=tracks.ids.size).astype(np.float64)
     half = max(1, round(0.25 / tracks.step_s)) if tracks.time_s.size > 1 else 1
     for row in range(tracks.ids.size):
@@ -62,12 +57,8 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
         xy, time_s = tracks.xy[row, here], tracks.time_s[here]
         if time_s.size < 4 * half + 2:
             continue
-        span = time_s[2 * half :] - time_s[: -2 * half]
-        speed = np.hypot(*(xy[2 * half :] - xy[: -2 * half]).T) / span
-        middle = time_s[half:-half]
-        accel = (speed[2 * half :] - speed[: -2 * half]) / (
-            middle[2 * half :] - middle[: -2 * half]
-        )
+        speed = np.hypot(*_over(xy, half).T) / _over(time_s, half)
+        accel = _over(speed, half) / _over(time_s[half:-half], half)
         followed = gap[row, here][half:-half]
         followed = np.where(np.isfinite(followed), np.maximum(followed, 0.0), np.nan)
         headway = np.where(speed > LEAST_SPEED_MPS, followed / np.maximum(speed, 1e-9), np.nan)
@@ -78,6 +69,11 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
                 found[row, column : column + 2] = known.min(), np.median(known)
         found[row, 8] = changes[row] / max(speed.mean() * (time_s[-1] - time_s[0]), 50.0) * 1e3
     return found
+
+
+def _over(values: FloatArray, half: int) -> FloatArray:
+    """Differences over twice so many steps."""
+    return np.asarray(values[2 * half :] - values[: -2 * half])
 
 
 def _gaps(tracks: Tracks) -> FloatArray:
@@ -121,15 +117,9 @@ def whole_track_samples(
 
 
 def whole_tracks(dataset: Dataset, split: Split | None = None, jobs: int | None = None) -> Samples:
-    """The nine numbers of every labelled driver of a split (None: of all episodes).
+    """The nine numbers of every labelled driver of a split (None: of all episodes), a sample each.
 
-    Args:
-        dataset: where from.
-        split: which part.
-        jobs: processes; None for one per core.
-
-    Returns:
-        One sample per driver; episodes are numbered as in the dataset.
+    Episodes are numbered as in the dataset.
     """
     number = {entry.id: i for i, entry in enumerate(dataset.manifest.episodes)}
     arguments = [(dataset.path, entry, number[entry.id]) for entry in dataset.episodes(split)]

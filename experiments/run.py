@@ -29,6 +29,13 @@ if TYPE_CHECKING:
 COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 """The predictors that a run compares."""
 
+SHOWN: Final = (
+    "agents", "mean_speed_mps", "collisions", "drivers", "weighted_accuracy",
+    "majority_weighted_accuracy", "balanced_accuracy", "style_balanced_accuracy", "answered_share",
+    "domain", "recall", "ade_m", "fde_m", "simulated_s", "real_time_factor", "ms_per_frame",
+)  # fmt: skip
+"""Figures of the table for people."""
+
 
 def run_scenario(
     config: GenerateConfig,
@@ -109,17 +116,13 @@ def _last_answers(
     latest: Mapping[int, tuple[Posterior, int]], truth: Mapping[int, Behavior | None]
 ) -> Answers:
     """The last answer about every driver: its row of a posterior."""
-    classes = next((posterior.classes for posterior, _ in latest.values()), BEHAVIORS)
-    code = [classes.index(b) if (b := truth[agent]) in classes else -1 for agent in latest]
     found = list(latest.values())
-    answers = Answers.known(
-        np.array([p.probability[row] for p, row in found]).reshape(-1, len(classes)),
-        np.array(code, dtype=np.int64),
-        np.zeros(len(found), dtype=np.int64),
-        classes,
-    )
+    classes = found[0][0].classes if found else BEHAVIORS
+    code = [classes.index(b) if (b := truth[agent]) in classes else -1 for agent in latest]
+    probability = np.array([p.probability[row] for p, row in found]).reshape(-1, len(classes))
+    none = np.zeros(len(found), dtype=np.int64)
     return dataclasses.replace(
-        answers,
+        Answers.known(probability, np.array(code, dtype=np.int64), none, classes),
         answered=np.array([p.labelled[row] for p, row in found], dtype=bool),
         domain=np.array([p.domain for p, _ in found], dtype=np.float64),
     )
@@ -141,39 +144,24 @@ def _frames(
     yield from dataset.read(dataset.episodes()[0]).tracks.frames()
 
 
-SHOWN: Final = (
-    "agents", "mean_speed_mps", "collisions", "drivers", "weighted_accuracy",
-    "majority_weighted_accuracy", "balanced_accuracy", "style_balanced_accuracy", "answered_share",
-    "domain", "recall", "ade_m", "fde_m", "simulated_s", "real_time_factor", "ms_per_frame",
-)  # fmt: skip
-"""Figures of the table for people."""
-
-
 def shown(rows: Sequence[Row]) -> list[Row]:
     """The main figures from `run_scenario` for people: a line with what, and how much, for each."""
     lines: list[Row] = []
     for row in rows:
         predicted = "predictor" in row
-        if row["metric"] not in SHOWN or predicted != (row["metric"] in ("ade_m", "fde_m")):
-            continue
-        if predicted and row["behavior"] != "all":
-            continue
-        ahead = f"{row['horizon_s']:g} s" if predicted else None
-        named = [row.get(key) for key in ("predictor", "behavior") if row.get(key) != "all"]
-        words = [word for word in (*named, row["metric"], ahead) if word is not None]
-        lines.append({"what": " ".join(map(str, words)), "value": row["value"]})
+        wanted = row["metric"] in SHOWN and predicted == (row["metric"] in ("ade_m", "fde_m"))
+        if wanted and not (predicted and row["behavior"] != "all"):
+            named = [row.get(key) for key in ("predictor", "behavior") if row.get(key) != "all"]
+            ahead = f"{row['horizon_s']:g} s" if predicted else None
+            words = [word for word in (*named, row["metric"], ahead) if word is not None]
+            lines.append({"what": " ".join(map(str, words)), "value": row["value"]})
     return lines
 
 
 def read_window(text: str | None) -> Window | None:
     """A window as an option says it; None where it says nothing.
 
-    Args:
-        text: an agent's id, with an optional distance, m (``17:80``), or an area's bounds, m
-            (``0,0,100,50``).
-
-    Returns:
-        The window.
+    The text is an agent's id, with an optional distance, m, or an area's bounds, m.
 
     Raises:
         InputError: if it is neither, or nothing can be in the window.

@@ -13,11 +13,11 @@ from typing import Final
 import numpy as np
 import pyarrow.compute as pc
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
+from behaviors.traits import ShownTrait
 from experiments.score.metrics import bootstrap, ratio
-from experiments.score.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from sim.episode.annotate import annotated_parts
 from sim.formats import FORMATS
 from sim.frames import KINDS, PEDESTRIAN, Event, EventKind, FloatArray, IntArray, Tracks
@@ -37,20 +37,21 @@ FOLLOWS_S, MOVES_MPS = 5.0, 3.0
 RATES: Final = {"_per_km": "km", "_per_h": "hours"}
 """Denominator of counts, by the end of the metric's name."""
 
-Groups = Callable[[Dataset, Episode], Sequence[str]]
+_BASES: Final = ("drivers", "km", "hours", "headway", "follows", "close")
+"""Sums that are no counts of what happened."""
 
 
-def _behaviors(dataset: Dataset, episode: Episode) -> Sequence[str]:
+def _behaviors(episode: Episode) -> Sequence[str]:
     codes, classes = episode.tracks.behavior, episode.tracks.classes
     if codes is None:
         return ["unknown"] * episode.tracks.ids.size
     return [str(classes[code]) if code >= 0 else "unknown" for code in codes.tolist()]
 
 
-BY: Final[dict[str, Groups]] = {
+BY: Final[dict[str, Callable[[Episode], Sequence[str]]]] = {
     "behavior": _behaviors,
-    "kind": lambda dataset, episode: [KINDS[code] for code in episode.tracks.kind.tolist()],
-    "scenario": lambda dataset, episode: [episode.entry.scenario] * episode.tracks.ids.size,
+    "kind": lambda episode: [KINDS[code] for code in episode.tracks.kind.tolist()],
+    "scenario": lambda episode: [episode.entry.scenario] * episode.tracks.ids.size,
 }
 """By what drivers are grouped: from an episode to the group of each agent."""
 
@@ -72,58 +73,44 @@ def summary(dataset: Dataset, by: str | None = None) -> list[Row]:
         InputError: if ``by`` is not known, or an episode cannot be read.
     """
     groups = None if by is None else lookup(BY, by, "--by")
-    found: dict[str, dict[str, FloatArray]] = defaultdict(lambda: defaultdict(_none(dataset)))
+    found: dict[str, dict[str, FloatArray]] = defaultdict(
+        lambda: defaultdict(lambda: np.zeros(len(dataset)))
+    )
     for number, entry in enumerate(dataset.manifest.episodes):
         episode = dataset.read(entry)
-        tracks = episode.tracks
-        drives = tracks.kind != PEDESTRIAN
-        named = ["all"] * tracks.ids.size if groups is None else groups(dataset, episode)
-        wanted = by == "kind"
-        members = {
-            name: np.array([one == name for one in named]) & (drives | wanted)
-            for name in dict.fromkeys(named)
-        }
+        counts = (episode.tracks.kind != PEDESTRIAN) | (by == "kind")
+        named = np.array(groups(episode) if groups else ["all"] * counts.size, dtype=object)
         for metric, amount in _amounts(dataset, episode):
-            for name, inside in members.items():
-                if inside.any():
-                    found[name][metric][number] += float(amount[inside].sum())
-    rows: list[Row] = []
-    for name, sums in sorted(found.items(), key=lambda item: _order(item[0])):
-        keys: dict[str, Cell] = {} if by is None else {by: name}
-        rows += _rows(keys, sums)
-    return rows
-
-
-def _order(group: str) -> tuple[int, str]:
-    """Behaviours and kinds in their own order, then other names."""
+            for name in dict.fromkeys(named[counts].tolist()):
+                found[name][metric][number] += float(amount[counts & (named == name)].sum())
     known = (*BEHAVIORS, *KINDS)
-    return (known.index(group) if group in known else len(known)), group
-
-
-def _none(dataset: Dataset) -> Callable[[], FloatArray]:
-    return lambda: np.zeros(len(dataset))
+    order = {str(word): place for place, word in enumerate(known)}
+    return [
+        row
+        for name in sorted(found, key=lambda name: (order.get(name, len(known)), name))
+        for row in _rows({} if by is None else {by: name}, found[name])
+    ]
 
 
 def _rows(keys: dict[str, Cell], sums: dict[str, FloatArray]) -> Iterator[Row]:
     """The figures of one group from what was summed in each episode."""
     many = int((sums["drivers"] > 0).sum())
-    for name in ("drivers", "km", "hours"):
+    for name in _BASES[:3]:
         yield tidy_row(keys, name, float(sums[name].sum()), n=many)
-
-    def share(metric: str, top: FloatArray, below: FloatArray) -> Row:
-        seen = below > 0
-        some = np.stack([top, below], axis=1)[seen]
-        if not seen.any():
-            return tidy_row(keys, metric, None, n=0)
-        return tidy_row(keys, metric, *bootstrap(ratio, some), n=int(seen.sum()))
-
-    yield share("speed_mean_mps", 1000.0 * sums["km"], 3600.0 * sums["hours"])
+    shares = {"speed_mean_mps": (1000.0 * sums["km"], 3600.0 * sums["hours"])}
     if "follows" in sums:
-        yield share("headway_mean_s", sums["headway"], sums["follows"])
-        yield share("headway_close_share", sums["close"], sums["follows"])
-    for metric in sorted(sums.keys() - {"drivers", "km", "hours", "headway", "follows", "close"}):
+        shares["headway_mean_s"] = sums["headway"], sums["follows"]
+        shares["headway_close_share"] = sums["close"], sums["follows"]
+    for metric in sorted(sums.keys() - set(_BASES)):
         for end, base in RATES.items():
-            yield share(metric + end, sums[metric], sums[base])
+            shares[metric + end] = sums[metric], sums[base]
+    for metric, (top, below) in shares.items():
+        seen = below > 0
+        if not seen.any():
+            yield tidy_row(keys, metric, None, n=0)
+            continue
+        found = bootstrap(ratio, np.stack([top, below], axis=1)[seen])
+        yield tidy_row(keys, metric, *found, n=int(seen.sum()))
 
 
 def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArray]]:
@@ -156,12 +143,12 @@ def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArr
     yield from _counts(tracks.ids, events, shown)
 
 
-Gaps = tuple[IntArray, FloatArray, FloatArray]
+_Gaps = tuple[IntArray, FloatArray, FloatArray]
 
 
-def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait], list[Gaps]]:
+def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait], list[_Gaps]]:
     """Events, shown traits, and (ids, speeds, gaps) of the parts of a recording."""
-    events, shown, gaps = list[Event](), list[ShownTrait](), list[Gaps]()
+    events, shown, gaps = list[Event](), list[ShownTrait](), list[_Gaps]()
     for part, found in annotated_parts(tracks, road):
         events += found.events
         shown += found.shown_traits
@@ -171,7 +158,7 @@ def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait
     return events, shown, gaps
 
 
-def _headways(ids: IntArray, gaps: Sequence[Gaps]) -> Iterator[tuple[str, FloatArray]]:
+def _headways(ids: IntArray, gaps: Sequence[_Gaps]) -> Iterator[tuple[str, FloatArray]]:
     """Sums of the headways of each agent that follows another one, and of how many are close."""
     total = np.zeros((3, ids.size))
     for agents, speed, gap in gaps:
@@ -218,17 +205,20 @@ def table(rows: Sequence[Row], by: str | None) -> list[dict[str, Cell]]:
 
     Rates per hour are left out, and figures that are 0 in every group.
     """
-    groups = dict.fromkeys("all" if by is None else str(row[by]) for row in rows)
-    lines: dict[str, dict[str, Cell]] = {}
-    for row in rows:
-        metric, value, low = str(row["metric"]), row["value"], row["low"]
-        if metric.endswith("_per_h") or not value:
-            continue
-        text = f"{value:.3g}" if low is None else f"{value:.3g} [{low:.3g}, {row['high']:.3g}]"
-        line = lines.setdefault(
-            metric, {"figure": metric.replace("_", " "), **dict.fromkeys(groups, "0")}
-        )
-        line["all" if by is None else str(row[by])] = text
+
+    def group(row: Row) -> str:
+        return "all" if by is None else str(row[by])
+
+    def cell(row: Row) -> str:
+        if row["low"] is None or not row["value"]:
+            return f"{row['value'] or 0.0:.3g}"
+        return f"{row['value']:.3g} [{row['low']:.3g}, {row['high']:.3g}]"
+
+    shown = [row for row in rows if not str(row["metric"]).endswith("_per_h")]
+    some = {row["metric"] for row in shown if row["value"]}
     kinds = ("near", "severe", "collisions", "conflicts", "event", "trait")
     order = {kind: place for place, kind in enumerate(kinds)}
-    return [lines[m] for m in sorted(lines, key=lambda m: order.get(m.split("_")[0], -1))]
+    shown = [row for row in shown if row["metric"] in some]
+    shown.sort(key=lambda row: order.get(str(row["metric"]).split("_")[0], -1))
+    lines = pivoted(shown, ["metric"], group, cell)
+    return [{"figure": str(line.pop("metric")).replace("_", " "), **line} for line in lines]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, read_behaviors, tables_of
-from graphrqi.classify import CLASSIFIERS, Classifier
+from graphrqi.classify import CLASSIFIERS
 from graphrqi.classify.contract import part_of
-from graphrqi.methods import METHODS, Method, Model
+from graphrqi.methods import METHODS, Model
 from graphrqi.networks.weights import load_weights, save_weights
 from graphrqi.places.adaptation import Adaptation
 from graphrqi.places.other_traffic import FEATURES, OtherTraffic
@@ -31,11 +31,6 @@ KIND: Final = "classifier"
 
 _CLASSIFIER, _OTHER = "classifier", "other"
 """Parts of the arrays: the classifier's, and those of the networks for other traffic."""
-
-_OTHER_VERSION: Final = (
-    "found those of another version, expected this version's; train the model again"
-)
-
 
 _ABOUT: Final[dict[str, type | tuple[type, ...]]] = {
     "method": str, "solver": str, "classes": list, "features": list, "shares": list, "card": dict,
@@ -102,66 +97,43 @@ def load_model(name_or_folder: str | Path) -> Model:
         'graphrqi-plus'
     """
     path = _model_folder(name_or_folder) / FILE
-    found, arrays = load_weights(path, KIND)
+    about, arrays = load_weights(path, KIND)
     try:
-        _check_header(found)
-        method = METHODS[found["method"]]
-        _ = SOLVERS[found["solver"]]  # refuses an unknown name
-        names = method.observer(found["solver"]).feature_names
-        if found["features"] != list(names):
-            raise InputError(f"features: {_OTHER_VERSION}")
-        classes = (*BEHAVIORS, *read_behaviors(found.get("behaviors")))
-        learned = _restored(method, part_of(arrays, _CLASSIFIER), len(names), len(classes))
-        other = adaptation = None
-        if found["network_features"] is not None:
-            other = OtherTraffic.restored(part_of(arrays, _OTHER))
-        if found["adaptation"] is not None:
-            adaptation = Adaptation(**found["adaptation"])
-    except TypeError:
-        raise InputError(f"{path}: adaptation: found no scale and offset, expected them") from None
+        return _restored(about, arrays)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    shares = tuple(found["shares"])
-    return Model(
-        method, found["solver"], learned, shares, found["card"], other, adaptation, classes
-    )
+    except (LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(f"{path}: found {reason}, expected a trained model") from None
 
 
-def _check_header(about: dict[str, Any]) -> None:
-    """Refuse a header that is not of this version's models.
-
-    Raises:
-        InputError: naming the field.
-    """
+def _restored(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Model:
+    """A model from its header and arrays; an error without the file's name where it is none."""
     for name, kind in _ABOUT.items():
         if not isinstance(about.get(name, ...), kind):
             raise InputError(f"{name}: found {about.get(name)!r:.60}, expected another type")
-    classes = [*map(str, BEHAVIORS), *about.get("behaviors", {})]
-    if about["classes"] != classes:
-        raise InputError(f"classes: found {about['classes']}, expected {classes}")
+    classes = (*BEHAVIORS, *read_behaviors(about.get("behaviors")))
+    if about["classes"] != [str(behavior) for behavior in classes]:
+        raise InputError(f"classes: found {about['classes']}, expected {[*map(str, classes)]}")
     shares = about["shares"]
     numbers = len(shares) == len(classes) and all(isinstance(each, float) for each in shares)
     if not numbers or min(shares) < 0.0 or not math.isclose(sum(shares), 1.0, abs_tol=1e-6):
         raise InputError(f"shares: found {shares}, expected {len(classes)} that sum to 1")
-    if about["network_features"] not in (None, list(FEATURES)):
-        raise InputError(f"network_features: {_OTHER_VERSION}")
-
-
-def _restored(
-    method: Method, arrays: dict[str, NDArray[Any]], features: int, classes: int
-) -> Classifier:
-    """A method's classifier."""
-    classifier = CLASSIFIERS[method.classifier](classes, **method.options)
-    try:
-        classifier.restore(arrays, features)
-    except InputError:
-        raise
-    except (LookupError, RuntimeError, TypeError, ValueError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(
-            f"found weights that do not load ({reason}), expected those of {method.name}"
-        ) from None
-    return classifier
+    method, solver = METHODS[about["method"]], about["solver"]
+    _ = SOLVERS[solver]  # refuses an unknown name
+    names = list(method.observer(solver).feature_names)
+    if about["features"] != names or about["network_features"] not in (None, list(FEATURES)):
+        raise InputError("features: found those of another version; train the model again")
+    classifier = CLASSIFIERS[method.classifier](len(classes), **method.options)
+    classifier.restore(part_of(arrays, _CLASSIFIER), len(names))
+    other = adaptation = None
+    if about["network_features"] is not None:
+        other = OtherTraffic.restored(part_of(arrays, _OTHER))
+    if about["adaptation"] is not None:
+        adaptation = Adaptation(**about["adaptation"])
+    return Model(
+        method, solver, classifier, tuple(shares), about["card"], other, adaptation, classes
+    )
 
 
 def _model_folder(name_or_folder: str | Path) -> Path:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
+from behaviors.row_index import find_sorted
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,8 +27,8 @@ _COMPUTED: Final = np.empty(0)
 
 
 def aggressive_share(
-    probability: NDArray[np.float64], classes: Sequence[Behavior] = BEHAVIORS
-) -> NDArray[np.float64]:
+    probability: FloatArray, classes: Sequence[Behavior] = BEHAVIORS
+) -> FloatArray:
     """(...) probability of the aggressive style, from those of the behaviours (..., k).
 
     Examples:
@@ -38,9 +39,7 @@ def aggressive_share(
     return np.asarray(probability[..., aggressive].sum(axis=-1))
 
 
-def of_the_six(
-    probability: NDArray[np.float64], classes: Sequence[Behavior]
-) -> NDArray[np.float64]:
+def of_the_six(probability: FloatArray, classes: Sequence[Behavior]) -> FloatArray:
     """(n, 6) probabilities of the six; one of one's own counts for that which it is like.
 
     Args:
@@ -75,10 +74,10 @@ class Posterior:
         (array([0.2]), (<Behavior.RECKLESS: 'reckless'>,))
     """
 
-    ids: NDArray[np.int64]
-    probability: NDArray[np.float64]
+    ids: IntArray
+    probability: FloatArray
     domain: float = 0.0
-    unknown: NDArray[np.float64] = field(default_factory=lambda: _COMPUTED)
+    unknown: FloatArray = field(default_factory=lambda: _COMPUTED)
     classes: tuple[Behavior, ...] = BEHAVIORS
 
     def __post_init__(self) -> None:
@@ -117,19 +116,18 @@ class Posterior:
             )
         if not 0.0 <= self.domain <= 1.0:
             raise InputError(f"Posterior.domain: found {self.domain}, expected 0 to 1")
-        arrays = (("ids", ids), ("probability", probability), ("unknown", unknown))
-        for name, array in arrays:
+        for name, array in (("ids", ids), ("probability", probability), ("unknown", unknown)):
             view = array.view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
 
     @property
-    def most_likely(self) -> NDArray[np.int64]:
+    def most_likely(self) -> IntArray:
         """(n,) code of each agent's most likely behaviour."""
         return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
 
     @property
-    def labelled(self) -> NDArray[np.bool_]:
+    def labelled(self) -> BoolArray:
         """(n,) whether a driver gets a label: its style reaches `LABEL_PROBABILITY`."""
         return np.asarray(self.unknown <= 2.0 * (1.0 - LABEL_PROBABILITY) + 1e-9)
 
@@ -143,26 +141,22 @@ class Posterior:
             )
         )
 
-    def discounted(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
+    def discounted(self, ids: IntArray) -> FloatArray:
         """(m, 6) probabilities of the given agents, discounted by their reliability.
 
         Distance of the traffic from training, and unknown style, move them towards equal
         probabilities. Agents without an answer get equal probabilities.
         """
-        out = self.of(ids)
-        if self.ids.size and self.domain > 0.0:
-            at = np.clip(np.searchsorted(self.ids, ids), 0, self.ids.size - 1)
-            doubt = self.domain * np.where(self.ids[at] == ids, self.unknown[at], 1.0)[:, None]
-            out = (1.0 - doubt) * out + doubt / len(BEHAVIORS)
-        return out
+        row, known = find_sorted(self.ids, ids)
+        doubt = np.full(ids.size, self.domain)
+        doubt[known] *= self.unknown[row[known]]
+        return (1.0 - doubt)[:, None] * self.of(ids) + doubt[:, None] / len(BEHAVIORS)
 
-    def of(self, ids: NDArray[np.int64]) -> NDArray[np.float64]:
+    def of(self, ids: IntArray) -> FloatArray:
         """(m, 6) probabilities of the six for the given agents; uniform without an answer."""
         out = np.full((ids.size, len(BEHAVIORS)), 1.0 / len(BEHAVIORS))
-        if self.ids.size:
-            at = np.clip(np.searchsorted(self.ids, ids), 0, self.ids.size - 1)
-            known = self.ids[at] == ids
-            out[known] = of_the_six(self.probability[at[known]], self.classes)
+        row, known = find_sorted(self.ids, ids)
+        out[known] = of_the_six(self.probability[row[known]], self.classes)
         return out
 
     def __repr__(self) -> str:

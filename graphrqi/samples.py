@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.arrays import FloatArray
+from graphrqi.arrays import BoolArray, FloatArray
 from graphrqi.features.motion import align
 from graphrqi.features.observer import Observation, Observer
 from sim.frames import Tracks
@@ -99,15 +99,6 @@ class _Snapshot(NamedTuple):
     xy: FloatArray
 
 
-class _Window(NamedTuple):
-    """Observations that end at the same time, of the drivers in ``rows`` of the last snapshot."""
-
-    rows: NDArray[np.int64]
-    features: FloatArray
-    seconds: FloatArray
-    moving: NDArray[np.bool_]
-
-
 def collect(
     tracks: Tracks,
     observer: Observer,
@@ -151,27 +142,28 @@ def collect(
         if number not in needed:
             continue
         seen = observer.observation()
-        xy = frame.xy[np.searchsorted(frame.ids, seen.ids)]
-        last = snapshots[number] = _Snapshot(frame.time_s, seen, xy)
+        last = _Snapshot(frame.time_s, seen, frame.xy[np.searchsorted(frame.ids, seen.ids)])
+        snapshots[number] = last
         if number not in begins:
             continue
         codes = tracks.behavior[np.searchsorted(tracks.ids, seen.ids)]
         rank = rng.random((seen.ids.size, len(windows_s))).argsort(axis=1).argsort(axis=1)
         for column, (window_s, begin) in enumerate(zip(windows_s, begins[number], strict=True)):
+            wanted = codes >= 0
+            if per_moment is not None:
+                wanted &= rank[:, column] < per_moment
             if not np.isfinite(window_s):
-                window = _life(last, observer, min(SHORTEST_LIFE_S, every_s))
+                wanted &= seen.seconds >= min(SHORTEST_LIFE_S, every_s) - SAME_TIME_S
+                window, moving = seen.where(wanted), np.ones(int(wanted.sum()), dtype=bool)
             elif begin is None:
                 continue
             else:
-                window = _cut(snapshots[begin], last, observer)
-            kept = codes[window.rows] >= 0
-            if per_moment is not None:
-                kept &= rank[window.rows, column] < per_moment
-            rows, n = window.rows[kept], int(kept.sum())
+                window, moving = _cut(snapshots[begin], last, wanted)
+            features = observer.features(window.seconds, window.sums, window.instant)
+            n, rows = window.ids.size, np.searchsorted(seen.ids, window.ids)
             one = Samples(
-                window.features[kept].astype(np.float32), codes[rows], np.full(n, episode),
-                seen.ids[rows], np.full(n, frame.time_s), window.seconds[kept],
-                np.full(n, window_s), window.moving[kept],
+                features.astype(np.float32), codes[rows], np.full(n, episode), window.ids,
+                np.full(n, frame.time_s), window.seconds, np.full(n, window_s), moving,
             )  # fmt: skip
             parts.append(one)
         snapshots = {at: kept for at, kept in snapshots.items() if needed[at] > number}
@@ -182,19 +174,23 @@ def collect(
     return Samples.join(parts)
 
 
+def _cut(first: _Snapshot, last: _Snapshot, wanted: BoolArray) -> tuple[Observation, BoolArray]:
+    """The evidence between two snapshots on wanted drivers present all the time; who moved."""
+    past, now = first.seen, last.seen
+    rows, before = align(past.ids, now.ids)
+    seconds = now.seconds[rows] - past.seconds[before]
+    # a driver that returned is a new one
+    whole = wanted[rows] & (seconds > last.time_s - first.time_s - RETURNED_S)
+    rows, before = rows[whole], before[whole]
+    sums = now.sums[rows] - past.sums[before]
+    moved = np.hypot(*(last.xy[rows] - first.xy[before]).T) > MOVED_M
+    return Observation(now.ids[rows], seconds[whole], sums, now.instant[rows]), moved
+
+
 def _begins(
     time_s: FloatArray, windows_s: Sequence[float], every_s: float
 ) -> dict[int, tuple[int | None, ...]]:
-    """Frames at which windows end, each with the frame at which every length begins.
-
-    Args:
-        time_s: (T,) of the frames, s.
-        windows_s: requested lengths; infinite ones have no begin.
-        every_s: time between the ends, from the first frame on.
-
-    Returns:
-        By the index of the last frame; None for a length that does not fit.
-    """
+    """Frames at which windows end, with those at which each length begins; None: does not fit."""
     if time_s.size < 2:
         return {}
     half_step_s = 0.5 * float(np.median(np.diff(time_s)))
@@ -220,25 +216,3 @@ def _nearest(time_s: FloatArray, wanted_s: FloatArray, near_s: float) -> NDArray
     nearest = np.where(later, after, after - 1)
     near = np.abs(time_s[nearest] - wanted_s) <= near_s + SAME_TIME_S
     return np.where(near, nearest, -1)
-
-
-def _life(last: _Snapshot, observer: Observer, shortest_s: float) -> _Window:
-    """The whole track so far of every driver observed for long enough."""
-    long_enough = last.seen.seconds >= shortest_s - SAME_TIME_S
-    rows, life = np.flatnonzero(long_enough), last.seen.where(long_enough)
-    features = observer.features(life.seconds, life.sums, life.instant)
-    return _Window(rows, features, life.seconds, np.ones(rows.size, dtype=bool))
-
-
-def _cut(first: _Snapshot, last: _Snapshot, observer: Observer) -> _Window:
-    """The window between two snapshots, of drivers present all the time."""
-    past, now = first.seen, last.seen
-    rows, before = align(past.ids, now.ids)
-    seconds = now.seconds[rows] - past.seconds[before]
-    # a driver that returned is a new one
-    whole = seconds > last.time_s - first.time_s - RETURNED_S
-    rows, before, seconds = rows[whole], before[whole], seconds[whole]
-    sums = now.sums[rows] - past.sums[before]
-    features = observer.features(seconds, sums, now.instant[rows])
-    moving = np.hypot(*(last.xy[rows] - first.xy[before]).T) > MOVED_M
-    return _Window(rows, features, seconds, moving)

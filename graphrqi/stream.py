@@ -12,7 +12,7 @@ from behaviors.labels import BEHAVIORS
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.motion import align
-from graphrqi.graph.sighting import MAX_COORDINATE_M
+from graphrqi.graph import MAX_COORDINATE_M
 from graphrqi.methods import Model, make_observer
 from graphrqi.model_files import load_model
 from graphrqi.places.other_traffic import FINEST_S, OtherTraffic, Traffic, check_traffic
@@ -116,25 +116,21 @@ class BehaviorStream:
     def _answers(self) -> tuple[IntArray, FloatArray, float]:
         """Ids, probabilities without prior shift, domain; of the drivers observed long enough."""
         if self._answered is None:
-            if self._network is None or (self.traffic == "simulated" and not self.is_noisy):
-                ids, found, domain = *self._classified(), 0.0
-            else:
+            if self._network is not None and (self.traffic != "simulated" or self.is_noisy):
                 ids, found = self._network.answers(self.min_seconds)
                 domain = float(self.traffic != "simulated" and ids.size > 0)
+            else:
+                assert self._classifier is not None
+                seen, domain = self._classifier.observation(), 0.0
+                seen = seen.where(seen.seconds >= self.min_seconds - 1e-6)
+                ids, found = seen.ids, np.zeros((0, len(self.model.classes)))
+                if ids.size:
+                    features = self._classifier.features(seen.seconds, seen.sums, seen.instant)
+                    found = self.model.classifier.posterior(features)
             if self.model.adaptation is not None:
                 found = self.model.adaptation.applied(found)
             self._answered = ids, found, domain
         return self._answered
-
-    def _classified(self) -> tuple[IntArray, FloatArray]:
-        """Ids of the drivers that are ready, and what the model's own classifier answers."""
-        assert self._classifier is not None
-        seen = self._classifier.observation()
-        ready = seen.seconds >= self.min_seconds - 1e-6
-        if not ready.any():
-            return seen.ids[:0], np.zeros((0, len(self.model.classes)))
-        features = self._classifier.features(seen.seconds, seen.sums, seen.instant)
-        return seen.ids[ready], self.model.classifier.posterior(features)[ready]
 
     def posterior(self) -> Posterior:
         """Posterior of every driver that is present and was observed long enough."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.display import counted, html_table, import_pandas
+from behaviors.display import counted
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.row_index import RowIndex
@@ -536,6 +536,8 @@ class Tracks:
 
     def _repr_html_(self) -> str:
         """A table with a row per kind of agent, for notebooks."""
+        import pandas
+
         seen = self.rows
         rows = []
         for code in np.unique(self.kind).tolist():
@@ -543,7 +545,7 @@ class Tracks:
             speed = seen.speed[of_kind[seen.index.agent]]
             rows.append(
                 (
-                    KINDS[code],
+                    str(KINDS[code]),
                     int(of_kind.sum()),
                     speed.size,
                     f"{speed.mean():.1f}" if speed.size else "",
@@ -551,7 +553,8 @@ class Tracks:
                 )
             )
         header = ("kind", "agents", "rows", "mean speed, m/s", "labelled")
-        return html_table(f"Tracks: {self._times()}", header, rows)
+        table = pandas.DataFrame(rows, columns=[*header]).to_html(index=False)
+        return f"<p>Tracks: {self._times()}</p>{table}"
 
     def to_pandas(self) -> Any:
         """A pandas table with a row for each time at which each agent is present.
@@ -559,11 +562,9 @@ class Tracks:
         Returns:
             A data frame by agent and time: id, name, kind, time_s (s), x, y (m), heading (rad),
             speed (m/s), length, width (m). The column behavior is missing without labels.
-
-        Raises:
-            InputError: if pandas is not installed.
         """
-        pandas = import_pandas()
+        import pandas
+
         seen = self.rows
         rows, columns = seen.index.agent, seen.index.step
         codes = np.full(len(self.ids), -1) if self.behavior is None else self.behavior

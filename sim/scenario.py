@@ -17,7 +17,7 @@ import numpy as np
 from behaviors.display import counted
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style, tables_of
-from behaviors.populations import Population, drivers_of
+from behaviors.populations import Population
 from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
@@ -341,7 +341,7 @@ def _draw_driver(
     profile = sample_profile(behavior.profile, rng, scenario.spread)
     if scenario.population is not None:
         own = np.random.default_rng((seed, _POPULATION_STREAM))
-        profile = drivers_of(scenario.population).draw(behavior, own, scenario.spread)
+        profile = scenario.population.draw(behavior, own, scenario.spread)
     profile = _limited(profile, limits)
     median, width, spread = DIMENSIONS_M[kind]
     length = median * math.exp(spread * rng.standard_normal())
@@ -396,7 +396,7 @@ def with_behavior(
     profile = (
         sample_profile(behavior.profile, rng, spread)
         if population is None
-        else drivers_of(population).draw(behavior, rng, spread)
+        else population.draw(behavior, rng, spread)
     )
     profile = _limited(profile, KIND_LIMITS[agent.kind])
     return dataclasses.replace(agent, behavior=behavior, profile=profile)

@@ -10,6 +10,10 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("fixed", derandomize=True)
+settings.load_profile("fixed")
 
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     testing = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from behaviors.errors import LONGEST, InputError
-from behaviors.populations.files import read_population
+from behaviors.populations import read_population
 from experiments.generate.configuration import read_config
-from experiments.replay.beliefs import read_beliefs
+from experiments.replay.layers import read_beliefs
 from scenarios import get_scenario
 from sim.formats import get_reader
 from sim.frames import Frame, Tracks

@@ -1,8 +1,11 @@
-"""How late drivers react, how their headway drifts, and when they run into each other.
+"""How late drivers react, how their headway drifts, when they collide, and what they overlook.
 
 A platoon follows a driver that brakes for no reason now and then. All followers have the numbers of
 one behaviour but for the reaction time. Beside it stands the longest delay at which the law is
 linearly string stable: there, a disturbance does not grow from driver to driver.
+
+Lights, pedestrians and vehicles with priority are met by drivers who overlook a given share of
+them.
 
 References:
     Treiber, Kesting, Helbing (2006), Delays, inaccuracies and anticipation in microscopic traffic
@@ -15,9 +18,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from scipy.stats import binomtest
 
 from behaviors.driver_models import idm_desired_gap, idm_free_acceleration, idm_interaction
 from behaviors.labels import Behavior
@@ -26,11 +30,19 @@ from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.engines import get_engine
+from sim.episode.detector_inputs import detector_inputs
+from sim.episode.incidents import incidents
+from sim.episode.yielding import COULD_STOP_MPS2
 from sim.frames import AgentKind, EventKind, FloatArray, Tracks
-from sim.scenario import DIMENSIONS_M, AgentSpec
+from sim.road import Road
+from sim.safety import conflicts
+from sim.scenario import DIMENSIONS_M, AgentSpec, sample_agents
 
 REACTION_TIMES_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
 """Reaction times of the followers, s."""
+
+LIMIT_MPS, CROWDED = 13.89, 0.7
+"""Speed limit of the platoon, m/s, and speed of undisturbed traffic as a share of that desired."""
 
 FOLLOWERS: Final = 9
 """Drivers behind the one that brakes."""
@@ -46,6 +58,24 @@ WITHIN_S: Final = 8.0
 
 LAG_S: Final = 5.0
 """Lag of the headway's autocorrelation, s."""
+
+OVERLOOKED: Final = (0.0, 0.1, 0.3, 1.0)
+"""Overlook probabilities of the drivers who meet others."""
+
+ENCOUNTERS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
+    "light": ("four_way_intersection", {"flow": 900.0, "pedestrians_per_h": 0.0}),
+    "pedestrian": ("straight_road", {"flow": 500.0, "lanes": 1, "pedestrians_per_h": 400.0}),
+    "priority": ("priority_intersection", {"flow": 750.0, "pedestrians_per_h": 0.0}),
+}
+"""Where each is met: a scenario and its options."""
+
+MEET_S, TAKEN_S = 3.0, 1.0
+"""Two vehicles meet if one comes to the other's way this soon after it, s. Without priority, going
+first by less than the second is to overlook the other (our choice; careful drivers leave 1.5 s)."""
+
+LEAST_MPS, NEAR_M, SLOWS = 5.0, 45.0, 0.7
+"""A driver faster than the first meets whoever waits or walks at a crossing within the second, and
+slows for them if its speed falls below this share (our choice)."""
 
 
 def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict[str, FloatArray]:
@@ -81,6 +111,7 @@ def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict
     tracks = Tracks.from_frames(frames)
     accel = np.diff(tracks.speed, axis=1) / tracks.step_s
     begins = np.flatnonzero((accel[0, 1:] < BRAKES_MPS2) & ~(accel[0, :-1] < BRAKES_MPS2)) + 1
+    begins = begins[~(accel[1, begins] < REACTS_MPS2)]
     ahead = round(WITHIN_S / tracks.step_s)
     found = [np.flatnonzero(accel[1, at : at + ahead] < REACTS_MPS2)[:1] for at in begins]
     lag = round(LAG_S / tracks.step_s)
@@ -101,25 +132,94 @@ def _correlation(values: FloatArray, lag: int) -> float:
     return float(np.corrcoef(now[both], later[both])[0, 1]) if both.sum() > lag else np.nan
 
 
-def idm_delay_limit_s(profile: Profile, speed: float) -> float:
+def encounters(
+    what: str,
+    behavior: Behavior,
+    probability: float,
+    engine: str,
+    seed: int,
+    duration_s: float,
+) -> tuple[int, int]:
+    """Drive drivers of one behaviour who overlook others.
+
+    Args:
+        what: a key of `ENCOUNTERS`.
+        behavior: whose numbers they have, but for the overlook probability.
+        probability: that probability.
+        engine: a key of ``ENGINES``.
+        seed: of the episode.
+        duration_s: its length, s.
+
+    Returns:
+        How many encounters they ignored, and how many there were.
+    """
+    name, options = ENCOUNTERS[what]
+    own = {"overlooking": behavior.table() | {"overlook_probability": probability}}
+    scenario = get_scenario(name)(
+        behaviors=own, mix="overlooking=1", duration_s=duration_s, **options
+    )
+    tracks = Tracks.from_frames(get_engine(engine)(scenario, sample_agents(scenario, seed), seed))
+    count = {"light": _lights, "pedestrian": _pedestrians, "priority": _priorities}[what]
+    ignored, kept = count(tracks, scenario.road)
+    return ignored, ignored + kept
+
+
+def _lights(tracks: Tracks, road: Road) -> tuple[int, int]:
+    """Red lights run, and lights at which a driver stood first in line."""
+    kinds = [one.kind for one in incidents(tracks, road)]
+    return kinds.count(EventKind.RED_RUN), kinds.count(EventKind.STOPPED)
+
+
+def _priorities(tracks: Tracks, road: Road) -> tuple[int, int]:
+    """Vehicles without priority that go just before one with it, and those that go after it."""
+    met = conflicts(tracks, road)
+    touch = met.gap_m <= 0.0
+    decided = (met.priority >= 0) & ((met.pet_s <= MEET_S) | touch)
+    after = met.passed_first == met.priority
+    ignored = decided & ~after & ((met.pet_s <= TAKEN_S) | touch)
+    return int(ignored.sum()), int((decided & after).sum())
+
+
+def _pedestrians(tracks: Tracks, road: Road) -> tuple[int, int]:
+    """Drivers who pass somebody who waits or walks at full speed, and those who slow down."""
+    seen = detector_inputs(tracks, road)
+    way, speed = seen.crossing_distance, seen.speed
+    comes = seen.driving & seen.crossing_used & (seen.gap > way) & (speed > LEAST_MPS)
+    comes &= (way > speed**2 / (2.0 * COULD_STOP_MPS2)) & (way < NEAR_M)
+    ignored = kept = 0
+    for agent in range(tracks.ids.size):
+        rows = seen.row_index.rows(agent)
+        first = np.flatnonzero(comes[rows])[:1]
+        passed = np.flatnonzero(np.diff(np.minimum(way[rows], 1e3)) > NEAR_M / 2)
+        if not first.size or not (passed >= first[0]).any():
+            continue
+        span = slice(rows.start + first[0], rows.start + passed[passed >= first[0]][0] + 1)
+        slows = speed[span].min() < SLOWS * speed[span.start]
+        kept += bool(slows)
+        ignored += bool(not slows and seen.crossing_used[span.stop - 1])
+    return ignored, kept
+
+
+def idm_delay_limit_s(profile: Profile) -> float:
     """The longest delay at which IDM is linearly string stable.
 
     A delay d multiplies the response by exp(-i w d); the limit is where the gain from a leader's
-    speed to the follower's first exceeds 1 at some frequency w.
+    speed to the follower's first exceeds 1 at some frequency w. The undisturbed traffic drives at
+    `CROWDED` of the desired speed.
 
     Args:
         profile: the drivers' numbers.
-        speed: of the undisturbed traffic, m/s; below the desired speed.
 
     Returns:
         s; 0 if the law is unstable without delay.
 
     Examples:
         >>> relaxed = dataclasses.replace(Behavior.CAREFUL.profile, time_headway_s=3.0)
-        >>> idm_delay_limit_s(relaxed, 8.0) > idm_delay_limit_s(Behavior.CAREFUL.profile, 8.0)
+        >>> idm_delay_limit_s(relaxed) > idm_delay_limit_s(Behavior.CAREFUL.profile)
         True
     """
-    p, desired = profile, 13.89 * profile.speed_factor
+    p, desired = profile, LIMIT_MPS * profile.speed_factor
+    speed = CROWDED * desired
 
     def accel(gap: float, own: float, leader: float) -> float:
         wanted = idm_desired_gap(
@@ -128,8 +228,7 @@ def idm_delay_limit_s(profile: Profile, speed: float) -> float:
         free = idm_free_acceleration(own, desired, p.max_accel_mps2)
         return free - p.max_accel_mps2 * idm_interaction(gap, wanted)
 
-    free = idm_free_acceleration(speed, desired, p.max_accel_mps2) / p.max_accel_mps2
-    gap = (p.min_gap_m + speed * p.time_headway_s) / np.sqrt(free)
+    gap = (p.min_gap_m + speed * p.time_headway_s) / np.sqrt(1.0 - CROWDED**4)
     h = 1e-4
     by_gap = (accel(gap + h, speed, speed) - accel(gap - h, speed, speed)) / (2 * h)
     by_own = (accel(gap, speed + h, speed) - accel(gap, speed - h, speed)) / (2 * h)
@@ -141,7 +240,7 @@ def idm_delay_limit_s(profile: Profile, speed: float) -> float:
         gain = (by_gap + 1j * w * by_leader) * late
         gain /= -(w**2) + (by_gap - 1j * w * by_own) * late
         if (np.abs(gain) > 1.0 + 1e-6).any():
-            return stable
+            break
         stable = float(delay)
     return stable
 
@@ -149,17 +248,18 @@ def idm_delay_limit_s(profile: Profile, speed: float) -> float:
 def measure(
     behavior: Behavior, engine: str, seeds: int, duration_s: float, jobs: int | None
 ) -> Iterator[list[Row]]:
-    """Measure platoons of one behaviour for every reaction time.
+    """Measure platoons for every reaction time, and what drivers ignore who overlook others.
 
     Args:
-        behavior: whose numbers the followers have, but for the reaction time.
+        behavior: whose numbers the drivers have, but for what is varied.
         engine: a key of ``ENGINES``.
-        seeds: episodes of each reaction time.
+        seeds: episodes of each reaction time and of each overlook probability.
         duration_s: length of each, s.
         jobs: processes; None for one per core.
 
     Yields:
-        Rows by ``reaction_time_s``, and then the law's own limit.
+        Rows by ``reaction_time_s``; the law's own limit; rows by what is met and the
+        ``overlook_probability``.
     """
     keys: dict[str, Cell] = {"engine": engine, "behavior": str(behavior)}
     for reaction_s in REACTION_TIMES_S:
@@ -176,5 +276,11 @@ def measure(
         if np.isfinite(linked).any():
             rows.append(tidy_row(place, "headway_autocorrelation", float(np.nanmean(linked))))
         yield rows
-    limit = idm_delay_limit_s(behavior.profile, 10.0)
-    yield [tidy_row(keys, "string_stable_up_to_s", limit)]
+    yield [tidy_row(keys, "string_stable_up_to_s", idm_delay_limit_s(behavior.profile))]
+    for what in ENCOUNTERS:
+        for chance in OVERLOOKED:
+            tried = [(what, behavior, chance, engine, seed, duration_s) for seed in range(seeds)]
+            ignored, met = np.sum(list(in_parallel(encounters, tried, jobs)), axis=0).tolist()
+            low, high = binomtest(ignored, met).proportion_ci(method="wilson") if met else (0, 1)
+            place = {**keys, "met": what, "overlook_probability": chance}
+            yield [tidy_row(place, "ignored_share", ignored / max(met, 1), low, high, met)]

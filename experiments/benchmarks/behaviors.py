@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from behaviors.detector_inputs import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes
 from behaviors.labelling import label_from_traits
 from behaviors.labels import BEHAVIORS, Behavior, Trait, read_behaviors, tables_of
-from behaviors.traits import waits
+from behaviors.traits import FOLLOWING_MPS, DetectorInputs, ShownTrait, lane_changes, waits
 from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import SCENARIOS, get_scenario
@@ -61,18 +59,23 @@ COUNTS: Final = tuple(dict.fromkeys(name for pair in METRICS.values() for name i
 ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
 """Encounters of a driver with a pedestrian that wants to cross."""
 
-NOT_WAITED_FOR: Final = (EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED)
-"""Encounters in which an agent did not wait in spite of a rule: waits of 0 s."""
+COUNTED: Final[dict[EventKind, tuple[str, ...]]] = {
+    EventKind.RED_RUN: ("red_runs", "red_faced", "waits"),
+    EventKind.STOP_ROLLED: ("waits",),
+    EventKind.YIELDED: ("crossing_encounters", "yields"),
+    EventKind.NOT_YIELDED: ("crossing_encounters", "waits"),
+}
+"""What an event is counted as. Who did not wait in spite of a rule has waited for 0 s."""
+
+SHOWN: Final = {Trait.CUTTING_IN: "cut_ins", Trait.NOT_MOVING: "unprovoked_stops"}
+"""What a shown trait is counted as."""
 
 
-@dataclass(frozen=True, slots=True)
-class DriverCounts:
+class DriverCounts(NamedTuple):
     """Counts and exposure of the drivers of one or more episodes.
 
-    Attributes:
-        drivers: a line for each, with its ``behavior`` and the columns ``COUNTS``.
-        jaywalks: how often pedestrians jaywalked.
-        walkers: how many pedestrians there were.
+    There is a line for each driver, with its ``behavior`` and the columns ``COUNTS``; then how
+    often pedestrians jaywalked, and how many there were.
     """
 
     drivers: pd.DataFrame
@@ -147,27 +150,19 @@ def _counted(
         table["wait_s"][found.agent] += found.value
     for event in events:
         i = row[event.agent]
-        if event.kind is EventKind.RED_RUN:
-            table["red_runs"][i] += 1.0
+        for name in COUNTED.get(event.kind, ()):
+            table[name][i] += 1.0
+        if event.kind is EventKind.STOPPED and event.rule == "red light":
             table["red_faced"][i] += 1.0
-        elif event.kind is EventKind.STOPPED and event.rule == "red light":
-            table["red_faced"][i] += 1.0
-        elif event.kind in ENCOUNTERS:
-            table["crossing_encounters"][i] += 1.0
-            table["yields"][i] += event.kind is EventKind.YIELDED
         elif event.kind is EventKind.COLLISION and event.other is not None:
             walks = not seen.drives[row[event.other]]
             table["pedestrians_hit" if walks else "collisions"][i] += 1.0
-        if event.kind in NOT_WAITED_FOR:
-            table["waits"][i] += 1.0
     shown: dict[int, list[ShownTrait]] = {i: [] for i in row.values()}
     for found in traits_shown:
         i = row[found.agent]
         shown[i].append(found)
-        if found.trait is Trait.CUTTING_IN:
-            table["cut_ins"][i] += 1.0
-        elif found.trait is Trait.NOT_MOVING:
-            table["unprovoked_stops"][i] += 1.0
+        if found.trait in SHOWN:
+            table[SHOWN[found.trait]][i] += 1.0
         elif found.trait is Trait.WRONG_DIRECTION:
             table["wrong_way_m"][i] += found.value
     for i, mine in shown.items():
@@ -197,16 +192,8 @@ def rows_of(
 ) -> list[Row]:  # fmt: skip
     """One row per behaviour and metric, with a 95 % interval over drivers.
 
-    Args:
-        counts: of one scenario.
-        engine: what drove it.
-        scenario: its name.
-        seed: of the bootstrap.
-        classes: the behaviours that codes stand for.
-
-    Returns:
-        Rows with the keys ``engine scenario behavior metric value low high n``; n is the number of
-        drivers with something to count.
+    Rows have the keys ``engine scenario behavior metric value low high n``; n is the number of
+    drivers with something to count. Codes stand for the behaviours in ``classes``.
     """
     rng = np.random.default_rng(seed)
     place: dict[str, Cell] = {"engine": engine, "scenario": scenario}
@@ -249,13 +236,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Measure every behaviour against every trait.
 
-    Args:
-        scenarios: keys of ``SCENARIOS``; () for all.
-        engine: a key of ``ENGINES``.
-        seeds: one for each episode.
-        duration_s: length of each episode, s.
-        jobs: processes; None for one per core.
-        behaviors: those of one's own, as `read_behaviors` takes them, beside the six.
+    Scenarios are keys of ``SCENARIOS`` (() for all), each with an episode of ``duration_s`` for
+    every seed. Behaviours of one's own, as `read_behaviors` takes them, drive beside the six.
 
     Yields:
         The rows of each scenario; last, where there are several, those of all together, as

@@ -5,7 +5,6 @@
 - ``inductive``: every method is trained on episodes and scored on unseen ones (other seeds), at
   every length of observation.
 - ``across-scenarios``: trained on one scenario, scored on the others.
-- ``across-traffic``: trained on usual traffic, scored on other flows, mixes, limits and roads.
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
 - ``noise``: usual traffic seen by the model that ships with noise, at other frame rates, and with
   lost frames.
@@ -22,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,26 +30,28 @@ import numpy as np
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.benchmarks.classified import (
-    AGES_S,
-    Disturbance,
-    Recordings,
-    drivers,
-    keys_of,
-    majority_of,
-)
+from experiments.data.disturbances import DISTURBANCES
+from experiments.data.parallel import in_parallel
+from experiments.data.windows import gather, measured
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.rival import PlainRival, whole_track_samples
+from experiments.rival import PlainRival, whole_track_samples, whole_tracks
 from experiments.score.answers import Answers, score_answers, scores_table
 from experiments.score.rows import Cell, Row
-from experiments.training.classifier import TRAINING_LIMITS_MPS
+from experiments.training.classifier import (
+    TRAINING_EVERY_S,
+    TRAINING_LIMITS_MPS,
+    TRAINING_PER_MOMENT,
+)
 from graphrqi.classify import CLASSIFIERS, Classifier
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
+from graphrqi.samples import WINDOWS_S as TRAINING_WINDOWS_S
 from graphrqi.samples import Samples
-from sim.store.dataset import open_dataset
-from sim.store.schema import Split
+from graphrqi.stream import BehaviorStream
+from sim.frames import FloatArray, Tracks
+from sim.store.dataset import Dataset, open_dataset
+from sim.store.schema import EpisodeEntry, Split
 
 OURS, RIVAL = "graphrqi-plus", "nine-numbers"
 """The method that others are compared with, and the plain rival."""
@@ -67,11 +68,23 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
 }  # fmt: skip
 """Options of `GenerateConfig` for traffic outside the training data, each with its baseline."""
 
-WINDOWS_S: Final = (1.0, 3.0, 10.0, float("inf"))
-"""Lengths of observation that are scored, s; the last is a whole track."""
+WHOLE: Final = float("inf")
+"""The length of observation that is a driver's whole track."""
 
-MAIN_S: Final = (10.0, float("inf"))
+WINDOWS_S: Final = (1.0, 3.0, 10.0, WHOLE)
+"""Lengths of observation that are scored, s."""
+
+MAIN_S: Final = (10.0, WHOLE)
 """Those at which everything but the length is compared."""
+
+AGES_S: Final = (3.0, 10.0, WHOLE)
+"""Ages at which a stream is asked about every driver, s."""
+
+SCORED_EVERY_S: Final = 2.0
+"""Time between the ends of scored windows of one driver, s."""
+
+ASKED_EVERY_S: Final = 1.0
+"""A stream takes every frame, and is asked this often, s."""
 
 NOISE: Final = (
     *(("position noise", level) for level in (0.03, 0.1, 0.25, 0.5)),
@@ -79,11 +92,96 @@ NOISE: Final = (
     *(("dropped frames", level) for level in (0.05, 0.15, 0.3)),
     *(("frame rate", level) for level in (25.0, 5.0, 2.5)),
 )  # fmt: skip
-"""Deviations in m, shares of frames, and Hz."""
+"""Keys of ``DISTURBANCES`` with deviations in m, shares of frames, and Hz."""
 
 CEILING_DRIVERS: Final = 600
 """Most training drivers of the ceiling, so that ceilings of datasets of other sizes can be
 compared."""
+
+_Disturbance = tuple[str, float] | None
+"""A key of ``DISTURBANCES`` and a level; None leaves recordings as they are."""
+
+
+class Recordings:
+    """A dataset as this benchmark sees it: windows, whole tracks, and streams' answers.
+
+    Args:
+        dataset: where from.
+        jobs: processes; None for one per core.
+    """
+
+    def __init__(self, dataset: Dataset, jobs: int | None = None) -> None:
+        self.dataset, self._jobs = dataset, jobs
+        self.scenario = np.array([e.scenario for e in dataset.manifest.episodes])
+        self._gathered = cache(self._gather)
+        self.fitted = cache(self._fit)
+
+    def _gather(self, split: Split, method: str, windows_s: tuple[float, ...]) -> Samples:
+        """Windows of a split for training, or of other lengths for scoring."""
+        trained = windows_s == TRAINING_WINDOWS_S
+        samples = gather(
+            [self.dataset], split, method, windows_s=windows_s, jobs=self._jobs,
+            every_s=TRAINING_EVERY_S if trained else SCORED_EVERY_S,
+            per_moment=TRAINING_PER_MOMENT if trained else None,
+        )  # fmt: skip
+        if trained:
+            return samples
+        chosen = np.isfinite(samples.window_s)  # of whole tracks only the last look at each driver
+        whole = np.flatnonzero(~chosen)[::-1]
+        chosen[whole[np.unique(drivers(samples)[whole], return_index=True)[1]]] = True
+        return samples.where(chosen)
+
+    def training(self, method: str) -> Samples:
+        """Windows of all lengths of the training episodes."""
+        return self._gathered("train", method, tuple(TRAINING_WINDOWS_S))
+
+    def validation(self, method: str) -> Samples | None:
+        """The same of the validation episodes; None if there are none."""
+        if not self.dataset.episodes("validation"):
+            return None
+        return self._gathered("validation", method, tuple(TRAINING_WINDOWS_S))
+
+    def scored(self, method: str, windows_s: Sequence[float], everything: bool = False) -> Samples:
+        """Windows of the test episodes, or of all."""
+        splits: list[Split] = ["train", "validation", "test"] if everything else ["test"]
+        there = [split for split in splits if self.dataset.episodes(split)]
+        return Samples.join([self._gathered(s, method, tuple(windows_s)) for s in there])
+
+    @cached_property
+    def all_tracks(self) -> Samples:
+        """The rival's nine numbers of every driver, in order of `drivers`."""
+        return whole_tracks(self.dataset, None, self._jobs)
+
+    @property
+    def training_tracks(self) -> Samples:
+        """Those of the drivers of the training episodes."""
+        split = np.array([e.split for e in self.dataset.manifest.episodes])
+        return self.all_tracks.where(split[self.all_tracks.episode] == "train")
+
+    def of(self, scenario: str, samples: Samples) -> Samples:
+        """The samples of one scenario, driver by driver."""
+        here = samples.where(self.scenario[samples.episode] == scenario)
+        order = np.argsort(drivers(here), kind="stable")
+        return dataclasses.replace(
+            here, **{f.name: getattr(here, f.name)[order] for f in dataclasses.fields(here)}
+        )
+
+    def _fit(self, method: str, scenario: str | None = None) -> tuple[Model, int]:
+        """A method trained on the training episodes (of one scenario), and their majority class."""
+        training, validation = self.training(method), self.validation(method)
+        if scenario is not None:
+            training = self.of(scenario, training)
+            validation = None if validation is None else self.of(scenario, validation)
+        return train(method, training, validation), _majority_of(training)
+
+    def streamed(
+        self, model: Model, disturbance: _Disturbance = None
+    ) -> tuple[Samples, FloatArray]:
+        """A stream's answers (n, 6) about all drivers, and samples without features."""
+        entries = self.dataset.manifest.episodes
+        calls = [(self.dataset.path, e, i, model, disturbance) for i, e in enumerate(entries)]
+        samples, answers = zip(*in_parallel(_streamed, calls, self._jobs), strict=True)
+        return Samples.join(list(samples)), np.concatenate(answers)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,6 +238,16 @@ class Data:
         }
 
 
+def drivers(samples: Samples) -> FloatArray:
+    """(n,) a number for each driver, which differs between episodes, too."""
+    return np.asarray(samples.episode * 1e9 + samples.agent)
+
+
+def _majority_of(samples: Samples) -> int:
+    """The most frequent class among samples (of the training episodes, to be a fair rival)."""
+    return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
+
+
 def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> Answers:
     """The answers to samples, with the truth."""
     classifier = model.classifier if isinstance(model, Model) else model
@@ -147,37 +255,119 @@ def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> Answe
     return Answers.known(probability, samples.codes, samples.episode)
 
 
-def _scored(answers: Answers, majority: int, keys: Mapping[str, Cell]) -> list[Row]:
-    """The rows of answers; none if no driver was asked about."""
-    return score_answers(answers, keys, majority, breakdown=False) if answers.truth.size else []
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Keys:
+    """What rows of a protocol have in common."""
 
+    protocol: str
+    scenario: str
+    variation: str = ""
 
-def _rival_rows(
-    rival: PlainRival, data: Recordings, asked: Samples, keys: tuple[str, str, str], majority: int
-) -> list[Row]:
-    """The rival's rows on these drivers, whose whole tracks are scored."""
-    same = data.all_tracks.where(np.isin(drivers(data.all_tracks), drivers(asked)))
-    protocol, scenario, variation = keys
-    named = keys_of(protocol, scenario, RIVAL, float("inf"), variation)
-    return _scored(_answered(rival, same), majority, named)
+    def rows(self, answers: Answers, majority: int, method: str, window_s: float) -> list[Row]:
+        """Rows of a method's answers after an observation; none if no driver was asked about."""
+        if not answers.truth.size:
+            return []
+        whole = np.isinf(window_s)
+        about = ", ".join(filter(None, ("whole track" if whole else "", self.variation)))
+        keys: dict[str, Cell] = {
+            "protocol": self.protocol, "scenario": self.scenario, "method": method,
+            "window_s": None if whole else window_s, "variation": about,
+        }  # fmt: skip
+        return score_answers(answers, keys, majority, breakdown=False)
+
+    def rival(
+        self, rival: PlainRival, data: Recordings, asked: Samples, majority: int
+    ) -> list[Row]:
+        """The rival's rows on these drivers, whose whole tracks are scored."""
+        same = data.all_tracks.where(np.isin(drivers(data.all_tracks), drivers(asked)))
+        return self.rows(_answered(rival, same), majority, RIVAL, WHOLE)
 
 
 def _model_rows(
-    model: Model, majority: int, rival: PlainRival, data: Recordings, everything: bool,
-    protocol: str, variation: str, scenarios: Sequence[str] = (),
+    data: Recordings, model: Model, majority: int, rival: PlainRival | None, protocol: str,
+    variation: str = "", windows_s: Sequence[float] = MAIN_S, everything: bool = False,
+    scenarios: Sequence[str] = (),
 ) -> list[Row]:  # fmt: skip
-    """Rows of a trained method at `MAIN_S`, and of the rival beside it, in each scenario."""
+    """Rows of a trained method, and of the rival beside it, in each scenario."""
     rows: list[Row] = []
-    samples = data.scored(model.method.name, MAIN_S, everything)
+    samples = data.scored(model.method.name, windows_s, everything)
     for scenario in scenarios or data.dataset.scenarios:
-        here = data.of(scenario, samples)
-        for window_s in MAIN_S:
+        here, keys = data.of(scenario, samples), _Keys(protocol, scenario, variation)
+        for window_s in windows_s:
             part = here.where(here.window_s == window_s)
-            keys = keys_of(protocol, scenario, model.method.name, window_s, variation)
-            rows += _scored(_answered(model, part), majority, keys)
+            if len(part):
+                rows += keys.rows(_answered(model, part), majority, model.method.name, window_s)
         whole = here.where(np.isinf(here.window_s))
-        rows += _rival_rows(rival, data, whole, (protocol, scenario, variation), majority)
+        if rival is not None and len(whole):
+            rows += keys.rival(rival, data, whole, majority)
     return rows
+
+
+def _streamed_rows(
+    data: Recordings, model: Model, rival: PlainRival | None, protocol: str, variation: str,
+    disturbance: _Disturbance = None,
+) -> list[Row]:  # fmt: skip
+    """Rows of a stream's answers at each age, in each scenario."""
+    samples, probability = data.streamed(model, disturbance)
+    answers = Answers.known(probability, samples.codes, samples.episode)
+    rows: list[Row] = []
+    for scenario in data.dataset.scenarios:
+        chosen, keys = (
+            data.scenario[samples.episode] == scenario,
+            _Keys(protocol, scenario, variation),
+        )
+        for age_s in AGES_S:
+            here = chosen & (samples.window_s == age_s)
+            if here.any():
+                majority = _majority_of(samples.where(here))
+                rows += keys.rows(answers.where(here), majority, model.method.name, age_s)
+        whole = data.of(scenario, samples.where(np.isinf(samples.window_s)))
+        if rival is not None and len(whole):
+            rows += keys.rival(rival, data, whole, _majority_of(whole))
+    return rows
+
+
+def _streamed(
+    folder: Path, entry: EpisodeEntry, number: int, model: Model, disturbance: _Disturbance
+) -> tuple[Samples, FloatArray]:
+    """A stream's answers on one episode, which is seen with a disturbance."""
+    tracks = measured(open_dataset(folder).read(entry))
+    if disturbance is not None:
+        name, level = disturbance
+        tracks = DISTURBANCES[name](tracks, level, np.random.default_rng(number))
+    return _looked(tracks, BehaviorStream(model), number)
+
+
+def _looked(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
+    """Samples without features for each labelled driver and reached age, and the answers."""
+    n = tracks.ids.size
+    codes = np.full(n, -1, dtype=np.int8) if tracks.behavior is None else tracks.behavior
+    first_s, at_s = np.full(n, np.nan), np.full((n, len(AGES_S)), np.nan)
+    found = np.zeros((n, len(AGES_S), len(BEHAVIORS)))
+    asked_s = -np.inf
+    for frame in tracks.frames():
+        stream.push(frame)
+        rows = np.searchsorted(tracks.ids, frame.ids)
+        first_s[rows] = np.fmin(first_s[rows], frame.time_s)
+        if frame.time_s < asked_s + ASKED_EVERY_S - 1e-6:
+            continue
+        asked_s = frame.time_s
+        answer = stream.posterior()
+        rows = np.searchsorted(tracks.ids, answer.ids)
+        age_s = frame.time_s - first_s[rows]
+        for column, wanted_s in enumerate(AGES_S):
+            last = wanted_s == WHOLE
+            due = age_s >= (AGES_S[0] if last else wanted_s) - 1e-6
+            due &= last | np.isnan(at_s[rows, column])
+            at_s[rows[due], column] = frame.time_s
+            found[rows[due], column] = answer.probability[due]
+    row, at = np.nonzero(np.isfinite(at_s) & (codes >= 0)[:, None])
+    window_s = np.array(AGES_S)[at]
+    samples = Samples(
+        np.empty((row.size, 0), dtype=np.float32), codes[row], np.full(row.size, number),
+        tracks.ids[row], at_s[row, at], window_s, window_s, np.ones(row.size, dtype=bool),
+    )  # fmt: skip
+    return samples, found[row, at]
 
 
 def shipped(data: Data) -> Iterator[list[Row]]:
@@ -189,49 +379,14 @@ def shipped(data: Data) -> Iterator[list[Row]]:
         yield _streamed_rows(recordings, model, rival, "shipped", name)
 
 
-def _streamed_rows(
-    data: Recordings, model: Model, rival: PlainRival | None, protocol: str, variation: str,
-    disturbance: Disturbance = None,
-) -> list[Row]:  # fmt: skip
-    """Rows of a stream's answers at each age, in each scenario."""
-    samples, probability = data.streamed(model, disturbance)
-    answers = Answers.known(probability, samples.codes, samples.episode)
-    rows: list[Row] = []
-    for scenario in data.dataset.scenarios:
-        chosen = data.scenario[samples.episode] == scenario
-        for age_s in AGES_S:
-            here = chosen & (samples.window_s == age_s)
-            if here.any():
-                keys = keys_of(protocol, scenario, model.method.name, age_s, variation)
-                rows += _scored(answers.where(here), majority_of(samples.where(here)), keys)
-        whole = data.of(scenario, samples.where(np.isinf(samples.window_s)))
-        if rival is not None and len(whole):
-            keyed = (protocol, scenario, variation)
-            rows += _rival_rows(rival, data, whole, keyed, majority_of(whole))
-    return rows
-
-
 def inductive(data: Data) -> Iterator[list[Row]]:
     """Every method at every length of observation; rival and ceiling."""
-    base = data.base
-    rival = PlainRival(base.training_tracks)
+    rival: PlainRival | None = PlainRival(data.base.training_tracks)
     for method in data.methods:
-        model, majority = base.fitted(method)
-        samples = base.scored(method, WINDOWS_S)
-        rows: list[Row] = []
-        for scenario in base.dataset.scenarios:
-            here = base.of(scenario, samples)
-            for window_s in WINDOWS_S:
-                part = here.where(here.window_s == window_s)
-                if len(part):
-                    keys = keys_of("inductive", scenario, method, window_s)
-                    rows += _scored(_answered(model, part), majority, keys)
-            whole = here.where(np.isinf(here.window_s))
-            if method == data.methods[0] and len(whole):
-                place = ("inductive", scenario, "")
-                rows += _rival_rows(rival, base, whole, place, majority)
-        yield rows
-    yield ceiling(base)
+        model, majority = data.base.fitted(method)
+        yield _model_rows(data.base, model, majority, rival, "inductive", windows_s=WINDOWS_S)
+        rival = None
+    yield ceiling(data.base)
 
 
 def ceiling(data: Recordings) -> list[Row]:
@@ -248,8 +403,7 @@ def ceiling(data: Recordings) -> list[Row]:
     rows: list[Row] = []
     for scenario in data.dataset.scenarios:
         answers = _answered(forest, data.of(scenario, asked))
-        keys = keys_of("inductive", scenario, "ceiling", float("inf"))
-        rows += _scored(answers, majority_of(known), keys)
+        rows += _Keys("inductive", scenario).rows(answers, _majority_of(known), "ceiling", WHOLE)
     return rows
 
 
@@ -269,20 +423,14 @@ def _profiles(data: Recordings, split: Split) -> Samples:
 def across_scenarios(data: Data) -> Iterator[list[Row]]:
     """Trained on each scenario alone, scored on every other one."""
     base = data.base
-    for trained_on in base.dataset.scenarios:
-        others = [name for name in base.dataset.scenarios if name != trained_on]
-        model, majority = base.fitted(data.methods[0], trained_on)
-        rival = PlainRival(base.of(trained_on, base.training_tracks))
-        about = f"trained on {trained_on}"
-        yield _model_rows(model, majority, rival, base, False, "across-scenarios", about, others)
-
-
-def across_traffic(data: Data) -> Iterator[list[Row]]:
-    """Trained on usual traffic, scored on other traffic."""
-    model, majority = data.base.fitted(data.methods[0])
-    rival = PlainRival(data.base.training_tracks)
-    for name, other in {"as usual": data.usual, **data.traffic}.items():
-        yield _model_rows(model, majority, rival, other, True, "across-traffic", name)
+    for source in base.dataset.scenarios:
+        others = [name for name in base.dataset.scenarios if name != source]
+        model, majority = base.fitted(data.methods[0], source)
+        rival = PlainRival(base.of(source, base.training_tracks))
+        about = f"trained on {source}"
+        yield _model_rows(
+            base, model, majority, rival, "across-scenarios", about, scenarios=others
+        )  # fmt: skip
 
 
 def across_engines(data: Data) -> Iterator[list[Row]]:
@@ -302,8 +450,8 @@ def across_engines(data: Data) -> Iterator[list[Row]]:
         held = [part for source in sources if (part := source.validation(method)) is not None]
         model = train(method, training, Samples.join(held) if held else None)
         rival = PlainRival(Samples.join([source.training_tracks for source in sources]))
-        majority, about = majority_of(training), f"trained on {name}"
-        yield _model_rows(model, majority, rival, other, True, "across-engines", about)
+        majority, about = _majority_of(training), f"trained on {name}"
+        yield _model_rows(other, model, majority, rival, "across-engines", about, everything=True)
 
 
 def noise(data: Data) -> Iterator[list[Row]]:
@@ -332,8 +480,8 @@ def leak_probe(data: Data) -> Iterator[list[Row]]:
         first = np.zeros(len(here), dtype=bool)
         first[np.unique(drivers(here), return_index=True)[1]] = True  # they are in order of time
         for variation, part in (("", here), ("first window", here.where(first))):
-            keys = keys_of("leak-probe", scenario, "leak-probe", MAIN_S[0], variation)
-            yield _scored(_answered(forest, part), majority_of(known), keys)
+            keys, majority = _Keys("leak-probe", scenario, variation), _majority_of(known)
+            yield keys.rows(_answered(forest, part), majority, "leak-probe", MAIN_S[0])
 
 
 PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
@@ -341,7 +489,6 @@ PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
     "inductive": inductive,
     "leak-probe": leak_probe,
     "across-scenarios": across_scenarios,
-    "across-traffic": across_traffic,
     "across-engines": across_engines,
     "noise": noise,
 }
@@ -358,14 +505,10 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Measure protocol after protocol.
 
-    Args:
-        protocols: keys of `PROTOCOLS`; () for all.
-        methods: keys of ``METHODS`` that are compared; () for all. Under all protocols but
-            ``inductive`` the first one alone is measured.
-        episodes: of each scenario that are learned from; others are made in proportion.
-        duration_s: of each episode, s.
-        jobs: processes; None for one per core.
-        out: where datasets are made, and used again; None for a temporary folder.
+    Keys of `PROTOCOLS` and ``METHODS`` are chosen; () for all. Under all protocols but
+    ``inductive`` the first method alone is measured. So many episodes of each scenario, each
+    ``duration_s`` long, are learned from, and others are made in proportion. Datasets are made in
+    the folder ``out``, and used again; None for a temporary one.
 
     Yields:
         Rows with the keys ``protocol, scenario, method, window_s, variation``.

@@ -1,4 +1,10 @@
-"""Every figure of the predictors on unseen episodes."""
+"""Every figure of the predictors on unseen episodes, and who yields to pedestrians.
+
+Will a driver let the pedestrian go first? An encounter is a driver about to reach an occupied
+crossing without a red light. It is scored where the episode's events (`sim.episode.incidents`) say
+whether the driver yielded. The behaviours' profiles state how often each yields, so beliefs about
+the driver give a chance: the paper's pedestrian figure, as a number.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +14,28 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from sklearn.metrics import roc_auc_score
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks import yielding
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.metrics import bootstrap, ratio
+from experiments.score.metrics import (
+    RESAMPLES,
+    RESAMPLING_SEED,
+    bootstrap,
+    ratio,
+    root_ratio,
+)
 from experiments.score.predictions import (
     EVERY_S,
+    HISTORY_S,
     HORIZONS_S,
     MEASURES,
     Errors,
     beliefs,
     instants,
-    root_ratio,
     score_episode,
     score_predictions,
 )
@@ -31,9 +43,14 @@ from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.model_files import load_model
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, chosen_predictor
+from graphrqi.predict.prediction import STEP_S
+from graphrqi.predict.rollout.driver_table import YIELDS
 from graphrqi.predict.rollout.following import certain, shuffled_posterior
+from graphrqi.predict.scene.scene import LEARNED_S, Scene, make_scene
+from graphrqi.predict.scene.stop_constraints import PROCEED
 from graphrqi.stream import DEFAULT_MODEL
-from sim.frames import FloatArray, Tracks
+from sim.frames import EventKind, FloatArray, Tracks
+from sim.road import Road
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
@@ -65,27 +82,37 @@ RATIOS: Final = (
 """Metric, and the predictor and its beliefs by whose figure that of `OURS` is divided, at the
 longest horizon."""
 
-Figures = Mapping[tuple[str, str], Errors]
+BEFORE_S: Final = (1.5, 2.5)
+"""An encounter is judged when the crossing is between these times away, s: two seconds."""
+
+LEAST_SPEED_MPS: Final = 2.0
+"""Slower drivers are left out: they have already decided to stop."""
+
+SAME_PLACE_M: Final = 3.0
+"""An event counts as that of an encounter if it happens within this of where the crossing was, m
+(less than lies between two crossings)."""
+
+SEARCHED_EVERY_S: Final = 0.5
+"""Encounters are searched at this interval, s."""
+
+_Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
 
 
-def true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
+def _true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
     """Certain beliefs in the true behaviours: what perfect classification would give."""
     if history.behavior is None:
         raise InputError("beliefs: found no true behaviours, expected labelled tracks")
     return Posterior(history.ids, certain(history.behavior.astype(np.int64)))
 
 
-def no_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
-    """Uniform posteriors: every behaviour is equally likely."""
-    return Posterior(np.empty(0, np.int64), np.empty((0, len(BEHAVIORS))))
-
-
 BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "classifier": lambda history, posterior: posterior,
-    "truth": true_beliefs,
+    "truth": _true_beliefs,
     "shuffled": shuffled_posterior,
-    "uniform": no_beliefs,
+    "uniform": lambda history, posterior: Posterior(
+        np.empty(0, np.int64), np.empty((0, len(BEHAVIORS)))
+    ),
 }
 """Beliefs about the drivers present that predictors are given, from the classifier's
 posteriors."""
@@ -99,11 +126,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Predict on fresh episodes of both scenarios with several beliefs about the drivers.
 
-    Args:
-        episodes: per scenario.
-        duration_s: of each, s; None for the scenario's own.
-        predictors: keys of ``PREDICTORS``, or "module:function"; () for all.
-        jobs: processes; None for one per core.
+    Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. An episode is
+    ``duration_s`` long; None for the scenario's own length.
 
     Yields:
         The rows of each scenario: errors with the road and without it; ratios; and how well
@@ -122,36 +146,34 @@ def measure(
         for scenario in SCENARIOS:
             arguments = [(folder, e, names) for e in dataset.episodes(None, scenario)]
             mapped, map_free, chances = zip(
-                *in_parallel(predicted_episode, arguments, jobs), strict=True
+                *in_parallel(_predicted_episode, arguments, jobs), strict=True
             )
             rows: list[Row] = []
             for split, results in (("unseen", mapped), ("unseen, no map", map_free)):
                 for kind in BELIEFS:
-                    chosen = [_with_beliefs(one, kind) for one in results]
+                    chosen = [
+                        {name: errors for (name, given), errors in one.items() if given == kind}
+                        for one in results
+                    ]
                     keys = {"scenario": scenario, "split": split, "beliefs": kind}
                     if chosen[0]:
                         rows += score_predictions(chosen, keys)
                 rows += compare(results, scenario, split)
             for kind in BELIEFS:
                 keys = {"scenario": scenario, "split": "unseen", "beliefs": kind}
-                rows += yielding.auc_row([one[kind] for one in chances], keys)
+                rows += _auc_row([one[kind] for one in chances], keys)
             yield rows
 
 
-def _with_beliefs(figures: Figures, kind: str) -> dict[str, Errors]:
-    """Errors by predictor, of those that were given these beliefs."""
-    return {name: errors for (name, told), errors in figures.items() if told == kind}
-
-
-def predicted_episode(
+def _predicted_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str]
-) -> tuple[Figures, Figures, dict[str, FloatArray]]:
+) -> tuple[_Figures, _Figures, dict[str, FloatArray]]:
     """Errors with the road and without it, and chances of yielding, with each kind of beliefs."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     assert road is not None
     scored = sorted(instants(tracks, max(HORIZONS_S), EVERY_S))
-    stops = {*scored, *instants(tracks, max(HORIZONS_S), yielding.EVERY_S)}
+    stops = {*scored, *instants(tracks, max(HORIZONS_S), SEARCHED_EVERY_S)}
     believed = beliefs(tracks, load_model(DEFAULT_MODEL), sorted(stops))
     errors: dict[tuple[str, str], Errors] = {}
     chances: dict[str, FloatArray] = {}
@@ -163,13 +185,12 @@ def predicted_episode(
         names = [name for name in predictors if kind == "classifier" or name not in DEAF]
         found = score_episode(tracks, moments, road, names)
         errors |= {(name, kind): one for name, one in found.items()}
-        chances[kind] = yielding.yield_chances(tracks, road, posteriors)
-    moments = {stop: believed[stop] for stop in scored}
-    found = score_episode(tracks, moments, None, MAP_FREE)
+        chances[kind] = yield_chances(tracks, road, posteriors)
+    found = score_episode(tracks, {stop: believed[stop] for stop in scored}, None, MAP_FREE)
     return errors, {(name, "classifier"): one for name, one in found.items()}, chances
 
 
-def compare(episodes: Sequence[Figures], scenario: str, split: str) -> list[Row]:
+def compare(episodes: Sequence[_Figures], scenario: str, split: str) -> list[Row]:
     """Ratios of our predictor's figures to others', with intervals over episodes."""
     rows: list[Row] = []
     ours = (OURS, "classifier")
@@ -189,3 +210,84 @@ def compare(episodes: Sequence[Figures], scenario: str, split: str) -> list[Row]
             n = int(sum(e[ours].count[0] for e in episodes))
             rows.append(tidy_row(keys, f"{metric}_over_{against}", *found, n))
     return rows
+
+
+def yield_chances(tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior]) -> FloatArray:
+    """(m, 2) believed chance of yielding in every first encounter of a driver, and what happened.
+
+    Beliefs about the drivers are given by index of the frame after which they are held. What
+    happened is 1 if the driver went on to yield, and 0 if not.
+    """
+    met: set[int] = set()
+    found = []
+    for stop, posterior in posteriors.items():
+        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
+        if not history.ids.size:
+            continue
+        scene = make_scene(history, road, LEARNED_S)
+        for row, left_m in _approaching(scene).items():
+            agent = int(history.ids[row])
+            if agent in met:
+                continue
+            met.add(agent)
+            yielded = _outcome(tracks, stop - 1, agent, left_m)
+            if yielded is not None:
+                chance = float(posterior.of(scene.ids[[row]])[0] @ YIELDS)
+                found.append((chance, yielded))
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _auc_row(episodes: Sequence[FloatArray], keys: Mapping[str, Cell]) -> list[Row]:
+    """The area under the ROC curve of `yield_chances`, with an interval over encounters.
+
+    There is no row ``yield_auc`` unless some drivers yielded and some did not.
+    """
+    chance, happened = np.concatenate(episodes).T
+    if np.unique(happened).size < 2:
+        return []
+    rng = np.random.default_rng(RESAMPLING_SEED)
+    draws = rng.integers(0, happened.size, (RESAMPLES // 4, happened.size))
+    areas = [roc_auc_score(happened[i], chance[i]) for i in draws if np.ptp(happened[i])]
+    low, high = np.quantile(areas, [0.025, 0.975])
+    value = float(roc_auc_score(happened, chance))
+    return [tidy_row(keys, "yield_auc", value, low, high, happened.size)]
+
+
+def _approaching(scene: Scene) -> dict[int, float]:
+    """The way left, m, of each row whose driver is two seconds before an occupied crossing."""
+    graph, paths = scene.graph, scene.paths
+    found: dict[int, float] = {}
+    soon = scene.stop_state[:, : round(BEFORE_S[1] / STEP_S) + 1]
+    shut = (soon != PROCEED).any(axis=1)
+    for i in np.flatnonzero(scene.on_path & (scene.speed > LEAST_SPEED_MPS)):
+        q = scene.path[i]
+        front = scene.s[i] + scene.history.length[i] / 2
+        for j, lane in enumerate(paths.lane[q]):
+            if lane < 0:
+                break
+            for z in np.flatnonzero(graph.cross_lane == lane):
+                at = paths.start[q, j] + graph.cross_s[z]
+                left = float(at - front)
+                timely = BEFORE_S[0] <= left / scene.speed[i] <= BEFORE_S[1]
+                gates = (paths.stop_row[q] < paths.groups) & (paths.stop_x[q] <= at + 1e-6)
+                red = shut[paths.stop_row[q][gates & (paths.stop_x[q] > front)]].any()
+                if timely and shut[paths.groups + z] and not red:
+                    found.setdefault(int(i), left)
+    return found
+
+
+def _outcome(tracks: Tracks, column: int, agent: int, left_m: float) -> bool | None:
+    """Whether a driver went on to yield, by the episode's events; None without one there."""
+    events = [
+        e for e in tracks.events
+        if e.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED)
+        and e.agent == agent and e.time_s > float(tracks.time_s[column])
+    ]  # fmt: skip
+    if not events:
+        return None
+    first = min(events, key=lambda event: event.time_s)
+    until = int(np.searchsorted(tracks.time_s, first.time_s - 1e-6))
+    row = int(np.searchsorted(tracks.ids, agent))
+    way = np.diff(tracks.xy[row, column : until + 1], axis=0)
+    near = abs(np.hypot(*way.T).sum() - left_m) <= SAME_PLACE_M
+    return first.kind is EventKind.YIELDED if near else None

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
-from experiments.benchmarks.unit_free import standardised, unit_free_features
 from experiments.data.parallel import in_parallel
 from experiments.rival import nine_numbers
 from experiments.score.metrics import (
@@ -80,12 +80,8 @@ class Video:
     features: Mapping[str, FloatArray]
 
 
-def _unit_free(tracks: Tracks) -> FloatArray:
-    return unit_free_features(tracks.xy, np.stack([tracks.length, tracks.width], axis=1))
-
-
 def _identity(tracks: Tracks) -> FloatArray:
-    """Number, first and last time: what must tell nothing about how someone drives."""
+    """Number, first and last time: which must not help to say how someone drives."""
     first = tracks.valid.argmax(axis=1)
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
     return np.stack([tracks.ids, first, last], axis=1).astype(np.float64)
@@ -131,13 +127,19 @@ VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
     "majority": _nothing,
     "leak-probe": _identity,
     **{name: partial(_observed, METHODS[name].observer) for name in _OBSERVED},
-    "unit-free": _unit_free,
     "nine-numbers": _nine,
 }
-"""Features by name of the method whose they are; ``unit-free`` are made for such recordings."""
+"""Features by name of the method whose they are."""
 
 
-def read_video(
+def _standardised(values: FloatArray) -> FloatArray:
+    """Standardised columns, clipped at 4; zero where unknown."""
+    table = pd.DataFrame(values)
+    scaled = (table - table.mean()) / (table.std(ddof=0) + 1e-9)
+    return np.asarray(scaled.clip(-4.0, 4.0).fillna(0.0), dtype=np.float64)
+
+
+def _read_video(
     path: Path, annotations: Path, views: Sequence[str], rule: Resolution = "lenient"
 ) -> Video | None:
     """Read one video with its labels."""
@@ -148,7 +150,7 @@ def read_video(
     tracks = next(iter(traf.read(path))).tracks
     codes = traf.labels(tracks, sheets, rule)
     known = codes >= 0
-    features = {name: standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
+    features = {name: _standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
     name = path.stem.removesuffix("_gt")
     return Video(name, codes[known], features)
 
@@ -159,7 +161,7 @@ def read_traf(
     """Read every annotated video in a folder with ``tracks`` and ``annotations``."""
     paths = sorted((folder / "tracks").glob("*_gt.txt"))
     arguments = [(path, folder / "annotations", tuple(views), rule) for path in paths]
-    return [video for video in in_parallel(read_video, arguments, jobs) if video is not None]
+    return [video for video in in_parallel(_read_video, arguments, jobs) if video is not None]
 
 
 def _posterior(
@@ -231,15 +233,15 @@ def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
     truth, probability, even, majority, video_of = (
         np.concatenate(column) for column in zip(*folds, strict=True)
     )
-    agent = np.arange(truth.size)
-    at_even_odds = confusion(truth, even.argmax(axis=1), agent, task)
-    likely = confusion(truth, probability.argmax(axis=1), agent, task)
-    constant = confusion(truth, majority, agent, task)
+    counts = [
+        confusion(truth, answer, np.arange(truth.size), task)
+        for answer in (even.argmax(axis=1), probability.argmax(axis=1), majority)
+    ]
     values = {
-        "macro_f1": bootstrap(macro_f1, at_even_odds),
-        "balanced_accuracy": bootstrap(balanced_accuracy, at_even_odds),
-        "weighted_accuracy": bootstrap(weighted_accuracy, likely),
-        "majority_weighted_accuracy": bootstrap(weighted_accuracy, constant),
+        "macro_f1": bootstrap(macro_f1, counts[0]),
+        "balanced_accuracy": bootstrap(balanced_accuracy, counts[0]),
+        "weighted_accuracy": bootstrap(weighted_accuracy, counts[1]),
+        "majority_weighted_accuracy": bootstrap(weighted_accuracy, counts[2]),
     }
     if task == 2:
         values["auc"] = auc_within(probability[:, 0], truth == 0, video_of)
@@ -252,15 +254,9 @@ def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
 def auc_within(
     score: FloatArray, positive: NDArray[np.bool_], group: IntArray
 ) -> tuple[float, float, float]:
-    """Area under the ROC curve over pairs from the same group, with an interval over samples.
+    """Area under the ROC curve over pairs (n,) of the same group, and its interval over samples.
 
-    Args:
-        score: (n,) larger for positives.
-        positive: (n,) truth.
-        group: (n,) which video or episode each belongs to; only pairs inside one count.
-
-    Returns:
-        Value, low, high; NaN where no group has both kinds.
+    NaN where no group has both kinds.
 
     Examples:
         >>> where = np.array([0, 0, 0, 1, 1])
@@ -295,13 +291,9 @@ def measure(
     tasks: Sequence[int] = tuple(TASKS),
     jobs: int | None = None,
 ) -> Iterator[list[Row]]:
-    """Score methods on the labelled recordings.
+    """Score methods on the labelled recordings in the folder ``traf`` of a folder.
 
-    Args:
-        data: folder with ``traf``.
-        views: keys of ``VIEWS``.
-        tasks: keys of ``TASKS``.
-        jobs: processes; None for one per core.
+    Views are keys of ``VIEWS``, and tasks of ``TASKS``.
 
     Yields:
         The rows of each view and task.

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
+from scipy.stats import spearmanr
 
 from behaviors.errors import InputError
 from experiments.data.parallel import in_parallel
@@ -24,7 +26,7 @@ from graphrqi.predict.recorded.gaps import inferred_leaders
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 
-LEAST_LIFE_S: Final = 10.0
+LEAST_TRACK_S: Final = 10.0
 """The halves of shorter tracks are too short (five seconds each)."""
 
 LEAST_SEEN_S: Final = 3.0
@@ -43,18 +45,16 @@ RESAMPLES: Final = 500
 """Bootstrap resamples of drivers."""
 
 
-def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
+def _cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
     """The same scene, in which long drivers are new ones from the middle of their tracks on.
 
-    Returns:
-        Tracks in which the agent of row r has the id 2 r, and 2 r + 1 in its second half. Also
-        returned: the (n,) rows of halved agents, and the (n,) first column of each second half.
+    In these tracks the agent of row r has the id 2 r, and 2 r + 1 in its second half. Also
+    returned: the (n,) rows of halved agents, and the (n,) first column of each second half.
     """
-    first = tracks.valid.argmax(axis=1)
-    last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
+    first, last = _ends(tracks)
     begin_s, end_s = tracks.time_s[first], tracks.time_s[last]
     long = tracks.valid.any(axis=1) & (tracks.kind != PEDESTRIAN)
-    rows = np.flatnonzero(long & (end_s - begin_s >= LEAST_LIFE_S - 1e-6))
+    rows = np.flatnonzero(long & (end_s - begin_s >= LEAST_TRACK_S - 1e-6))
     middle = np.searchsorted(tracks.time_s, 0.5 * (begin_s + end_s)[rows])
     late = np.zeros(tracks.valid.shape, dtype=bool)
     late[rows] = np.arange(tracks.time_s.size) >= middle[:, None]
@@ -62,24 +62,28 @@ def cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
     ids = np.concatenate([2 * np.arange(tracks.ids.size), 2 * rows + 1])
     valid = np.concatenate([tracks.valid & ~late, tracks.valid[rows] & late[rows]])
     order = np.argsort(ids)
-    source, valid = source[order], valid[order]
+    source = source[order]
+    each = {
+        name: getattr(tracks, name)[source]
+        for name in ("kind", "length", "width", "xy", "heading", "speed")
+    }
     cut = tracks.with_dense(
-        ids=ids[order], names=tuple(map(str, ids[order].tolist())),
-        kind=tracks.kind[source], length=tracks.length[source], width=tracks.width[source],
-        xy=tracks.xy[source], heading=tracks.heading[source], speed=tracks.speed[source],
-        valid=valid, behavior=None, events=(),
+        **each, ids=ids[order], names=tuple(map(str, ids[order].tolist())), valid=valid[order],
+        behavior=None, events=(),
     )  # fmt: skip
     return cut, rows, middle
 
 
-def last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
-    """(N,) last probability of the aggressive style, and (N,) whether it is known.
-
-    NaN where a stream of recorded traffic gives no answer.
-    """
-    stream = load_stream(model, traffic="recorded")
+def _ends(tracks: Tracks) -> tuple[IntArray, IntArray]:
+    """(N,) the first and the last column of each agent."""
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
-    style, told = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
+    return np.asarray(tracks.valid.argmax(axis=1)), np.asarray(last)
+
+
+def _last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
+    """(N,) last probability of the aggressive style, NaN if unknown, and whether it is labelled."""
+    stream, (_, last) = load_stream(model, traffic="recorded"), _ends(tracks)
+    style, labelled = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
     for step, frame in enumerate(tracks.frames()):
         stream.push(frame)
         leaving = np.flatnonzero((last == step) & tracks.valid[:, step])
@@ -89,52 +93,42 @@ def last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
         here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
         at = np.searchsorted(posterior.ids, tracks.ids[here])
         style[here] = aggressive_share(posterior.probability[at])
-        told[here] = posterior.labelled[at]
-    return style, told
+        labelled[here] = posterior.labelled[at]
+    return style, labelled
 
 
-def later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatArray:
-    """(n,) mean time headway of some drivers from their middles on, s; NaN where they follow none.
-
-    Args:
-        tracks: the recording.
-        rows: (n,) whose.
-        middle: (n,) the first column of each.
-    """
-    total, count = np.zeros(rows.size), np.zeros(rows.size)
+def _later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatArray:
+    """(n,) mean time headway of drivers from their middles on, s; NaN where they follow none."""
+    seen = []
     for column in range(0, tracks.time_s.size, max(1, round(EVERY_S / tracks.step_s))):
         leader, gap = inferred_leaders(tracks, column)
-        speed = tracks.speed[rows, column]
+        speed = np.nan_to_num(tracks.speed[rows, column])
+        headway = np.maximum(gap[rows], 0.0) / np.maximum(speed, MOVING_MPS)
         counts = tracks.valid[rows, column] & (column >= middle) & (leader[rows] >= 0)
-        counts &= np.nan_to_num(speed) > MOVING_MPS
-        headway = np.maximum(gap[rows], 0.0) / np.maximum(np.nan_to_num(speed), MOVING_MPS)
-        counts &= headway < LONGEST_HEADWAY_S
-        total += np.where(counts, headway, 0.0)
-        count += counts
-    mean = np.divide(total, count, out=np.full(rows.size, np.nan), where=count > 0)
-    return np.asarray(mean)
+        counts &= (speed > MOVING_MPS) & (headway < LONGEST_HEADWAY_S)
+        seen.append(np.where(counts, headway, np.nan))
+    return np.asarray(pd.DataFrame(seen).mean(), dtype=np.float64)
 
 
-def drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
+def _drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
     """Beliefs about the drivers of one recording, and their motion.
 
-    Returns:
-        (n, 3) aggressive style after each half and later headway of halved agents. (m, 2) final
-        style and whether it is known, of agents seen for `LEAST_SEEN_S`.
+    (n, 3) aggressive style after each half, and later headway, of halved agents; (m, 2) final style
+    and whether it is known, of agents seen for `LEAST_SEEN_S`.
     """
     tracks = one.tracks
     if tracks.time_s.size < 2:
         return np.zeros((0, 3)), np.zeros((0, 2))
-    cut, rows, middle = cut_in_half(tracks)
+    cut, rows, middle = _cut_in_half(tracks)
     halves = np.zeros((0, 3))
     if rows.size:
-        style, _ = last_beliefs(cut, model)
+        style, _ = _last_beliefs(cut, model)
         at = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1]))
-        halves = np.column_stack([*style[at], later_headways(tracks, rows, middle)])
-    style, told = last_beliefs(tracks, model)
+        halves = np.column_stack([*style[at], _later_headways(tracks, rows, middle)])
+    style, labelled = _last_beliefs(tracks, model)
     seen_s = tracks.valid.sum(axis=1) * tracks.step_s
     shown = np.isfinite(style) & (seen_s >= LEAST_SEEN_S - 1e-6)
-    return halves, np.column_stack([style, told])[shown]
+    return halves, np.column_stack([style, labelled])[shown]
 
 
 def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
@@ -144,8 +138,6 @@ def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
         >>> round(spearman(np.arange(20.0), np.arange(20.0) ** 3)[0], 6)
         1.0
     """
-    from scipy.stats import spearmanr
-
     if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return np.nan, np.nan, np.nan
     drawn = np.random.default_rng(0).integers(0, one.size, (RESAMPLES, one.size))
@@ -155,12 +147,7 @@ def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
 
 
 def measure(data: Path, model: str = DEFAULT_MODEL, jobs: int | None = None) -> Iterator[list[Row]]:
-    """Measure beliefs about the drivers of recordings.
-
-    Args:
-        data: a folder of datasets of recordings, or one of them.
-        model: a shipped model's name or a folder.
-        jobs: processes; None for one per core.
+    """Measure beliefs about the drivers of recordings: a folder of datasets of them, or one.
 
     Yields:
         The rows of each dataset: shares labelled and aggressive, and the correlations.
@@ -175,16 +162,16 @@ def measure(data: Path, model: str = DEFAULT_MODEL, jobs: int | None = None) -> 
     if not places:
         raise InputError(f"{data}: found no recording, expected at least 1")
     for name in sorted(places):
-        found = list(in_parallel(drivers_of, [(one, model) for one in places[name]], jobs))
-        halves, lives = (np.concatenate(each) for each in zip(*found, strict=True))
-        yield list(_rows({"dataset": name, "protocol": "recorded", "method": model}, halves, lives))
+        found = list(in_parallel(_drivers_of, [(one, model) for one in places[name]], jobs))
+        halves, whole = (np.concatenate(each) for each in zip(*found, strict=True))
+        yield list(_rows({"dataset": name, "protocol": "recorded", "method": model}, halves, whole))
 
 
-def _rows(keys: dict[str, Cell], halves: FloatArray, lives: FloatArray) -> Iterator[Row]:
+def _rows(keys: dict[str, Cell], halves: FloatArray, whole: FloatArray) -> Iterator[Row]:
     """The figures of a dataset."""
-    answered = lives[lives[:, 1] > 0.5, 0]
+    answered = whole[whole[:, 1] > 0.5, 0]
     for metric, values in (
-        ("share_unknown", 1.0 - lives[:, 1]), ("share_aggressive", (answered > 0.5).astype(float))
+        ("share_unknown", 1.0 - whole[:, 1]), ("share_aggressive", (answered > 0.5).astype(float))
     ):  # fmt: skip
         if values.size:
             error = 1.96 * float(values.std()) / np.sqrt(values.size)

@@ -4,7 +4,8 @@ The networks for recordings are trained on all others (``left-out``) and predict
 the base, the Kalman filter, constant velocity and the weights that ship stand beside them, with and
 without the map, once with the past as recorded and once with noise added to it. Errors are means up
 to a horizon, over those of constant velocity with the same past. Standing, slow, free and following
-vehicles are told apart (`experiments.training.recordings.classes_of`). Intervals resample vehicles.
+vehicles have rows of their own (`experiments.training.recordings.classes_of`). Intervals resample
+vehicles.
 
 Shipped weights were trained on some open recordings (their card says which); their rows for those
 datasets say nothing about new places.
@@ -13,6 +14,7 @@ datasets say nothing about new places.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -20,13 +22,7 @@ import numpy as np
 
 from experiments.score.metrics import bootstrap, ratio, summed
 from experiments.score.rows import Cell, Row, tidy_row
-from experiments.training.recorded import (
-    PER_DATASET,
-    DatasetExamples,
-    fit_network,
-    gather_examples,
-    with_noise,
-)
+from experiments.training.recorded import PER_DATASET, fit_network, gather_examples, with_noise
 from experiments.training.recordings import (
     CLASSES,
     RecordedPlace,
@@ -62,7 +58,7 @@ LEAST_CASES: Final = 5
 
 SHIPPED, LEFT_OUT = "graphrqi-predict", "left-out"
 
-Told = Callable[[Tracks, Road | None], Prediction]
+_Predictor = Callable[[Tracks, Road | None], Prediction]
 """A predictor of the bench: the past and the map in, futures out."""
 
 _AT: Final = np.round(TIME_S / STEP_S).astype(np.int64) - 1
@@ -74,11 +70,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Score predictors on recordings, each dataset left out of the training in turn.
 
-    Args:
-        data: a folder of datasets of recordings; or one of them, for which nothing is trained.
-        epochs: of each training.
-        seed: of trainings and noise.
-        per_dataset: about how many agents at instants are learned from in each.
+    The folder holds datasets of recordings; in one of them alone, nothing is trained. About
+    ``per_dataset`` agents at instants are learned from in each.
 
     Yields:
         The rows of each dataset.
@@ -89,22 +82,23 @@ def measure(
     parts: dict[str, list[RecordedPlace]] = {}
     for one in read_sources([data]):
         parts.setdefault(one.dataset, []).append(one)
-    examples: dict[str, DatasetExamples] = {}
-    for number, name in enumerate(sorted(parts) if len(parts) > 1 else ()):
-        found = gather_examples(parts[name], number, seed, per_dataset)
-        if found is not None:
-            examples[name] = found
-    for name in sorted(parts):
+    names = sorted(parts)
+    examples = {
+        name: found
+        for number, name in enumerate(names if len(names) > 1 else ())
+        if (found := gather_examples(parts[name], number, seed, per_dataset)) is not None
+    }
+    for name in names:
         others = [found for other, found in examples.items() if other != name]
         network = fit_network(others, epochs, seed) if others else None
-        yield list(score_part(parts[name], network, seed))
+        yield list(_dataset_rows(parts[name], network, seed))
 
 
-def score_part(
+def _dataset_rows(
     places: Sequence[RecordedPlace], network: RecordedNetwork | None, seed: int
 ) -> Iterator[Row]:
     """Rows of one dataset: every predictor, with and without noise."""
-    predictors: dict[str, Told] = {
+    predictors: dict[str, _Predictor] = {
         "constant-velocity": lambda history, road: keep_velocity(history, _STEPS),
         "kalman": lambda history, road: keep_filtered_motion(history, _STEPS),
         "base": lambda history, road: _base(history),
@@ -115,15 +109,14 @@ def score_part(
             history, _STEPS, network, road
         )
     mapped = any(one.road is not None for one in places)
-    for noise_m in NOISES_M:
-        for predictor, told in predictors.items():
-            learned = mapped and predictor in (SHIPPED, LEFT_OUT)
-            for with_map in (False, True) if learned else (False,):
-                keys: dict[str, Cell] = {
-                    "dataset": places[0].dataset, "predictor": predictor, "map": with_map,
-                    "noise_m": noise_m,
-                }  # fmt: skip
-                yield from _rows(keys, places, told, with_map, noise_m, seed)
+    for noise_m, (name, predictor) in product(NOISES_M, predictors.items()):
+        learned = mapped and name in (SHIPPED, LEFT_OUT)
+        for with_map in (False, True) if learned else (False,):
+            keys: dict[str, Cell] = {
+                "dataset": places[0].dataset, "predictor": name, "map": with_map,
+                "noise_m": noise_m,
+            }  # fmt: skip
+            yield from _rows(keys, places, predictor, with_map, noise_m, seed)
 
 
 def _base(history: Tracks) -> Prediction:
@@ -135,12 +128,12 @@ def _base(history: Tracks) -> Prediction:
 
 
 def _rows(
-    keys: dict[str, Cell], places: Sequence[RecordedPlace], told: Told, with_map: bool,
+    keys: dict[str, Cell], places: Sequence[RecordedPlace], predictor: _Predictor, with_map: bool,
     noise_m: float, seed: int,
 ) -> Iterator[Row]:  # fmt: skip
     """The figures of a predictor, by class of vehicles and horizon."""
     cases: list[tuple[FloatArray, ...]] = []
-    every_s, first = scored_every_s(places), 0
+    every_s, first = _scored_every_s(places), 0
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, index))
         for stop in recorded_instants(one.tracks, every_s):
@@ -150,7 +143,7 @@ def _rows(
             if not counts.any():
                 continue
             history = with_noise(clean, noise_m, rng, 1) if noise_m else clean
-            best = told(history, one.road if with_map else None).best[:, _AT]
+            best = predictor(history, one.road if with_map else None).best[:, _AT]
             errors, steady = (
                 np.linalg.norm(each - truth, axis=-1)
                 for each in (best, steady_motion(history, TIME_S))
@@ -164,24 +157,19 @@ def _rows(
     errors, steady, kinds = (np.concatenate(each) for each in zip(*cases, strict=True))
     groups = {"moving": kinds[:, 2] > 0}
     groups |= {name: kinds[:, 1] == code for code, name in enumerate(CLASSES)}
-    for name, rows in groups.items():
+    for (name, rows), horizon_s in product(groups.items(), HORIZONS_S):
         n, vehicle = int(rows.sum()), kinds[rows, 0]
         if n < LEAST_CASES:
             continue
-        for horizon_s in HORIZONS_S:
-            upto = int(np.searchsorted(TIME_S, horizon_s - 1e-9)) + 1
-            ours, theirs = (one[rows, :upto].mean(axis=1) for one in (errors, steady))
-            here: dict[str, Cell] = {**keys, "class": name, "horizon_s": horizon_s}
-            for metric, below in (("ratio_to_cv", theirs), ("ade_m", np.ones(n))):
-                sums = summed(vehicle, ours, below)
-                yield tidy_row(here, metric, *bootstrap(ratio, sums), n)
+        upto = int(np.searchsorted(TIME_S, horizon_s - 1e-9)) + 1
+        ours, theirs = (one[rows, :upto].mean(axis=1) for one in (errors, steady))
+        here: dict[str, Cell] = {**keys, "class": name, "horizon_s": horizon_s}
+        for metric, below in (("ratio_to_cv", theirs), ("ade_m", np.ones(n))):
+            yield tidy_row(here, metric, *bootstrap(ratio, summed(vehicle, ours, below)), n)
 
 
-def scored_every_s(places: Sequence[RecordedPlace]) -> float:
+def _scored_every_s(places: Sequence[RecordedPlace]) -> float:
     """Time between the instants of a dataset, s."""
-    seconds = 0.0
-    for one in places:
-        if one.tracks.time_s.size > 1:
-            fast = one.tracks.valid & (np.nan_to_num(one.tracks.speed) >= 1.0)
-            seconds += float(fast.sum()) * one.tracks.step_s
-    return float(np.clip(seconds / SCORED_PER_DATASET, 1.0, 60.0))
+    tracks = [one.tracks for one in places if one.tracks.time_s.size > 1]
+    fast = [(one.valid & (np.nan_to_num(one.speed) >= 1.0)).sum() * one.step_s for one in tracks]
+    return float(np.clip(sum(fast) / SCORED_PER_DATASET, 1.0, 60.0))

@@ -13,18 +13,26 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from itertools import product
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
-from behaviors.errors import InputError, lookup
-from experiments.benchmarks.graph_sequences import LAYOUTS, graph_sequence
+from behaviors.errors import lookup
 from experiments.score.rows import Cell, Row, tidy_row
+from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 from graphrqi.spectrum.contract import Pairs, Problem, Solver, check_arguments, eigensolver
 from graphrqi.spectrum.spectrum import End
+from sim.frames import FloatArray
+
+LAYOUTS: Final = ("road", "crossing")
+"""Where the vehicles are."""
+
+ENDS: Final[tuple[End, ...]] = ("largest", "smallest")
+
+STEP_S: Final = 0.1
+"""Time between observations, s."""
 
 TOLERANCE: Final = 1e-8
 """Residual asked for, relative to max(1, lambda_max)."""
@@ -51,42 +59,59 @@ SLOPE_FROM: Final = 400
 """Smallest graph that counts for the slopes: below, fixed costs rule."""
 
 
+def graph_sequence(
+    layout: str, kind: str, d: int, steps: int, skip: int = 0, seed: int = 0
+) -> Iterator[TrafficGraph]:
+    """Traffic graphs of d vehicles every 0.1 s, four neighbours, reset at 100.
+
+    Args:
+        layout: "road" (one way, three lanes, 20 m apart per lane on average, 25 m/s) or "crossing"
+            (four arms of three lanes, 12 m apart, three in ten standing).
+        kind: "instantaneous" or "accumulated".
+        d: vehicles.
+        steps: graphs wanted.
+        skip: observations before the first of them.
+        seed: of the places and speeds.
+    """
+    graph = TrafficGraph.empty(neighbors=4, reset=100, kind=cast(Any, kind))
+    for step, xy in enumerate(_positions(layout, d, skip + steps, seed)):
+        graph = graph.observe(np.arange(d), xy)
+        if step >= skip:
+            yield graph
+
+
+def _positions(layout: str, d: int, steps: int, seed: int) -> Iterator[FloatArray]:
+    """(d, 2) positions of each step, m."""
+    rng = np.random.default_rng(seed)
+    lane = 3.5 * rng.integers(0, 3, d)
+    if layout == "road":
+        along, speed, turn = rng.random(d) * d / 3 * 20.0, rng.normal(25.0, 3.0, d), np.zeros(d)
+    else:
+        reach = d / 12 * 12.0 + 30.0
+        along = rng.random(d) * 2 * reach - reach
+        speed = rng.normal(10.0, 3.0, d) * (rng.random(d) < 0.7)
+        turn = rng.integers(0, 4, d) * np.pi / 2
+        lane += 1.75
+    ahead = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    right = np.stack([np.sin(turn), -np.cos(turn)], axis=1)
+    for _ in range(steps):
+        xy = along[:, None] * ahead + lane[:, None] * right
+        yield xy + rng.normal(0.0, 0.05, xy.shape)
+        along = along + speed * STEP_S
+
+
 @eigensolver()
-def dsyevr(problem: Problem) -> Pairs:
+def _dsyevr(problem: Problem) -> Pairs:
     """LAPACK's dsyevr for a range of indices: a rival that keeps nothing."""
     from scipy.linalg import eigh
 
-    d, k, zeros = problem.graph.ids.size, problem.num_pairs, problem.null.shape[1]
-    span = (d - k, d - 1) if problem.end == "largest" else (zeros, zeros + k - 1)
+    d, k = problem.graph.ids.size, problem.num_pairs
+    span = (d - k, d - 1) if problem.end == "largest" else (0, k - 1)
     matrix = problem.graph.laplacian.toarray()
     values, vectors = eigh(matrix, subset_by_index=span, driver="evr")
     if problem.end == "largest":
         values, vectors = values[::-1], vectors[:, ::-1]
     return Pairs(values, vectors)
-
-
-@eigensolver(dense_share=5)
-def primme(problem: Problem) -> Pairs:
-    """PRIMME's default method, started from the earlier vectors.
-
-    References:
-        Stathopoulos, McCombs (2010), PRIMME: preconditioned iterative multimethod eigensolver,
-        ACM Trans. Math. Softw. 37 (2), 21.
-    """
-    try:
-        from primme import eigsh
-    except ImportError:
-        raise InputError("primme: not found, expected it: pip install graphrqi[primme]") from None
-    values, vectors = eigsh(
-        problem.graph.laplacian,
-        problem.num_pairs,
-        which="LA" if problem.end == "largest" else "SA",
-        v0=problem.starting_block(),
-        tol=0.3 * problem.tol,
-        lock=problem.null if problem.null.shape[1] else None,
-        return_unconverged=True,
-    )
-    return Pairs(*problem.chosen(values, vectors))
 
 
 def measure(
@@ -95,16 +120,10 @@ def measure(
     solvers: Sequence[str] = (),
     steps: int = 60,
 ) -> Iterator[list[Row]]:
-    """Measure every solver on every kind of graph.
+    """Measure every solver on graphs of so many vehicles, in so many observations of each.
 
     A solver that would exceed ``STEP_BUDGET_S`` a step or its memory has one row: ``cpu_ms``
-    without a value.
-
-    Args:
-        sizes: numbers of vehicles.
-        graphs: road or crossing.
-        solvers: keys of ``SOLVERS``, "lapack-dsyevr", or "primme"; () for all that are installed.
-        steps: observations of each sequence.
+    without a value. Solvers are keys of ``SOLVERS``, or "lapack-dsyevr"; () for all.
 
     Yields:
         Rows of each sequence: ``cpu_ms`` (median per step), ``residual_max``, ``missed_pairs``,
@@ -117,31 +136,34 @@ def measure(
     import scipy.linalg  # noqa: F401  # only libraries that are loaded can be limited to a thread
     from threadpoolctl import threadpool_limits
 
-    everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": dsyevr, "primme": primme}
-    usual = [name for name in everything if name != "primme" or find_spec(name)]
-    chosen = {name: lookup(everything, name, "solver") for name in solvers or usual}
+    everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": _dsyevr}
+    chosen = {name: lookup(everything, name, "solver") for name in solvers or everything}
     layouts = [lookup({name: name for name in LAYOUTS}, name, "graph") for name in graphs]
-    ends: tuple[End, ...] = ("largest", "smallest")
-    for end in ends:
+    for end in ENDS:
         check_arguments(PAIRS, end, TOLERANCE)
     with threadpool_limits(1):
         _warm_up(chosen)
-        for layout, kind, end in product(layouts, ("instantaneous", "accumulated"), ends):
+        for layout, kind, end in product(layouts, ("instantaneous", "accumulated"), ENDS):
             costs: dict[str, list[tuple[int, float]]] = defaultdict(list)
             keys: dict[str, Cell] = {"d": None, "graph": layout, "kind": kind, "end": end}
             for d in sorted(sizes):
                 yield list(_sequence_rows(chosen, costs, {**keys, "d": d}, d, end, steps))
-            yield list(_slopes(costs, keys))
+            slopes: list[Row] = []
+            for name, points in costs.items():
+                large = np.log([point for point in points if point[0] >= SLOPE_FROM])
+                if len(large) > 1:
+                    slope = float(np.polyfit(large[:, 0], large[:, 1], 1)[0])
+                    slopes.append(tidy_row({"solver": name, **keys}, "slope", slope, n=len(large)))
+            yield slopes
 
 
 def _warm_up(solvers: Mapping[str, Solver]) -> None:
     """Load and compile everything once, untimed, also what large graphs need."""
-    ends: tuple[End, ...] = ("largest", "smallest")
-    for end in ends:
+    for end in ENDS:
         first, second = graph_sequence("road", "accumulated", 40, 2)
         for solver in solvers.values():
-            last = solver(first, 4, end, None, TOLERANCE, end == "smallest")
-            solver(second, 4, end, last, TOLERANCE, end == "smallest")
+            last = solver(first, 4, end, None, TOLERANCE)
+            solver(second, 4, end, last, TOLERANCE)
     previous: Spectrum | None = None
     for graph in graph_sequence("road", "accumulated", 700, 3):
         previous = SOLVERS["graphrqi"](graph, PAIRS, "largest", previous)
@@ -167,13 +189,11 @@ def _sequence_rows(
             if len(done) > 2 and sum(ms for ms, *_ in done) > 1e3 * SEQUENCE_BUDGET_S:
                 continue
             begin = time.process_time()
-            last[name] = solvers[name](
-                graph, PAIRS, end, last.get(name), TOLERANCE, end == "smallest"
-            )
+            last[name] = solvers[name](graph, PAIRS, end, last.get(name), TOLERANCE)
             now[name] = 1e3 * (time.process_time() - begin), last[name]
         _, reference = now.get("eigh") or now.get("graphrqi") or (0.0, None)
         for name, (ms, spectrum) in now.items():
-            missed = 0 if reference is None else missed_pairs(reference, spectrum)
+            missed = 0 if reference is None else _missed_pairs(reference, spectrum)
             found[name].append((ms, spectrum, missed))
     medians = {name: float(np.median([ms for ms, *_ in done[2:]])) for name, done in found.items()}
     for name, done in found.items():
@@ -191,19 +211,10 @@ def _sequence_rows(
             yield tidy_row(key, metric, value, n=len(warm))
 
 
-def missed_pairs(reference: Spectrum, found: Spectrum) -> int:
-    """How many of the reference's eigenvalues have no partner in another answer.
-
-    Args:
-        reference: k right pairs.
-        found: the answer to judge.
-
-    Returns:
-        Eigenvalues without one within 1e-6 of max(1, the largest), each partner used once.
-    """
+def _missed_pairs(reference: Spectrum, found: Spectrum) -> int:
+    """How many of the right eigenvalues have no partner near in another answer, each used once."""
     near = 1e-6 * max(1.0, float(np.abs(reference.eigenvalues).max(initial=0.0)))
-    left = sorted(found.eigenvalues.tolist())
-    missing = 0
+    left, missing = sorted(found.eigenvalues.tolist()), 0
     for value in sorted(reference.eigenvalues.tolist()):
         match = next((v for v in left if abs(v - value) <= near), None)
         if match is None:
@@ -211,17 +222,6 @@ def missed_pairs(reference: Spectrum, found: Spectrum) -> int:
         else:
             left.remove(match)
     return missing
-
-
-def _slopes(
-    costs: Mapping[str, Sequence[tuple[int, float]]], keys: Mapping[str, Cell]
-) -> Iterator[Row]:
-    """Slopes of cost against the number of vehicles, both in logarithms."""
-    for solver, points in costs.items():
-        large = np.log([point for point in points if point[0] >= SLOPE_FROM])
-        if len(large) > 1:
-            slope = float(np.polyfit(large[:, 0], large[:, 1], 1)[0])
-            yield tidy_row({"solver": solver, **keys}, "slope", slope, n=len(large))
 
 
 def table(rows: Sequence[Row]) -> list[Row]:

@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from experiments.cli.options import Jobs, json_option, option
-
-if TYPE_CHECKING:
-    from experiments.score.rows import Row
+from experiments.cli.options import Jobs, Json, option
 
 bench = typer.Typer(
-    help="Measure, and print one row per figure.",
+    help="Measure, and print one row per figure; --json writes them after every part.",
     epilog="example: graphrqi bench spectrum --quick --json spectrum.json",
     rich_markup_mode=None,
     invoke_without_command=True,
 )
 
-Json = Annotated[
-    Path | None,
-    json_option("Write the rows as JSON, after every part; - for standard output."),
-]
 Quick = Annotated[bool, option("Small sizes, in a minute or so.", "--quick")]
-Data = Annotated[
-    Path, option("Folder of recordings.", file_okay=False, exists=True, metavar="FOLDER")
-]
-Folder = Annotated[
-    Path | None, option("Where datasets are made, and used again.", metavar="FOLDER")
-]
-Episodes = Annotated[int | None, option("Episodes per scenario.")]
 Only = Annotated[list[str] | None, option("Only this; repeat for several [default: all].")]
+Engine = Annotated[str, option("Which simulator.")]
+Episodes = Annotated[int | None, option("Episodes per scenario.")]
 
 
 @bench.callback()
@@ -42,19 +29,10 @@ def show_help(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def _show(
-    name: str, parts: Iterable[Sequence[Row]], json: Path | None,
-    table: Callable[[Sequence[Row]], Sequence[Row]] | None = None,
-) -> None:  # fmt: skip
-    from experiments.score.rows import show_parts
-
-    show_parts(f"bench {name}", parts, json, table)
-
-
 @bench.command(epilog="example: graphrqi bench behaviors --quick --json behaviors.json")
 def behaviors(
     scenario: Only = None,
-    engine: Annotated[str, option("Which simulator.")] = "sumo",
+    engine: Engine = "sumo",
     behaviors: Annotated[
         str | None, option("Behaviours of your own, too: a TOML file, or distracted, novice.")
     ] = None,
@@ -64,36 +42,42 @@ def behaviors(
 ) -> None:
     """Measure which behaviour shows which trait, in every scenario."""
     from experiments.benchmarks.behaviors import measure
+    from experiments.score.rows import show_parts
 
     seeds, duration_s = ((0,), 60.0) if quick else (tuple(range(5)), 600.0)
-    _show("behaviors", measure(scenario or (), engine, seeds, duration_s, jobs, behaviors), json)
+    parts = measure(scenario or (), engine, seeds, duration_s, jobs, behaviors)
+    show_parts("bench behaviors", parts, json)
 
 
 @bench.command(epilog="example: graphrqi bench attention --quick --json attention.json")
 def attention(
-    behavior: Annotated[str, option("Of the six, or distracted, novice.")] = "careful",
-    engine: Annotated[str, option("Which simulator.")] = "sumo-idm",
+    behavior: Annotated[str, option("Whose numbers the drivers have.")] = "careful",
+    behaviors: Annotated[str | None, option("Behaviours of your own, too: a TOML file.")] = None,
+    engine: Engine = "sumo-idm",
     jobs: Jobs = None,
     quick: Quick = False,
     json: Json = None,
 ) -> None:
-    """Measure reactions, headway and rear-end collisions as the reaction time grows."""
+    """Measure reactions, rear-end collisions, and what is overlooked."""
     from behaviors.errors import lookup
     from behaviors.labels import BEHAVIORS, SHIPPED, read_behaviors
     from experiments.benchmarks.attention import measure
+    from experiments.score.rows import show_parts
 
-    known = {str(one): one for one in (*BEHAVIORS, *read_behaviors(",".join(SHIPPED)))}
-    chosen, seeds, duration_s = lookup(known, behavior, "behavior"), 10, 300.0
-    if quick:
-        seeds, duration_s = 1, 120.0
-    _show("attention", measure(chosen, engine, seeds, duration_s, jobs), json)
+    own = *read_behaviors(",".join(SHIPPED)), *read_behaviors(behaviors)
+    known = {str(one): one for one in (*BEHAVIORS, *own)}
+    seeds, duration_s = (1, 120.0) if quick else (5, 300.0)
+    parts = measure(lookup(known, behavior, "behavior"), engine, seeds, duration_s, jobs)
+    show_parts("bench attention", parts, json)
 
 
 @bench.command(epilog="example: graphrqi bench classification --quick --json rows.json")
 def classification(
     protocol: Only = None,
     method: Only = None,
-    out: Folder = None,
+    out: Annotated[
+        Path | None, option("Where datasets are made, and used again.", metavar="FOLDER")
+    ] = None,
     episodes: Episodes = None,
     jobs: Jobs = None,
     quick: Quick = False,
@@ -101,18 +85,21 @@ def classification(
 ) -> None:
     """Score methods and the plain rival on unseen drivers, scenarios, engines, noise."""
     from experiments.benchmarks.classification import OURS, measure, table
+    from experiments.score.rows import show_parts
 
     chosen, count, duration_s = method or [], 15, 150.0
     if quick:
         protocol = protocol or ["inductive", "leak-probe"]
         chosen, count, duration_s = chosen or [OURS, "majority"], 5, 60.0
     parts = measure(protocol or (), chosen, episodes or count, duration_s, jobs, out)
-    _show("classification", parts, json, table)
+    show_parts("bench classification", parts, json, table)
 
 
 @bench.command("real-data", epilog="example: graphrqi bench real-data --data FOLDER --quick")
 def real_data(
-    data: Data,
+    data: Annotated[
+        Path, option("Folder of recordings.", file_okay=False, exists=True, metavar="FOLDER")
+    ],
     task: Annotated[
         str, option("behavior, classification: beliefs without labels, or prediction.")
     ] = "behavior",
@@ -125,25 +112,21 @@ def real_data(
     from experiments.benchmarks import real_data as behavior
     from experiments.benchmarks import recorded_beliefs
     from experiments.benchmarks import recorded_prediction as prediction
+    from experiments.score.rows import show_parts
 
-    lookup({"behavior": 0, "classification": 1, "prediction": 2}, task, "task")
-    if task == "classification":
-        parts = recorded_beliefs.measure(data, jobs=jobs)
-    elif task == "prediction":
-        parts = prediction.measure(data, 1 if quick else 4)
-    else:
-        views = ("majority", "leak-probe", "unit-free") if quick else tuple(behavior.VIEWS)
-        tasks = (2,) if quick else tuple(behavior.TASKS)
-        parts = behavior.measure(data, views, tasks, jobs)
-    _show("real-data", parts, json)
+    views = ("majority", "leak-probe", "nine-numbers") if quick else tuple(behavior.VIEWS)
+    tasks = (2,) if quick else tuple(behavior.TASKS)
+    parts = {
+        "behavior": lambda: behavior.measure(data, views, tasks, jobs),
+        "classification": lambda: recorded_beliefs.measure(data, jobs=jobs),
+        "prediction": lambda: prediction.measure(data, 1 if quick else 4),
+    }
+    show_parts("bench real-data", lookup(parts, task, "task")(), json)
 
 
 @bench.command(epilog="example: graphrqi bench prediction --quick --json prediction.json")
 def prediction(
-    predictor: Annotated[
-        list[str] | None,
-        option("A name or module:function; repeat for several [default: all names]."),
-    ] = None,
+    predictor: Only = None,
     episodes: Episodes = None,
     jobs: Jobs = None,
     quick: Quick = False,
@@ -151,19 +134,16 @@ def prediction(
 ) -> None:
     """Measure every predictor's errors on unseen episodes, and who is predicted to yield."""
     from experiments.benchmarks.prediction import QUICK, measure
+    from experiments.score.rows import show_parts
 
-    names = predictor or (QUICK if quick else ())
-    duration_s = 30.0 if quick else None
-    count = episodes or (2 if quick else 10)
-    _show("prediction", measure(count, duration_s, names, jobs), json)
+    names, duration_s, count = (QUICK, 30.0, 2) if quick else ((), None, 10)
+    parts = measure(episodes or count, duration_s, predictor or names, jobs)
+    show_parts("bench prediction", parts, json)
 
 
 @bench.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")
 def spectrum(
-    graph: Annotated[
-        list[str] | None,
-        option("road or crossing; repeat for several [default: both]."),
-    ] = None,
+    graph: Only = None,
     size: Annotated[
         list[int] | None, option("Vehicles; repeat for several [default: 25 to 20000].")
     ] = None,
@@ -172,18 +152,17 @@ def spectrum(
     json: Json = None,
 ) -> None:
     """Measure every eigenvalue algorithm on the same graphs, in one process."""
-    from experiments.benchmarks.spectrum import measure, table
+    from experiments.benchmarks.spectrum import LAYOUTS, measure, table
+    from experiments.score.rows import show_parts
 
     sizes = size or ([25] if quick else [25, 100, 400, 1000, 4000, 20000])
-    graphs = graph or ("road", "crossing")
-    _show("spectrum", measure(sizes, graphs, solver or (), 5 if quick else 60), json, table)
+    parts = measure(sizes, graph or LAYOUTS, solver or (), 5 if quick else 60)
+    show_parts("bench spectrum", parts, json, table)
 
 
 @bench.command(epilog="example: graphrqi bench loop --quick --json loop.json")
 def loop(
-    engine: Annotated[
-        list[str] | None, option("Simulator; repeat for several [default: sumo, highway].")
-    ] = None,
+    engine: Only = None,
     city: Annotated[
         bool, option("In cities, all but the smallest need netgenerate.", "--city")
     ] = False,
@@ -192,6 +171,7 @@ def loop(
 ) -> None:
     """Time classifying and predicting while a simulation runs, stage by stage."""
     from experiments.benchmarks.loop import measure_cities, measure_loop
+    from experiments.score.rows import show_parts
 
     engines = engine or ["sumo", "highway"]
     if city:
@@ -199,20 +179,23 @@ def loop(
         parts = measure_cities(engines, blocks, vehicles)
     else:
         parts = measure_loop(engines, 20.0, 1) if quick else measure_loop(engines)
-    _show("loop", parts, json)
+    show_parts("bench loop", parts, json)
 
 
 @bench.command(epilog="example: graphrqi bench generate --quick --json generate.json")
 def generate(quick: Quick = False, json: Json = None) -> None:
     """Measure the cost of generating data."""
     from experiments.benchmarks.generate import measure
+    from experiments.score.rows import show_parts
 
-    _show("generate", measure(1, 30.0, 2) if quick else measure(), json)
+    show_parts("bench generate", measure(1, 30.0, 2) if quick else measure(), json)
 
 
 @bench.command(epilog="example: graphrqi bench conflicts --quick --json rows.json")
 def conflicts(quick: Quick = False, json: Json = None) -> None:
     """Compare our conflicts with those of SUMO's own device, in the same episodes."""
     from experiments.benchmarks.conflicts import measure
+    from experiments.score.rows import show_parts
 
-    _show("conflicts", measure((0,), 60.0) if quick else measure(range(3), 120.0), json)
+    parts = measure((0,), 60.0) if quick else measure(range(3), 120.0)
+    show_parts("bench conflicts", parts, json)

@@ -2,27 +2,58 @@
 
 Only typer is imported here; each command imports what it needs when it runs, so that help appears
 at once. Whatever a user can do wrong ends in one line on stderr and exit code 2.
+``python -m scenarios.NAME`` calls ``run``, too.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from experiments.cli.bench import bench
-from experiments.cli.files import export, import_, list_names, road, verify
-from experiments.cli.generate import generate, run
-from experiments.cli.models import calibrate, classify, evaluate, predict, train
-from experiments.cli.options import Quiet
-from experiments.cli.pages import replay, report, summary
-from experiments.cli.what_if import drive, what_if
-from experiments.console.exit_codes import STOPPED, Interrupted, exit_on_user_error
-from experiments.console.notices import LOGGER, show_notices
+from experiments.cli.options import (
+    DatasetFolder,
+    Flow,
+    FormatName,
+    GivenLabels,
+    Jobs,
+    Json,
+    ModelName,
+    Net,
+    NewDataset,
+    Quiet,
+    ScenarioName,
+    Seed,
+    Source,
+    TableFile,
+    Traffic,
+    TrafficKind,
+    file_option,
+    in_a_folder,
+    named_dataset,
+    option,
+    refuse_to_overwrite,
+    table_to_write,
+    with_traffic,
+)
+from experiments.console.notices import (
+    LOGGER,
+    STOPPED,
+    Interrupted,
+    exit_on_user_error,
+    show_notices,
+)
 from experiments.guard import guarding
+
+if TYPE_CHECKING:
+    from experiments.generate.configuration import GenerateConfig
+    from experiments.score.rows import Row
 
 app = typer.Typer(
     name="graphrqi",
@@ -36,31 +67,723 @@ app = typer.Typer(
 SIMULATE, DATA, LEARN = "Simulate traffic", "Data", "Drivers: learn, classify, predict"
 ASK, LOOK = "What if, and how safe", "Look and measure"
 
-COMMANDS: Final[tuple[tuple[str, str, Callable[..., Any], str], ...]] = (
-    (SIMULATE, "run", run, "run straight_road --flow dense --stream --predict"),
-    (SIMULATE, "generate", generate,
-     "generate --scenario straight_road --episodes 9 --out roads"),
-    (SIMULATE, "road", road, "road town.osm --out town"),
-    (DATA, "import", import_, "import recordings --format ngsim --out data"),
-    (DATA, "export", export, "export data --format argoverse2 --out exported"),
-    (DATA, "verify", verify, "verify data"),
-    (LEARN, "train", train, "train data --method graphrqi-plus --out model"),
-    (LEARN, "classify", classify, "classify data --out labels.parquet"),
-    (LEARN, "evaluate", evaluate, "evaluate graphrqi-plus data --json scores.json"),
-    (LEARN, "predict", predict, "predict data --predictors car-following --horizon-s 5"),
-    (LEARN, "calibrate", calibrate, "calibrate recordings --out drivers"),
-    (ASK, "what-if", what_if,
-     "what-if straight_road --at-s 30 --agent 8 --behavior timid --out what-if"),
-    (ASK, "drive", drive, "drive --policy planner --quick"),
-    (LOOK, "summary", summary, "summary data --by behavior --out summary.csv"),
-    (LOOK, "replay", replay, "replay data --episode straight_road --out replay.html"),
-    (LOOK, "report", report, "report runs/demo"),
-    (LOOK, "list", list_names, "list"),
-)  # fmt: skip
-"""The commands by their groups in the help, each with an example."""
 
-for panel, name, command, example in COMMANDS:
-    app.command(name, rich_help_panel=panel, epilog=f"example: graphrqi {example}")(command)
+def _command(panel: str, name: str, example: str) -> Callable[[Any], Any]:
+    """Register a function as a command, in a group of the help and with an example."""
+    return app.command(name, rich_help_panel=panel, epilog=f"example: graphrqi {example}")
+
+
+@_command(SIMULATE, "run", "run straight_road --flow dense --stream --predict")
+@with_traffic
+def run(
+    scenario: ScenarioName = None,
+    stream: Annotated[bool, option("Classify drivers as they go.", "--stream")] = False,
+    predict: Annotated[bool, option("Predict, and score it.", "--predict")] = False,
+    model: ModelName = "graphrqi-plus",
+    window: Annotated[
+        str | None,
+        option("Classify and predict only an agent and those within 100 m (or M), or an area.",
+               metavar="AGENT[:M] or X0,Y0,X1,Y1"),
+    ] = None,
+    out: Annotated[
+        Path | None, option("Keep the episode as a dataset, too.", metavar="FOLDER")
+    ] = None,
+    seed: Seed = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+    *,
+    traffic: Traffic,
+) -> None:  # fmt: skip
+    """Run a scenario headless and sum up what happened."""
+    from experiments.run import read_window, run_scenario, shown
+    from experiments.score.rows import show_table, stamped
+
+    config = traffic.config([scenario] if scenario else None, episodes=1, seed=seed)
+    used = model if stream or predict else None
+    found = run_scenario(config, used, predict, quiet, read_window(window), out)
+    show_table(stamped(found, "run", seed), json, lines=shown(found))
+
+
+@_command(SIMULATE, "generate", "generate --scenario straight_road --episodes 9 --out roads")
+@with_traffic
+def generate(
+    out: NewDataset,
+    scenario: Annotated[
+        list[str] | None,
+        option("A scenario's name, its TOML file, or a map; random_world draws one for each "
+               "episode; repeat for several. Needed, here or in the file.", names="scenario"),
+    ] = None,
+    episodes: Annotated[
+        int | None, option("Episodes per scenario. Needed, here or in the file.")
+    ] = None,
+    config: Annotated[
+        Path | None, file_option("The same options in a file.", metavar="FILE.toml")
+    ] = None,
+    seed: Annotated[int | None, option("Same seed, same bytes (default: 0).")] = None,
+    jobs: Jobs = None,
+    cluster: Annotated[
+        str | None, option("Dask scheduler, instead of processes.", metavar="ADDRESS")
+    ] = None,
+    quiet: Quiet = False,
+    *,
+    traffic: Traffic,
+) -> None:  # fmt: skip
+    """Make a dataset, or what is missing of it."""
+    from experiments.generate.dataset import generate as make
+
+    chosen = traffic.config(scenario, config, episodes=episodes, seed=seed)
+    make(chosen, out, jobs, quiet, cluster)
+    _say_size(out)
+
+
+def _say_size(out: Path) -> None:
+    """Say where a dataset is and how large it is: the last line of a command that makes one."""
+    from experiments.console.notices import say
+    from sim.files import place_of
+    from sim.store.dataset import open_dataset
+
+    dataset = open_dataset(out)
+    steps = sum(dataset.totals.column("agent_steps").to_pylist())
+    say(f"{place_of(out).url}: {len(dataset)} episodes, {steps} agent-steps")
+
+
+@_command(SIMULATE, "road", "road town.osm --out town")
+def road(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        option("Write NAME.net.xml, the picture NAME.svg, and the scenario NAME.toml.",
+               metavar="NAME", callback=in_a_folder),
+    ] = None,
+    left_hand: Annotated[
+        bool | None,
+        typer.Option(
+            "--left-hand/--right-hand",
+            help="On which side traffic drives, of OpenStreetMap.",
+            show_default="as the map says",
+        ),
+    ] = None,
+    json: Json = None,
+) -> None:  # fmt: skip
+    """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
+    from experiments.console.notices import say
+    from experiments.guard import guarded_call
+    from experiments.score.rows import show_table, stamped, tidy_row
+    from scenarios.own.survey import survey
+    from sim.files import write_whole
+    from sim.input_files import read_bytes
+    from sim.road.net import MAX_NET_BYTES
+
+    found = guarded_call(file, survey, file, left_hand)
+    if out is not None:
+        files = {
+            Path(f"{out}.net.xml"): read_bytes(found.net, MAX_NET_BYTES),
+            Path(f"{out}.svg"): found.picture().encode(),
+            Path(f"{out}.toml"): f'net = "{out.name}.net.xml"\nflow = "medium"\n'.encode(),
+        }
+        refuse_to_overwrite([file], list(files))
+        for path, content in files.items():
+            write_whole(path, content)
+    lines = found.rows()
+    rows = []
+    for line in lines:
+        value = line["value"]
+        text, number = (value, None) if isinstance(value, str) else (None, value)
+        rows.append(tidy_row({"text": text}, str(line["what"]), number))
+    show_table(stamped(rows, "road"), json, lines=lines)
+    if out is not None and str(json) != "-":
+        say(f"{out}.net.xml, {out}.svg and {out}.toml: graphrqi run {out}.toml")
+
+
+@_command(DATA, "import", "import recordings --format ngsim --out data")
+def import_(
+    source: Annotated[Path, typer.Argument(help="A recording, or a folder of recordings.")],
+    out: NewDataset,
+    format: FormatName = None,
+    net: Net = None,
+    types: Annotated[Path | None, file_option("vTypes of a SUMO recording, for sizes.")] = None,
+    labels: GivenLabels = None,
+    rate: Annotated[
+        float | None,
+        option("Frames per second, where the files are wrong.", metavar="HZ", min=1e-3),
+    ] = None,
+    shift: Annotated[
+        str | None, option("Move the map so far onto the positions, m.", metavar="X,Y")
+    ] = None,
+    columns: Annotated[
+        str | None,
+        option("Columns of your own table; also heading, speed, vx, vy, length, width, kind.",
+               metavar="id=NAME,t=NAME,x=NAME,y=NAME"),
+    ] = None,
+    units: Annotated[
+        str | None, option("Units of these columns, where they are not SI.", metavar="t=ms,x=ft")
+    ] = None,
+    name: Annotated[
+        str | None, option("What the scenario is called; the format's name if not.", metavar="NAME")
+    ] = None,
+    split: Annotated[
+        Literal["train", "validation", "test"] | None,
+        option("The part of the data that everything belongs to.", show_default="all"),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Make a dataset of recordings in other formats."""
+    from experiments.data.exchange import import_recordings
+
+    import_recordings(
+        source, out, format, net, split, quiet, types, labels, rate, _metres(shift),
+        _pairs("columns", columns), _pairs("units", units) or None, name,
+    )  # fmt: skip
+    _say_size(out)
+
+
+def _metres(text: str | None) -> tuple[float, float] | None:
+    """Two lengths in metres from ``X,Y``."""
+    if text is None:
+        return None
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError:
+        from behaviors.errors import InputError
+
+        raise InputError(f"--shift: found {text!r:.60}, expected X,Y in metres") from None
+    return x, y
+
+
+def _pairs(what: str, text: str | None) -> dict[str, str] | None:
+    """Values by name from ``NAME=VALUE,NAME=VALUE``."""
+    if text is None:
+        return None
+    found = dict(word.split("=", 1) for word in text.split(",") if word.count("="))
+    if len(found) != len(text.split(",")) or not all(found.values()):
+        from behaviors.errors import InputError
+
+        raise InputError(f"--{what}: found {text!r:.80}, expected NAME=VALUE,NAME=VALUE")
+    return {key.strip(): value.strip() for key, value in found.items()}
+
+
+@_command(DATA, "export", "export data --format argoverse2 --out exported")
+def export(
+    dataset: DatasetFolder,
+    format: Annotated[
+        str,
+        option("See graphrqi list; vtypes: SUMO's vehicle types of the drivers, of a dataset or "
+               "of behaviours (a TOML file, or distracted, novice).", "--format", metavar="KEY",
+               names="format"),
+    ],
+    out: Annotated[Path, option("Folder to write into.")],
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Write a dataset, or its drivers alone, in another format."""
+    from experiments.console.notices import say
+    from experiments.data.exchange import export_dataset
+    from experiments.data.vtypes import export_types
+
+    if format == "vtypes":
+        written = export_types(str(dataset), out)
+    else:
+        written = export_dataset(dataset, out, format, quiet)
+    say(f"{out}: {len(written)} files written")
+
+
+@_command(DATA, "verify", "verify data")
+def verify(dataset: DatasetFolder, json: Json = None) -> None:
+    """Compare every file with its checksum."""
+    from experiments.console.notices import say
+    from experiments.data.verify import verify_dataset
+    from experiments.score.rows import show_table, stamped, tidy_row
+
+    flaws = verify_dataset(dataset)
+    if flaws or json is not None:
+        lines = [{"file": str(f.path), "state": f.state} for f in flaws]
+        rows = [tidy_row(line, "wrong_files", 1) for line in lines]
+        show_table(stamped(rows, "verify"), json, lines=lines)
+    if flaws:
+        say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
+        raise typer.Exit(2)
+    if json is None:
+        say(f"{dataset}: every file is as its catalogue says")
+
+
+@_command(LEARN, "train", "train data --method graphrqi-plus --out model")
+def train(
+    data: Annotated[
+        list[Path], typer.Argument(help="Datasets; recordings for --from and --predictor.")
+    ],
+    out: Annotated[Path, option("Folder of the model.")],
+    method: Annotated[str, option("See graphrqi list.", names="method")] = "graphrqi-plus",
+    start: Annotated[
+        str | None,
+        option("Adapt this model to the place of recordings instead.", "--from", metavar="MODEL"),
+    ] = None,
+    labels: GivenLabels = None,
+    predictor: Annotated[
+        bool, option("Train the predictor for recordings instead.", "--predictor")
+    ] = False,
+    epochs: Annotated[int, option("Passes over the data (--predictor).", min=1)] = 4,
+    format: FormatName = None,
+    net: Net = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Train a classifier on datasets, adapt one to recordings, or train the predictor."""
+    from behaviors.errors import InputError
+    from experiments.score.rows import melted, show_table, stamped
+
+    if labels is not None and start is None:
+        raise InputError("--labels: found no --from, expected the model that labels adapt")
+    if predictor:
+        if start is not None:
+            raise InputError("--predictor: found --from, too, expected one of them")
+        from experiments.training.recorded import train_on_recordings
+
+        scores = train_on_recordings(data, out, epochs=epochs, seed=seed, quiet=quiet)
+        lines: list[Row] = [
+            {"recordings": name, "ade_over_constant_velocity": round(value, 3)}
+            for name, value in scores.items()
+        ]
+        rows = melted(lines, ["recordings"])
+        show_table(stamped(rows, "train --predictor", seed), json, f"{out}: trained", lines)
+        return
+    if start is not None:
+        from experiments.data.exchange import as_dataset
+        from experiments.training.adapt import adapt
+
+        if labels is None:
+            raise InputError("--from: found no --labels, expected labels of some drivers")
+        if len(data) != 1:
+            raise InputError(f"--from: found {len(data)} recordings, expected one or a folder")
+        with as_dataset(data[0], format, net) as dataset:
+            rows = adapt(start, dataset, out, labels, quiet)
+        show_table(stamped(rows, "train --from"), json, f"{out}: {start} adapted", rows)
+        return
+    from experiments.score.rows import dataset_id
+    from experiments.training.classifier import train_on
+    from sim.store.dataset import open_dataset
+
+    rows = train_on(data, method, out, seed, quiet, jobs).card["scores"]
+    known = ", ".join(dataset_id(open_dataset(path)) for path in data)
+    _show_scores(stamped(rows, "train", seed, known), json)
+    if not rows:
+        typer.echo("not scored: the data have no test episode with a driver seen for 1 s", err=True)
+
+
+@_command(LEARN, "classify", "classify data --out labels.parquet")
+def classify(
+    source: Source,
+    out: TableFile = None,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    labels: GivenLabels = None,
+    conflicts: Annotated[
+        Path | None,
+        file_option("File for the conflicts of any two road users: .parquet or .csv.",
+                    "--conflicts", callback=table_to_write),
+    ] = None,
+    traffic: TrafficKind = None,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Name each driver's behaviour as it drives."""
+    from experiments.score.labels import classify_dataset, domain_notice, named_table
+    from experiments.score.rows import show_table, stamped
+    from experiments.score.tables import write_conflicts
+
+    refuse_to_overwrite([source, net, labels], [out, conflicts, json])
+    with named_dataset(source, format, net) as (dataset, known):
+        if conflicts is not None:
+            write_conflicts(dataset, conflicts)
+        found = classify_dataset(
+            dataset, model, out, labels, traffic=traffic, jobs=jobs, quiet=quiet
+        )
+    rows = stamped(found, "classify", dataset=known)
+    if str(json) != "-":
+        show_table(named_table(rows), title="drivers by their last answer")
+    _show_scores(rows, json)
+    if notice := domain_notice(rows):
+        typer.echo(notice, err=True)
+
+
+def _show_scores(rows: Sequence[Row], json: Path | None) -> None:
+    """Write all rows, and print the scores and confusions of those over many episodes."""
+    from experiments.score.answers import confusion_table, is_scored, scores_table
+    from experiments.score.rows import show_table
+
+    totals = [row for row in rows if row.get("name") is None]
+    if not is_scored(totals) and json is None:
+        return
+    paired = [row for row in totals if row.get("against")]
+    down = ["model", "scenario", "split"] if paired else ["scenario", "split"]
+    title = "every driver once, by its last answer; 95 % intervals over episodes"
+    show_table(rows, json, title, scores_table([row for row in totals if row not in paired], down))
+    if str(json) == "-":
+        return
+    if paired:
+        keys = ("model", "against", "metric", "value", "low", "high")
+        lines = [{key: row[key] for key in keys} for row in paired]
+        show_table(lines, title="differences on the same drivers")
+    confusions = confusion_table(totals)
+    if confusions:
+        show_table(confusions, title="how often each behaviour gets each answer")
+
+
+@_command(LEARN, "evaluate", "evaluate graphrqi-plus data --json scores.json")
+def evaluate(
+    model: Annotated[str, typer.Argument(help="A model that ships, or a folder.")],
+    source: Source,
+    format: FormatName = None,
+    net: Net = None,
+    labels: GivenLabels = None,
+    answers: Annotated[
+        Path | None,
+        file_option("Answers of your own model about the test split, to compare: columns episode, "
+                    "agent, time_s, label.", "--answers"),
+    ] = None,
+    traffic: TrafficKind = None,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Score a model where drivers are known; report makes a page of the JSON."""
+    from experiments.score.evaluate import evaluate
+    from experiments.score.rows import stamped
+
+    refuse_to_overwrite([source, net, labels, answers], [json])
+    with named_dataset(source, format, net) as (dataset, known):
+        rows = evaluate(model, dataset, labels, answers, traffic=traffic, jobs=jobs, quiet=quiet)
+    _show_scores(stamped(rows, "evaluate", dataset=known), json)
+
+
+@_command(LEARN, "predict", "predict data --predictors car-following --horizon-s 5")
+def predict(
+    source: Source,
+    predictors: Annotated[
+        str,
+        option("Names (see graphrqi list) or module:function of your own, separated by commas.",
+               metavar="A,B"),
+    ] = "constant-velocity,graphrqi-predict",
+    horizon_s: Annotated[float, option("How far ahead, s.", "--horizon-s")] = 5.0,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    out: TableFile = None,
+    weights: Annotated[
+        Path | None,
+        option("From train --predictor (default: the weights that ship).", metavar="FOLDER"),
+    ] = None,
+    traffic: TrafficKind = None,
+    split: Annotated[
+        str | None, option("test, validation, train or all [default: test; all of recordings].")
+    ] = None,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Predict the motion of every agent, and score it."""
+    from experiments.score.predictions import default_split, errors_table, predict_dataset
+    from experiments.score.rows import show_table, stamped
+
+    refuse_to_overwrite([source, net], [out, json])
+    names = [word.strip() for word in predictors.split(",") if word.strip()]
+    with named_dataset(source, format, net) as (dataset, known):
+        found = predict_dataset(
+            dataset, names, horizon_s, model, out=out, weights=weights, traffic=traffic,
+            split=split or default_split(dataset), jobs=jobs,
+            quiet=quiet,
+        )  # fmt: skip
+    rows = stamped(found, "predict", dataset=known)
+    show_table(rows, json, "prediction", errors_table(rows))
+
+
+@_command(LEARN, "calibrate", "calibrate recordings --out drivers")
+def calibrate(
+    source: Source,
+    out: Annotated[Path, option("New folder for the results.", metavar="FOLDER", file_okay=False)],
+    format: FormatName = None,
+    net: Net = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Infer every driver's car-following numbers, and the population they come from."""
+    from experiments.calibration import population_rows, quantile_rows, write_calibration
+    from experiments.score.rows import melted, show_table, stamped
+
+    calibrated = write_calibration(source, out, format, net, quiet)
+    lines = population_rows(calibrated)
+    rows = stamped(melted(lines, ["number"]), "calibrate")
+    show_table(rows, json, f"{out}: {len(calibrated.drivers)} drivers", lines)
+    if str(json) != "-":
+        places = quantile_rows(calibrated.population(calibrated.better))
+        show_table(places, title="quantiles at which each behaviour's median driver lies")
+
+
+@_command(
+    ASK, "what-if", "what-if straight_road --at-s 30 --agent 8 --behavior timid --out what-if"
+)  # fmt: skip
+@with_traffic
+def what_if(
+    scenario: ScenarioName = None,
+    at_s: Annotated[float | None, option("From when on the driver differs, s.", "--at-s")] = None,
+    agent: Annotated[int | None, option("The driver.", metavar="ID")] = None,
+    out: Annotated[Path | None, option("Folder of the dataset.")] = None,
+    behavior: Annotated[
+        list[str] | None, option("A behaviour to go on with; repeat for several.", metavar="B")
+    ] = None,
+    action: Annotated[
+        list[str] | None,
+        option("brake, keep, accelerate, change-left or change-right at that instant; repeat for "
+               "several.", metavar="A"),
+    ] = None,
+    episode: Annotated[
+        int, option("Which of the scenario's episodes, as by generate.", min=0, metavar="N")
+    ] = 0,
+    seed: Seed = 0,
+    blame: Annotated[
+        bool,
+        option("Instead, say whose careful driving would have prevented each collision and near "
+               "miss.", "--blame"),
+    ] = False,
+    picture: Annotated[
+        Path | None,
+        file_option("Draw the paths over the factual ones too: .png, .pdf or .svg."),
+    ] = None,
+    json: Json = None,
+    quiet: Quiet = False,
+    *,
+    traffic: Traffic,
+) -> None:  # fmt: skip
+    """Drive one episode on from one instant with one driver different (Linux only)."""
+    from behaviors.errors import InputError, lookup
+    from behaviors.labels import BEHAVIORS, read_behaviors
+    from experiments.figure_files import check_figure_file
+    from experiments.replay.pictures import write_paths
+    from experiments.score.rows import dataset_id, melted, show_table, stamped
+    from experiments.what_if.branches import WhatIf, make_what_if
+    from experiments.what_if.outcomes import outcomes
+    from sim.store.dataset import open_dataset
+    from sim.sumo.control.acting import Action
+
+    drawn = traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed)
+    if blame:
+        _show_blame(drawn, episode, seed, json)
+        return
+    if at_s is None or agent is None or out is None:
+        missing = "--at-s" if at_s is None else "--agent" if agent is None else "--out"
+        raise InputError(f"{missing}: found none, expected it, or --blame")
+    known = (*BEHAVIORS, *read_behaviors(drawn.behaviors))
+    behaviors, actions = {str(b): b for b in known}, {a.value: a for a in Action}
+    config = WhatIf(
+        episode=drawn,
+        index=episode,
+        at_s=at_s,
+        agent=agent,
+        behaviors=tuple(lookup(behaviors, word, "behavior") for word in behavior or ()),
+        actions=tuple(lookup(actions, word, "action") for word in action or ()),
+    )
+    if picture is not None:
+        check_figure_file(picture, "--picture")
+    make_what_if(config, out, quiet)
+    dataset = open_dataset(out)
+    lines = outcomes(dataset)
+    rows = stamped(melted(lines, ["change"]), "what-if", seed, dataset_id(dataset))
+    show_table(rows, json, lines=lines)
+    if picture is not None:
+        write_paths(dataset, picture)
+
+
+def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | None) -> None:
+    """Print a line for each incident of an episode and driver who was tried."""
+    from experiments.generate.episode import Task
+    from experiments.score.rows import melted, show_table, stamped
+    from experiments.what_if.blame import judge
+    from sim.scenario import sample_agents
+
+    task = Task(config, config.scenarios[0], episode)
+    made = config.scenario(task.scenario, episode)
+    agents = sample_agents(made, task.seed)
+    lines = list(judge(made, agents, task.seed, config.engine))
+    if lines or json is not None:
+        keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
+        show_table(stamped(melted(lines, keys), "what-if --blame", seed), json, lines=lines)
+    else:
+        typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")
+
+
+@_command(ASK, "drive", "drive --policy planner --quick")
+def drive(
+    policy: Annotated[
+        list[str] | None,
+        option("planner, another of ours, or module:function of your own; repeat for several "
+               "(default: ours).", metavar="NAME"),
+    ] = None,
+    scenario: Annotated[
+        list[str] | None, option("Where; repeat for several (default: everywhere).")
+    ] = None,
+    crowd: Annotated[
+        list[str] | None,
+        option("Among whom: a behaviour, mixed, recorded, homogeneous, or a mix such as "
+               "timid=.9,novice=.1; repeat for several (default: all).", metavar="NAME or MIX"),
+    ] = None,
+    behaviors: Annotated[
+        str | None,
+        option("Behaviours of your own: a TOML file, or distracted, novice.",
+               metavar="FILE or NAMES"),
+    ] = None,
+    episodes: Annotated[
+        int | None, option("Of each policy in each scenario and crowd (default: 20).")
+    ] = None,
+    seed: Annotated[int | None, option("Of the first episode.", min=0)] = None,
+    flow: Flow = None,
+    duration_s: Annotated[
+        float | None, option("Longest episode, s (default: 60).", "--duration-s")
+    ] = None,
+    warmup_s: Annotated[
+        float | None, option("How long the traffic drives before, s (default: 20).", "--warmup-s")
+    ] = None,
+    quick: Annotated[
+        bool, option("Two scenarios, two crowds, two short episodes.", "--quick")
+    ] = False,
+    jobs: Jobs = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Test how driving policies do in every scenario among drivers of every kind."""
+    from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
+    from experiments.score.rows import show_parts
+
+    given: dict[str, Any] = {
+        "policies": tuple(policy or ()), "scenarios": tuple(scenario or ()),
+        "crowds": tuple(crowd or ()), "episodes": episodes, "seed": seed, "flow": flow,
+        "duration_s": duration_s, "warmup_s": warmup_s, "behaviors": behaviors,
+    }  # fmt: skip
+    chosen = {name: value for name, value in given.items() if value not in (None, ())}
+    test = dataclasses.replace(QUICK if quick else LicenceTest(), **chosen)
+    show_parts("drive", run_test(test, jobs, quiet), json, short_table)
+
+
+@_command(LOOK, "summary", "summary data --by behavior --out summary.csv")
+def summary(
+    source: Source,
+    by: Annotated[
+        str | None, option("Groups: behavior, kind or scenario (default: all together).")
+    ] = None,
+    format: FormatName = None,
+    net: Net = None,
+    json: Json = None,
+    out: Annotated[
+        Path | None, file_option("The same rows as CSV.", "--out", metavar="FILE.csv")
+    ] = None,
+) -> None:
+    """Count conflicts, events and traits per kilometre and hour, with speeds and headways."""
+    import pandas as pd
+
+    from behaviors.errors import lookup
+    from experiments.score.rows import show_table, stamped
+    from experiments.summary import BY, summary, table
+    from sim.files import write_whole
+    from sim.store.dataset import open_dataset
+
+    if by is not None:
+        lookup(BY, by, "--by")
+    with named_dataset(source, format, net) as (folder, known):
+        found = summary(open_dataset(folder), by)
+    rows = stamped(found, "summary", dataset=known)
+    if out is not None:
+        write_whole(out, pd.DataFrame(rows, dtype=object).to_csv(index=False).encode())
+    show_table(rows, json, lines=table(found, by))
+
+
+@_command(LOOK, "replay", "replay data --episode straight_road --out replay.html")
+def replay(
+    source: Source,
+    out: Annotated[Path, file_option("The page.", metavar="FILE.html")] = Path("replay.html"),
+    episode: Annotated[
+        str | None,
+        option("A name as classify shows it, an id or its beginning, or a scenario (default: the "
+               "first).", metavar="NAME"),
+    ] = None,
+    labels: Annotated[
+        Path | None, file_option("From classify (default: made here).", metavar="FILE.parquet")
+    ] = None,
+    format: FormatName = None,
+    net: Net = None,
+    model: ModelName = "graphrqi-plus",
+    predictor: Annotated[
+        str,
+        option("See graphrqi list; none for no predictions.", metavar="NAME", names="predictor"),
+    ] = "graphrqi-predict",
+    color: Annotated[
+        str | None,
+        option("At first: true, predicted, confidence, speed or w.", metavar="MODE"),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        file_option("Draw one moment of it too (.png, .pdf or .svg), or a film (.mp4 or .gif)."),
+    ] = None,
+    begin_s: Annotated[
+        float | None, option("When page, film or picture begin, s.", "--begin-s")
+    ] = None,
+    end_s: Annotated[float | None, option("When the film ends, s.", "--end-s")] = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Make a page that plays an episode in a browser."""
+    from experiments.console.notices import say
+    from experiments.replay.write import write_replay
+
+    refuse_to_overwrite([source, labels, net], [out, picture])
+    written = write_replay(
+        source, out, episode=episode, labels=labels, format=format, net=net, model=model,
+        predictor=predictor, color=color, begin_s=begin_s, end_s=end_s, picture=picture,
+        quiet=quiet,
+    )  # fmt: skip
+    for path in written:
+        say(str(path))
+
+
+@_command(LOOK, "report", "report runs/demo")
+def report(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Files of rows, or folders of runs or models."),
+    ],
+    out: Annotated[
+        Path | None,
+        file_option("The page (default: beside the rows or in the folder; comparison.html of "
+                    "several)."),
+    ] = None,
+    figures: Annotated[
+        str | None,
+        option("Write the page's pictures beside it in this format, too.", metavar="svg|pdf"),
+    ] = None,
+    jobs: Jobs = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Make a page of tables and pictures; of several runs, one that compares them."""
+    from experiments.console.notices import say
+    from experiments.report.page import write_report
+
+    refuse_to_overwrite(runs, [out])
+    say(str(write_report(runs, out, figures, jobs, quiet)))
+
+
+@_command(LOOK, "list", "list")
+def list_names(json: Json = None) -> None:
+    """Show every registered name, the distribution that it comes from, and what it is."""
+    from experiments.cli.names import registered_names
+    from experiments.score.rows import show_table, stamped
+
+    show_table(stamped(registered_names(), "list"), json)
+
 
 app.add_typer(bench, name="bench", rich_help_panel=LOOK)
 

@@ -74,6 +74,8 @@ def _registry(what: str) -> Registry[object]:
 def _about(registry: Registry[Any], name: str, what: str) -> str:
     """One line on an entry: its summary, or the first line of a docstring without its marks."""
     source = registry.source(name)
+    if what == "format" and registry.origin(name) == "graphrqi":
+        source = registry[name].reader or registry[name].writer
     try:
         if what in BY_MODULE and source is not None:
             return _first_line(importlib.import_module(source.split(":")[0]).__doc__)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,17 +17,12 @@ if TYPE_CHECKING:
 
 
 def in_a_folder(path: Path | None) -> Path | None:
-    """Refuse a file to write whose folder is missing, before any work is done.
-
-    Raises:
-        InputError: naming the folder.
-    """
+    """Refuse a file to write whose folder is missing, before any work is done."""
+    from behaviors.errors import InputError
     from sim.files import is_remote
 
     if path is None or str(path) == "-" or is_remote(path) or path.parent.is_dir():
         return path
-    from behaviors.errors import InputError
-
     raise InputError(f"{path}: found no folder {path.parent}, expected one")
 
 
@@ -40,11 +36,7 @@ def table_to_write(path: Path | None) -> Path | None:
 
 
 def refuse_to_overwrite(read: Sequence[Path | None], written: Sequence[Path | None]) -> None:
-    """Refuse files to write that are read, too, or that are named twice.
-
-    Raises:
-        InputError: naming the file.
-    """
+    """Refuse files to write that are read, too, or that are named twice."""
     from behaviors.errors import InputError
 
     places = [path.resolve() for path in read if path is not None]
@@ -81,16 +73,26 @@ def file_option(help: str, *flags: str, metavar: str = "FILE", **settings: Any) 
     return option(help, *flags, metavar=metavar, dir_okay=False, **settings)
 
 
-def json_option(help: str) -> OptionInfo:
-    """The option ``--json FILE``, with what it writes."""
-    return file_option(help, "--json", callback=in_a_folder, allow_dash=True)
+@contextmanager
+def named_dataset(source: Path, format: str | None, net: Path | None) -> Iterator[tuple[Path, str]]:
+    """A dataset, made of recordings where need be, with its id in rows."""
+    from experiments.data.exchange import as_dataset
+    from experiments.score.rows import dataset_id
+    from sim.store.dataset import open_dataset
+
+    with as_dataset(source, format, net) as folder:
+        yield folder, dataset_id(open_dataset(folder))
 
 
 Source = Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")]
 DatasetFolder = Annotated[Path, typer.Argument(help="Folder written by generate or import.")]
 NewDataset = Annotated[Path, option("Folder of the dataset.", "--out")]
 Jobs = Annotated[int | None, option("Processes (default: one per core).", min=1)]
-Json = Annotated[Path | None, json_option("Write the figures as JSON rows; - for standard output.")]
+Json = Annotated[
+    Path | None,
+    file_option("Write the figures as JSON rows; - for standard output.", "--json",
+                callback=in_a_folder, allow_dash=True),
+]  # fmt: skip
 ModelName = Annotated[str, option("A model that ships, or a folder written by train.", "--model")]
 FormatName = Annotated[
     str | None,
@@ -180,41 +182,29 @@ class Traffic:
     def config(
         self, scenarios: Sequence[str] | None, file: Path | None = None, **more: Any
     ) -> GenerateConfig:
-        """The configuration of such traffic.
+        """The configuration of such traffic in scenarios, files or maps (None: ``--net`` says it).
 
-        Args:
-            scenarios: names, files or maps; None where a file or ``--net`` says it.
-            file: a TOML file with the same options, which are weaker than these.
-            **more: ``episodes`` and ``seed``.
-
-        Returns:
-            The configuration.
-
-        Raises:
-            InputError: if an option is wrong.
+        A TOML file with the same options is weaker than these; ``more`` are ``episodes`` and
+        ``seed``.
         """
         from experiments.generate.configuration import read_config
 
         others = read_options(self.option or [])
         if self.kinds is not None:
             others["kinds"] = self.kinds
+        own = {
+            name: getattr(self, name)
+            for name in self.__dataclass_fields__
+            if name not in ("kinds", "option")
+        }
+        chosen = list(scenarios) if scenarios else None
         return read_config(
-            file, scenarios=list(scenarios) if scenarios else None, engine=self.engine,
-            flow=self.flow, mix=self.mix, spread=self.spread, population=self.population,
-            behaviors=self.behaviors, duration_s=self.duration_s, net=self.net, routes=self.routes,
-            scenario_options=others or None, **more,
+            file, scenarios=chosen, scenario_options=others or None, **own, **more
         )  # fmt: skip
 
 
 def with_traffic(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options of `Traffic`.
-
-    Args:
-        command: takes ``traffic``, a `Traffic`, as its last parameter.
-
-    Returns:
-        The command with an option for every field instead.
-    """
+    """A command with an option for every field of its last parameter ``traffic``, a `Traffic`."""
     offered = inspect.signature(Traffic, eval_str=True).parameters
     own = dict(inspect.signature(command, eval_str=True).parameters)
     del own["traffic"]
@@ -260,8 +250,6 @@ def _value(text: str) -> bool | int | float | str:
     if text in ("true", "false"):
         return text == "true"
     for number in (int, float):
-        try:
+        with suppress(ValueError):
             return number(text)
-        except ValueError:
-            continue
     return text

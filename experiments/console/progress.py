@@ -47,26 +47,20 @@ class Progress:
             self._bar.stop()
 
     def advance(self, agents: int = 0, agent_steps: int = 0) -> None:
-        """One more is done.
-
-        Args:
-            agents: agents in it.
-            agent_steps: agent-steps in it.
-        """
+        """One more is done, with so many agents and agent-steps in it."""
         self._done += 1
         self._agents += agents
         self._agent_steps += agent_steps
+        now = time.monotonic()
         if self._bar is not None:
             self._bar.advance(self._bar.task_ids[0])
-        elif not self._quiet:
-            self._line()
+        elif not self._quiet and (
+            now - self._last_line >= LINE_EVERY_S or self._done == self._total
+        ):
+            self._last_line = now
+            self._line(max(now - self._started, 1e-9))
 
-    def _line(self) -> None:
-        now = time.monotonic()
-        if now - self._last_line < LINE_EVERY_S and self._done != self._total:
-            return
-        self._last_line = now
-        elapsed_s = max(now - self._started, 1e-9)
+    def _line(self, elapsed_s: float) -> None:
         of = f" of {self._total}" if self._total else ""
         words = [f"{self._what}: {self._done}{of}"]
         if self._agent_steps:

@@ -86,7 +86,7 @@ def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tr
 
 def lost_detections(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
     """A share of all detections is missing, each independently; tracks keep their ids."""
-    return _hidden(tracks, tracks.valid & (rng.random(tracks.valid.shape) >= share))
+    return tracks.with_dense(valid=tracks.valid & (rng.random(tracks.valid.shape) >= share))
 
 
 def lost_tracks(
@@ -96,7 +96,7 @@ def lost_tracks(
 
     They are unseen for an exponential time of ``gap_s`` on average.
     """
-    return _hidden(tracks, tracks.valid & ~_gaps(tracks, per_minute, gap_s, rng))
+    return tracks.with_dense(valid=tracks.valid & ~_gaps(tracks, per_minute, gap_s, rng))
 
 
 def renamed_tracks(
@@ -105,14 +105,15 @@ def renamed_tracks(
     """As `lost_tracks`, but an agent that is found again has a new id."""
     gaps = _gaps(tracks, per_minute, gap_s, rng)
     begins = gaps & ~np.pad(gaps, ((0, 0), (1, 0)))[:, :-1]
-    piece = np.cumsum(begins, axis=1)
-    rows, columns = [], []
+    piece = np.where(tracks.valid & ~gaps, np.cumsum(begins, axis=1), -1)
+    rows: list[int] = []
+    parts = [np.zeros((0, tracks.time_s.size), dtype=bool)]
     for row in range(tracks.ids.size):
-        seen = np.flatnonzero(tracks.valid[row] & ~gaps[row])
-        for number in np.unique(piece[row, seen]):
-            rows.append(row)
-            columns.append(seen[piece[row, seen] == number])
-    return _pieces(tracks, rows, columns)
+        numbers = np.unique(piece[row])
+        own = piece[row] == numbers[numbers >= 0, None]
+        rows += [row] * len(own)
+        parts.append(own)
+    return _pieces(tracks, rows, np.concatenate(parts))
 
 
 def _gaps(
@@ -126,26 +127,14 @@ def _gaps(
     return np.asarray(np.maximum.accumulate(end_s, axis=1) > tracks.time_s)
 
 
-def _hidden(tracks: Tracks, valid: NDArray[np.bool_]) -> Tracks:
-    """The tracks where ``valid`` (N, T) holds; agents that are never seen stay, without a place."""
-    return tracks.with_dense(valid=valid)
-
-
-def _pieces(tracks: Tracks, rows: Sequence[int], columns: Sequence[NDArray[np.int64]]) -> Tracks:
-    """Tracks of pieces: of the agent in each row, the times in each of the columns."""
-    valid = np.zeros((len(rows), tracks.time_s.size), dtype=bool)
-    for piece, seen in enumerate(columns):
-        valid[piece, seen] = True
+def _pieces(tracks: Tracks, rows: Sequence[int], valid: NDArray[np.bool_]) -> Tracks:
+    """Tracks of pieces: of the agent in each row, the times at which ``valid`` (n, T) holds."""
     source = np.array(rows, dtype=np.int64)
+    names = ("kind", "length", "width", "xy", "heading", "speed")
     return tracks.with_dense(
+        **{name: getattr(tracks, name)[source] for name in names},
         ids=np.arange(source.size),
         names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
-        kind=tracks.kind[source],
-        length=tracks.length[source],
-        width=tracks.width[source],
-        xy=tracks.xy[source],
-        heading=tracks.heading[source],
-        speed=tracks.speed[source],
         valid=valid,
         behavior=None if tracks.behavior is None else tracks.behavior[source],
         events=(),

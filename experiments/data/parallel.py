@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
@@ -19,10 +20,9 @@ PARENT_CHECK_S: Final = 0.25
 
 
 def start_worker(parent: int) -> None:
-    """Prepare a worker process: the parent handles Ctrl-C, and without a parent it ends.
+    """Prepare a worker of the run with this process id.
 
-    Args:
-        parent: process id of the run that the worker belongs to.
+    The parent handles Ctrl-C, and without a parent the worker ends.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -61,7 +61,7 @@ def in_parallel(
     what: str = "",
     quiet: bool = True,
 ) -> Iterator[T]:
-    """Call a function on each tuple of arguments.
+    """Call a function on each tuple of arguments; the answers come in this order.
 
     Args:
         function: importable by workers.
@@ -69,9 +69,6 @@ def in_parallel(
         jobs: processes; None for one per core. One call or one job runs in this process.
         what: the work and what is counted, for the progress that is shown.
         quiet: whether to show no progress.
-
-    Yields:
-        The answers, in the order of the arguments.
     """
     with Progress(what, len(arguments), quiet) as progress:
         for answer in _answers(function, arguments, jobs):
@@ -89,6 +86,8 @@ def _answers(
         return
     from loky import get_reusable_executor
 
+    # a worker whose memory grows is replaced, which is no concern of the user's
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     executor = get_reusable_executor(
         max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},
         initializer=start_worker, initargs=(os.getpid(),),

@@ -19,13 +19,7 @@ class Flaw(NamedTuple):
 
 
 def verify_dataset(path: Path) -> list[Flaw]:
-    """Compare every file of a dataset with the size and the checksum in its catalogue.
-
-    Args:
-        path: folder or URL of the dataset.
-
-    Returns:
-        Faults in order of path; empty if there are none.
+    """Faults, in order of path, of every file's size and checksum beside a dataset's catalogue.
 
     Raises:
         InputError: if the catalogue's rows are broken.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,10 +31,8 @@ OBSERVED_S: Final = 10.0
 def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
     """Where an episode's positions come from.
 
-    Args:
-        entry: the episode. The engines' episodes are simulated and imported ones recorded.
-            Random worlds and what other simulations wrote are other traffic.
-        said: what the user says instead; None for nothing.
+    The engines' episodes are simulated and imported ones recorded. Random worlds and what other
+    simulations wrote are other traffic. What the user says instead counts more.
 
     Raises:
         InputError: if the user says something else than a kind of traffic.
@@ -53,31 +51,6 @@ def measured(episode: Episode) -> Tracks:
     return in_metres(episode.tracks, image_scale(episode.tracks))
 
 
-def _episode_samples(
-    folder: Path,
-    entry: EpisodeEntry,
-    number: int,
-    method: str,
-    solver: str,
-    windows_s: Sequence[float],
-    every_s: float,
-    per_moment: int | None,
-    seed: int,
-    classes: tuple[Behavior, ...],
-) -> Samples | str:
-    """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
-    tracks = measured(open_dataset(folder).read(entry))
-    if tracks.behavior is not None and tracks.classes != classes:
-        code = [classes.index(b) if b in classes else -1 for b in tracks.classes]
-        codes = np.array([*code, -1], dtype=np.int8)[tracks.behavior]
-        tracks = dataclasses.replace(tracks, behavior=codes)
-    observer = make_observer(method, solver)
-    try:
-        return collect(tracks, observer, number, windows_s, every_s, per_moment, seed + number)
-    except NoSamplesError as reason:
-        return f"{folder}: episode {entry.id}: {reason}"
-
-
 def places_of(datasets: Sequence[Dataset]) -> list[str]:
     """Scenario of each episode number of `gather`, with its engine where there are several."""
     episodes = [e for d in datasets for e in d.manifest.episodes]
@@ -91,7 +64,6 @@ def gather(
     split: Split,
     method: str,
     *,
-    scenario: str | None = None,
     solver: str = "graphrqi",
     windows_s: Sequence[float] = (OBSERVED_S,),
     every_s: float = 1.0,
@@ -109,7 +81,6 @@ def gather(
         datasets: where from.
         split: which part.
         method: whose observer to use.
-        scenario: only this one; None for all.
         solver: a key of ``SOLVERS``.
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
@@ -126,22 +97,17 @@ def gather(
         InputError: if the split has no episode.
         NoSamplesError: if no episode has labels and a driver that is seen for long enough.
     """
-    arguments = []
-    first = 0
-    for dataset in datasets:
-        numbered = {e.id: first + i for i, e in enumerate(dataset.manifest.episodes)}
-        first += len(numbered)
-        arguments += [
-            (dataset.path, e, numbered[e.id], method, solver, tuple(windows_s), every_s,
-             per_moment, seed, classes)
-            for e in dataset.episodes(split, scenario)
-        ]  # fmt: skip
+    every = [(d.path, e) for d in datasets for e in d.manifest.episodes]
+    taken = (windows_s, every_s, per_moment)
+    arguments = [
+        (path, entry, number, method, solver, (*taken, seed + number), classes)
+        for number, (path, entry) in enumerate(every)
+        if entry.split == split
+    ]
     if not arguments:
-        where = f" of scenario {scenario}" if scenario else ""
         paths = ", ".join(str(d.path) for d in datasets)
         raise InputError(
-            f"{paths}: found no {split} episode{where}, expected at least one; "
-            "generate more episodes"
+            f"{paths}: found no {split} episode, expected at least one; generate more episodes"
         )
     what = f"{method}: observing {split} episodes"
     found = list(in_parallel(_episode_samples, arguments, jobs, what, quiet))
@@ -152,3 +118,19 @@ def gather(
     for reason in left_out:
         LOGGER.warning("left out %s", reason)
     return Samples.join(parts)
+
+
+def _episode_samples(
+    folder: Path, entry: EpisodeEntry, number: int, method: str, solver: str,
+    taken: tuple[Any, ...], classes: tuple[Behavior, ...],
+) -> Samples | str:  # fmt: skip
+    """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
+    tracks = measured(open_dataset(folder).read(entry))
+    if tracks.behavior is not None and tracks.classes != classes:
+        code = [classes.index(b) if b in classes else -1 for b in tracks.classes]
+        codes = np.array([*code, -1], dtype=np.int8)[tracks.behavior]
+        tracks = dataclasses.replace(tracks, behavior=codes)
+    try:
+        return collect(tracks, make_observer(method, solver), number, *taken)
+    except NoSamplesError as reason:
+        return f"{folder}: episode {entry.id}: {reason}"

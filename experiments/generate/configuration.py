@@ -125,13 +125,7 @@ class GenerateConfig(BaseModel):
 
 
 def scenario_name(given: str) -> str:
-    """Name of a scenario.
-
-    Args:
-        given: its name, or the path of its file or map.
-
-    Raises:
-        InputError: if no such scenario exists.
+    """Name of a scenario that is given by its name, or the path of its file or map.
 
     Examples:
         >>> scenario_name("straight_road")
@@ -153,14 +147,8 @@ def _from_folder(name: str, value: object, folder: Path) -> object:
 def read_config(path: Path | None, **given: object) -> GenerateConfig:
     """A configuration from a TOML file, from options, or both; options win.
 
-    Args:
-        path: TOML file with the fields of `GenerateConfig`, whose paths begin in its folder; None
-            for none.
-        **given: fields given on the command line; None where not given. In both, ``net`` stands for
-            a map as the only scenario.
-
-    Returns:
-        The configuration.
+    The file has fields of `GenerateConfig`, and its paths begin in its folder. Options are None
+    where not given. In both, ``net`` stands for a map as the only scenario.
 
     Raises:
         InputError: if the file is broken, a field unknown or a value wrong.

@@ -14,13 +14,14 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby, product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
 
 from behaviors.errors import InputError
-from experiments.console.exit_codes import Interrupted
+from experiments.console.notices import Interrupted
 from experiments.console.progress import Progress
 from experiments.data.data_card import CARD_HEAD, DATA_CARD, write_data_card
 from experiments.data.parallel import checked_jobs
@@ -40,8 +41,7 @@ _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
 """Other content of a dataset's folder beside its tables."""
 
 
-@dataclass(frozen=True, slots=True)
-class _ShardTask:
+class _ShardTask(NamedTuple):
     """One shard to make, by one worker: episodes of one of the configuration's scenarios."""
 
     config: GenerateConfig
@@ -60,8 +60,7 @@ class _ShardTask:
         return f"{self.name.scenario} episodes {', '.join(map(str, self.indices))}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Made:
+class _Made(NamedTuple):
     """A shard that is there: its episodes, its tables, and what could not be made, in words."""
 
     entries: tuple[EpisodeEntry, ...]
@@ -71,16 +70,12 @@ class _Made:
 
 def _planned(config: GenerateConfig) -> Iterator[_ShardTask]:
     """The shards of a dataset, block by block."""
-    first = 0
-    while first < config.episodes:
-        last = min(block_of(first)[1], config.episodes - 1)
-        for scenario in config.scenarios:
-            of_split: dict[str, list[int]] = {}
-            for index in range(first, last + 1):
-                of_split.setdefault(split_of(index), []).append(index)
-            for indices in of_split.values():
-                yield _ShardTask(config, scenario, tuple(indices))
-        first = last + 1
+    for _, block in groupby(range(config.episodes), block_of):
+        of_split: dict[str, list[int]] = {}
+        for index in block:
+            of_split.setdefault(split_of(index), []).append(index)
+        for scenario, indices in product(config.scenarios, of_split.values()):
+            yield _ShardTask(config, scenario, tuple(indices))
 
 
 def _make_shard(out: str, configuration: Mapping[str, Any], task: _ShardTask) -> _Made:
@@ -239,10 +234,8 @@ def _check_same(config: GenerateConfig, place: Place, configuration: Mapping[str
 def sole_writer(place: Place) -> Iterator[None]:
     """Hold a dataset for writing; the operating system releases it when the process ends.
 
-    The lock file of a URL lies in the user's cache: there it holds off this machine's runs only.
-
-    Args:
-        place: what to hold; a folder is created if need be, and removed if it stays empty.
+    A folder is created if need be, and removed if it stays empty. The lock file of a URL lies in
+    the user's cache: there it holds off this machine's runs only.
 
     Raises:
         InputError: if another process holds it, or the path is not a folder.

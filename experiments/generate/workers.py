@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from behaviors.errors import InputError
 from experiments.data.parallel import start_worker
@@ -109,7 +109,7 @@ def _processes(jobs: int) -> Iterator[Executor]:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    """The workers of a Dask scheduler."""
+    """The workers of a Dask scheduler; they make the same bytes, one simulation per process."""
     wrong = f"cluster {address}: found "
     if not SAFE.fullmatch(address):
         raise InputError(
@@ -134,24 +134,19 @@ def _cluster(address: str) -> Iterator[Executor]:
             f"({reason:.100})"
         ) from None
     with client:
-        _check_workers(client, wrong)
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError:
+            raise InputError(f"{wrong}no worker, expected one or more") from None
+        for worker, threads in client.nthreads().items():
+            if threads != 1:
+                raise InputError(
+                    f"{wrong}worker {worker} with {threads} threads, expected 1: start it with "
+                    "--nthreads 1"
+                )
+        engines = ("sumo", "highway")
+        here = made_with(*engines)
+        for worker, there in client.run(made_with, *engines, on_error="return").items():
+            if there != here and not isinstance(there, OSError):  # it has just died
+                raise InputError(f"{wrong}{there} on {worker}, expected {here}")
         yield client.get_executor(pure=False)
-
-
-def _check_workers(client: Any, wrong: str) -> None:
-    """Refuse workers that make other bytes, or run several simulations in one process."""
-    try:
-        client.wait_for_workers(1, timeout=CONNECT_S)
-    except TimeoutError:
-        raise InputError(f"{wrong}no worker, expected one or more") from None
-    for worker, threads in client.nthreads().items():
-        if threads != 1:
-            raise InputError(
-                f"{wrong}worker {worker} with {threads} threads, expected 1: start it with "
-                "--nthreads 1"
-            )
-    engines = ("sumo", "highway")
-    here = made_with(*engines)
-    for worker, there in client.run(made_with, *engines, on_error="return").items():
-        if there != here and not isinstance(there, OSError):  # it has just died
-            raise InputError(f"{wrong}{there} on {worker}, expected {here}")

@@ -22,8 +22,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
-from behaviors.labels import BEHAVIORS, TRAITS
+from behaviors.labels import BEHAVIORS, COLORS, TRAITS, UNKNOWN_COLOR
 from behaviors.profiles import PROFILE_FIELDS
 from experiments.replay.scene import ReplayScene
 from graphrqi.posterior import LABEL_PROBABILITY
@@ -75,14 +74,10 @@ def default_mode(scene: ReplayScene) -> str:
 
 
 def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None = None) -> None:
-    """Write the page of a scene.
+    """Write the page of a scene; the HTML file appears whole or not at all.
 
-    Args:
-        scene: what to show.
-        out: the HTML file; it appears whole or not at all.
-        mode: one of ``MODES``, what agents are coloured by at first.
-        begin_s: the time at which the page opens, s; None for when the road has filled to half and
-            there are beliefs.
+    Agents are coloured by one of ``MODES`` at first. The page opens at a time, s; None for when the
+    road has filled to half and there are beliefs.
 
     Raises:
         OSError: if it cannot be written.
@@ -154,7 +149,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "behaviors": [
             {"name": str(b), "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
         ],
-        "told": {"style": LABEL_PROBABILITY},
+        "labelled": {"style": LABEL_PROBABILITY},
         "unknown": UNKNOWN_COLOR,
         "ramp": ramp(),
         "kinds": [k.value for k in KINDS],
@@ -210,7 +205,10 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
     found = []
     for i, agent in enumerate(tracks.ids.tolist()):
         spec = scene.agents.get(agent)
-        profile = None if spec is None or spec.profile is None else spec.profile
+        profile = None if spec is None else spec.profile
+        numbers = [
+            [name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS if profile
+        ]
         found.append(
             {
                 "name": tracks.names[i],
@@ -218,9 +216,7 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
                 "length": round(float(tracks.length[i]), 2),
                 "width": round(float(tracks.width[i]), 2),
                 "truth": -1 if tracks.behavior is None else int(tracks.behavior[i]),
-                "profile": None
-                if profile is None
-                else [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS],
+                "profile": numbers or None,
             }
         )
     return found
@@ -328,13 +324,9 @@ def _road(scene: ReplayScene) -> dict[str, Any] | None:
 
 
 def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]:
-    """Put arrays into one text.
+    """Put arrays, each of a type in ``DTYPES``, into one text.
 
-    Args:
-        arrays: by name, each of a type in ``DTYPES``.
-
-    Returns:
-        What is where (by name: type, offset in bytes, count), and the text.
+    Also returned is what is where, by name: type, offset in bytes, count.
 
     Examples:
         >>> index, text = pack({"a": np.array([1, 2], dtype="<u2")})
@@ -355,11 +347,7 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]
 
 
 def differences(values: FloatArray, unit: float) -> NDArray[np.int32]:
-    """Rounded values (n, ...) as differences along the first axis, as flat numbers.
-
-    Args:
-        values: the values.
-        unit: what they are rounded to.
+    """Values (n, ...), rounded to a unit, as differences along the first axis, as flat numbers.
 
     Examples:
         >>> differences(np.array([1.0, 1.5, 9.0]), 0.5).tolist()

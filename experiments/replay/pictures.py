@@ -1,29 +1,34 @@
-"""Pictures and films of a replay, drawn by matplotlib without a browser."""
+"""Pictures and films of replays, and of counterfactual paths, drawn without a browser."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, COLORS, OWN_COLOR, UNKNOWN_COLOR
 from experiments.console.progress import Progress
-from experiments.figure_files import write_figure
+from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.page import ramp_color
 from experiments.replay.scene import ReplayScene
+from experiments.what_if.branches import branch_of, change_of
+from experiments.what_if.outcomes import INCIDENTS, branches_of, factual_of, new_incidents
 from sim.files import write_whole
-from sim.frames import PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal
+from sim.frames import PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal, Tracks
 from sim.road import Road
 from sim.road.shapes import road_shapes
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from sim.store.dataset import Dataset
+from sim.store.schema import EpisodeEntry
 
 INK, MUTED = "#18202B", "#55606E"
 GROUND, PAVING, ASPHALT, PAINT, MIDDLE = "#ECEEEA", "#DCDCD6", "#C6CBD2", "#FFFFFF", "#8A6D1D"
@@ -63,17 +68,21 @@ FILM_HZ: Final = 10
 
 MOST_FRAMES: Final = 10_000
 
+AFFECTED_M: Final = 1.0
+"""Agents that are ever this far from where they factually were are affected, m."""
+
+DRAWN_OTHERS: Final = 8
+"""Most others that are drawn: those that differ most."""
+
+FACTUAL: Final = "#7A8390"
+"""Colour of what happened."""
+
+ACTION: Final = "#7A2E8E"
+"""Colour of an action."""
+
 
 def draw_road(axes: Axes, road: Road, width: float) -> None:
-    """Draw what never moves of a road.
-
-    Args:
-        axes: where to draw.
-        road: the road.
-        width: of the lines, points.
-    """
-    from matplotlib.collections import LineCollection, PolyCollection
-
+    """Draw what never moves of a road, with lines of a width in points."""
     shapes = road_shapes(road)
     for color, polygons in ((PAVING, shapes.paving), (ASPHALT, shapes.asphalt),
                             (PAINT, shapes.bars)):  # fmt: skip
@@ -83,12 +92,7 @@ def draw_road(axes: Axes, road: Road, width: float) -> None:
 
 
 def rows_of(extent: tuple[float, float, float, float], width: int, height: int) -> int:
-    """How many rows show an extent as large as possible.
-
-    Args:
-        extent: x0, y0, x1, y1 of what is shown, m.
-        width: pixels.
-        height: of all rows together, pixels.
+    """How many rows show an extent (x0, y0, x1, y1, m) as large as possible in so many pixels.
 
     Examples:
         >>> [rows_of((0, 0, size, 12), 1280, 630) for size in (12, 800)]
@@ -131,8 +135,6 @@ class Drawing:
     """
 
     def __init__(self, scene: ReplayScene, mode: str, size: tuple[int, int] = (1280, 720)) -> None:
-        from matplotlib.figure import Figure
-
         self.scene, self.mode = scene, mode
         width, height = size
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
@@ -160,14 +162,7 @@ class Drawing:
         self._clock = self.figure.text(0.985, 1 - HEAD_PX / 2 / height, "", ha="right", va="center")
 
     def draw(self, time_s: float) -> Figure:
-        """Draw the scene as it is at a time.
-
-        Args:
-            time_s: the time, s.
-
-        Returns:
-            The figure; the next call draws on the same one.
-        """
+        """The figure of the scene as it is at a time, s; the next call draws on the same one."""
         for artist in self._moving:
             artist.remove()
         self._clock.set_text(f"{time_s:.1f} s")
@@ -177,34 +172,28 @@ class Drawing:
         colors = self._colors(rows, seen.speed[at], time_s)
         lines, inks, width = self._overlay(rows, xy, colors, time_s)
         bodies = [self._body(*one) for one in zip(rows, xy, seen.heading[at], strict=True)]
+        body: dict[str, Any] = {"edgecolors": INK, "linewidths": 0.7, "zorder": 5}
         self._moving = [
             *self._draw_stops(time_s),
             *self._lines(lines, inks, width, 3),
             *self._lines(self._ghosts(time_s), MUTED, 0.8, 4, linestyles="--"),
-            *self._bodies(bodies, colors),
+            *self._add(PolyCollection(bodies, facecolors=colors, **body) for _ in self._axes),
             *self._collisions(time_s),
         ]
         return self.figure
+
+    def _add(self, collections: Any) -> list[Artist]:
+        """Add a collection to every row."""
+        pairs = zip(self._axes, collections, strict=False)
+        return [axes.add_collection(one) for axes, one in pairs]
 
     def _lines(
         self, lines: Any, colors: Any, width: float, zorder: int, **style: Any
     ) -> list[Artist]:
         """Add lines to every row."""
-        from matplotlib.collections import LineCollection
-
         style = {"colors": colors, "linewidths": width, "zorder": zorder, **style}
         rows = self._axes if len(lines) else ()
-        return [axes.add_collection(LineCollection(lines, **style)) for axes in rows]
-
-    def _bodies(self, outlines: list[FloatArray], colors: list[str]) -> list[Artist]:
-        """Add the agents to every row."""
-        from matplotlib.collections import PolyCollection
-
-        style: dict[str, Any] = {"edgecolors": INK, "linewidths": 0.7, "zorder": 5}
-        return [
-            axes.add_collection(PolyCollection(outlines, facecolors=colors, **style))
-            for axes in self._axes
-        ]
+        return self._add(LineCollection(lines, **style) for _ in rows)
 
     def _draw_ground(self) -> None:
         """Draw what does not move."""
@@ -218,8 +207,6 @@ class Drawing:
 
     def _draw_words(self) -> None:
         """Write title and legend, and draw a bar of a round length as a scale."""
-        from matplotlib.patches import Patch
-
         scene, height = self.scene, self.figure.get_figheight() * DPI
         said = {
             "true": "coloured by true behaviour",
@@ -296,8 +283,8 @@ class Drawing:
             return [], [], 1.0
         forecast, color = made[-1], dict(zip(rows.tolist(), colors, strict=True))
         rest = forecast.ahead_s > time_s - forecast.time_s
-        likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
-        shown = [(m, int(forecast.agent[m])) for m in likeliest if int(forecast.agent[m]) in place]
+        pairs = [(m, int(forecast.agent[m])) for m in forecast.likeliest]
+        shown = [(m, agent) for m, agent in pairs if agent in place]
         ways = [np.concatenate([place[agent][None], forecast.xy[m, rest]]) for m, agent in shown]
         return ways, [color[agent] for _, agent in shown], 1.4
 
@@ -366,9 +353,6 @@ def fullest_s(scene: ReplayScene) -> float:
 def check_picture(path: Path) -> None:
     """Refuse a name of a picture or film that cannot be made, before anything is computed.
 
-    Args:
-        path: the file to be.
-
     Raises:
         InputError: if its ending is not known, or MP4 cannot be made here.
     """
@@ -379,12 +363,13 @@ def check_picture(path: Path) -> None:
         )
     if path.suffix.lower() == ".mp4":
         try:
-            import imageio_ffmpeg  # noqa: F401
+            import imageio_ffmpeg
         except ImportError:
             raise InputError(
                 f"{path}: found no imageio-ffmpeg, expected it for MP4: "
                 "pip install 'graphrqi[video]', or name a .gif"
             ) from None
+        mpl.rcParams["animation.ffmpeg_path"] = imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def write_picture(
@@ -416,9 +401,6 @@ def write_picture(
         moment = fullest_s(scene) if begin_s is None else begin_s
         write_figure(Drawing(scene, mode).draw(moment), path, DPI)
         return
-    import matplotlib as mpl
-    from matplotlib.animation import FFMpegWriter, PillowWriter
-
     times = scene.tracks.time_s
     begin = float(times[0]) if begin_s is None else max(begin_s, float(times[0]))
     end = float(times[-1]) if end_s is None else min(end_s, float(times[-1]))
@@ -429,12 +411,7 @@ def write_picture(
             f"{times[-1]:g} s, and at most {MOST_FRAMES // FILM_HZ} s of it"
         )
     drawing = Drawing(scene, mode, FILMS[ending])
-    writer: Any = PillowWriter(fps=FILM_HZ)
-    if ending == ".mp4":
-        import imageio_ffmpeg
-
-        mpl.rcParams["animation.ffmpeg_path"] = imageio_ffmpeg.get_ffmpeg_exe()
-        writer = FFMpegWriter(fps=FILM_HZ)
+    writer: Any = (FFMpegWriter if ending == ".mp4" else PillowWriter)(fps=FILM_HZ)
     with TemporaryDirectory() as scratch, Progress("drawing frames", count, quiet) as progress:
         film = Path(scratch) / f"film{ending}"
         with writer.saving(drawing.figure, str(film), DPI):
@@ -443,3 +420,99 @@ def write_picture(
                 writer.grab_frame()
                 progress.advance()
         write_whole(path, film.read_bytes())
+
+
+def write_paths(dataset: Dataset, path: Path) -> None:
+    """Draw every counterfactual episode of a dataset of ``what-if`` over the factual one.
+
+    The file, .png, .pdf or .svg, appears whole or not at all.
+
+    Raises:
+        InputError: if the name says no format of figures, or the dataset is not one that
+            ``what-if`` wrote.
+        OSError: if the file cannot be written.
+    """
+    check_figure_file(path, "--picture")
+    happened = factual_of(dataset)
+    branched = branches_of(dataset)
+    factual, road = dataset.read(happened).tracks, dataset.road(happened)
+    figure = Figure(figsize=(13.0, 3.4 * len(branched)), layout="constrained")
+    axes = figure.subplots(len(branched), 2, squeeze=False, width_ratios=(1.25, 1.0))
+    for (plan, course), entry in zip(axes, branched, strict=True):
+        _draw(plan, course, entry, factual, dataset.read(entry).tracks, road)
+    write_figure(figure, path)
+
+
+def _draw(
+    plan: Axes, course: Axes, entry: EpisodeEntry, factual: Tracks, other: Tracks,
+    road: Road | None,
+) -> None:  # fmt: skip
+    """Draw one change: on the left the paths on the road, on the right distances over time."""
+    branch = branch_of(entry) or {}
+    since_s, agent, change = float(branch["at_s"]), int(branch["agent"]), change_of(entry)
+    color = COLORS.get(change, OWN_COLOR) if "behavior" in branch else ACTION
+    apart = _separations(factual, other)
+    affected = sorted((i for i, d in apart.items() if d > AFFECTED_M), key=lambda i: -apart[i])
+    others = [i for i in affected if i != agent]
+    if road is not None:
+        draw_road(plan, road, 0.7)
+    for name in (agent, *others[:DRAWN_OTHERS]):
+        own = name == agent
+        start = _path(factual, name, since_s)[1][:1]
+        for tracks, paint, dashes in ((factual, FACTUAL, "--"), (other, color, "-")):
+            time_s, xy = _path(tracks, name, since_s)
+            if not len(xy):
+                continue
+            wide = 3.4 if tracks is factual else 1.8
+            plan.plot(*xy.T, color=paint, linewidth=wide if own else wide / 2, zorder=3 + own)
+            plan.plot(*xy[-1], "o", color=paint, markersize=6 if own else 3, zorder=6)
+            style: dict[str, Any] = {"color": paint, "linestyle": dashes}
+            if own:
+                done = "factual" if tracks is factual else "changed"
+                style["label"] = f"driver {agent}, {done}"
+            moved = np.hypot(*np.diff(xy, axis=0, prepend=start if len(start) else xy[:1]).T)
+            course.plot(time_s, np.cumsum(moved), linewidth=2.4 if own else 0.9, **style)
+    known = [event for event in factual.events if event.time_s > since_s]
+    for tracks, events, paint in (
+        (other, new_incidents(other.events, known), INK),
+        (factual, new_incidents(known, other.events), FACTUAL),
+    ):
+        for event in events:
+            _, xy = _path(tracks, event.agent, event.time_s)
+            marker = "X" if event.kind is INCIDENTS[0] else "^"
+            plan.plot(*xy[:1].T, marker, color=paint, markersize=9, zorder=8)
+            course.axvline(event.time_s, color=paint, linewidth=0.8, linestyle=":")
+    plan.set(xlabel="x, m", ylabel="y, m")
+    title = f"driver {agent} from {since_s:g} s on: {change}; {len(others)} others affected"
+    plan.set_title(title, loc="left", fontsize=11, color=INK)
+    _zoom(plan)
+    course.set(xlabel="time, s", ylabel="way gone since the instant, m")
+    course.legend(frameon=False, fontsize=9)
+    course.set_title("thin: the others who differ most", loc="right", fontsize=9, color=MUTED)
+
+
+def _zoom(plan: Axes) -> None:
+    """Show the paths, not the whole road."""
+    xy = np.concatenate([line.get_xydata() for line in plan.lines])
+    low, high = xy.min(axis=0) - 6.0, xy.max(axis=0) + 6.0
+    plan.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    sides = np.sort(high - low)
+    plan.set_aspect("auto" if sides[1] > LONG * sides[0] else "equal")
+
+
+def _separations(factual: Tracks, other: Tracks) -> dict[int, float]:
+    """By agent id, the farthest that each agent is from where it factually was, m."""
+    columns = np.searchsorted(factual.time_s, other.time_s - 1e-6)
+    both, mine, theirs = np.intersect1d(other.ids, factual.ids, return_indices=True)
+    apart = other.xy[mine] - factual.xy[theirs][:, columns]
+    farthest = np.nan_to_num(np.hypot(apart[..., 0], apart[..., 1])).max(axis=1, initial=0.0)
+    return dict(zip(both.tolist(), farthest.tolist(), strict=True))
+
+
+def _path(tracks: Tracks, agent: int, since_s: float) -> tuple[FloatArray, FloatArray]:
+    """(k,) times and (k, 2) places of an agent from an instant on."""
+    row = np.flatnonzero(tracks.ids == agent)
+    if not row.size:
+        return np.empty(0), np.empty((0, 2))
+    columns = np.flatnonzero(tracks.valid[row[0]] & (tracks.time_s > since_s - 1e-6))
+    return tracks.time_s[columns], tracks.xy[row[0], columns]

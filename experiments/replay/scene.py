@@ -1,25 +1,34 @@
-"""Everything a replay shows of one episode, gathered once: for the page, the video, the picture."""
+"""Everything a replay shows of one episode, gathered once for the page, the film, the picture."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from difflib import SequenceMatcher
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
+from behaviors.traits import ShownTrait
 from experiments.console.progress import Progress
 from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
-from experiments.replay.beliefs import Beliefs, believe, read_beliefs
-from experiments.replay.forecasts import Forecast, forecast, likeliest
-from experiments.replay.ghosts import Ghosts, ghosts_of
-from experiments.replay.graph_history import GraphHistory, graph_history
+from experiments.replay.layers import (
+    Beliefs,
+    Forecast,
+    Ghosts,
+    GraphHistory,
+    believe,
+    find_ghosts,
+    forecast,
+    graph_history,
+    read_beliefs,
+)
+from experiments.what_if.branches import branch_of, change_of
+from experiments.what_if.outcomes import factual_of
 from graphrqi.model_files import load_model
 from sim.episode.annotate import annotate_recording
 from sim.episode.incidents import near_misses
@@ -43,7 +52,6 @@ DEFAULT_PREDICTOR: Final = "graphrqi-predict"
 
 MAX_AGENTS: Final = 2**15
 """Most agents that are shown (a page numbers them in 16 bits)."""
-
 
 PARKED_M: Final = 2.0
 """A vehicle that stays within this is parked, m (more than the noise of recordings)."""
@@ -114,7 +122,8 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
     found = found or [e for e in entries if e.name.rpartition("/")[2] == episode]
     found = found or [entry for entry in entries if entry.scenario == episode][:1]
     if len(found) != 1:
-        nearest = found or sorted(entries, key=lambda entry: -_likeness(entry.name, episode))
+        near = get_close_matches(episode, [e.name for e in entries], NAMED, cutoff=0.0)
+        nearest = found or [e for name in dict.fromkeys(near) for e in entries if e.name == name]
         known = ", ".join(f"{e.id} ({e.name})" for e in nearest[:NAMED])
         more = ", ..." if len(nearest) > NAMED else ""
         raise InputError(
@@ -122,10 +131,6 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
             f"{known}{more}"
         )
     return found[0]
-
-
-def _likeness(name: str, wanted: str) -> float:
-    return SequenceMatcher(None, name.casefold(), wanted.casefold()).ratio()
 
 
 def gather(
@@ -139,16 +144,8 @@ def gather(
 ) -> ReplayScene:
     """Read an episode, and classify and predict in it what no file says.
 
-    Args:
-        dataset: where it is.
-        entry: which episode.
-        model: the classifier, a shipped one's name or a folder; not used where labels are given.
-        labels: a labels file, as ``graphrqi classify`` writes it.
-        predictor: a key of ``PREDICTORS``, or "none" for no predictions.
-        quiet: whether to show no progress.
-
-    Returns:
-        The scene.
+    The classifier, a shipped one's name or a folder, is not used where a labels file of
+    ``graphrqi classify`` is given. The predictor is a key of ``PREDICTORS``, or "none".
 
     Raises:
         InputError: if a file is broken or does not speak of this episode, or it has no agents.
@@ -174,42 +171,46 @@ def gather(
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
-            beliefs, believer = (
-                believe(tracks, trained, is_scene(entry), traffic_of(entry)),
-                trained.method.name,
-            )
+            beliefs = believe(tracks, trained, is_scene(entry), traffic_of(entry))
+            believer = trained.method.name
         else:
             beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()
         if predictor != "none":
             forecasts = forecast(tracks, beliefs, road, predictor)
-        told = sum(one.agent.size for one in forecasts)
-        forecasts = likeliest(forecasts)
         progress.advance()
         graph = graph_history(tracks)
         progress.advance()
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
-    stride = _stride(tracks)
+    stride = max(1, round(SHOWN_EVERY_S / tracks.step_s))
+    stride = max(stride, -(-tracks.rows.speed.size // MAX_PLACES))
     if unit == "px":
         tracks = _with_drawn_sizes(tracks)
     kept = tracks.part(np.arange(tracks.ids.size), slice(None, None, stride))
-    ghosts, said = ghosts_of(dataset, entry, kept)
+    ghosts, notes = _ghosts_of(dataset, entry, kept)
+    notes += _notes(episode, road, unit, stride)
     return ReplayScene(
-        entry=entry,
-        unit=unit,
-        road=road,
-        tracks=kept,
-        agents={spec.id: spec for spec in episode.agents},
-        shown_traits=shown_traits,
-        beliefs=beliefs,
-        believer=believer,
-        graph=graph,
-        forecasts=tuple(forecasts),
-        predictor=predictor if forecasts else "",
-        notes=(*said, *_notes(episode, road, unit, stride), *_left_out(told, forecasts)),
-        ghosts=ghosts,
-    )
+        entry=entry, unit=unit, road=road, tracks=kept,
+        agents={spec.id: spec for spec in episode.agents}, shown_traits=shown_traits,
+        beliefs=beliefs, believer=believer, graph=graph, forecasts=tuple(forecasts),
+        predictor=predictor if forecasts else "", notes=tuple(notes), ghosts=ghosts,
+    )  # fmt: skip
+
+
+def _ghosts_of(
+    dataset: Dataset, entry: EpisodeEntry, shown: Tracks
+) -> tuple[Ghosts | None, list[str]]:
+    """The ghosts of a counterfactual episode, and a note for its reader."""
+    branch = branch_of(entry)
+    if branch is None:
+        return None, []
+    said = f"what if driver {branch['agent']} had changed at {branch['at_s']} s: {change_of(entry)}"
+    try:
+        factual = dataset.read(factual_of(dataset, entry)).tracks
+    except InputError:
+        return None, [f"{said}; the factual episode is not in this dataset"]
+    return find_ghosts(factual, shown), [f"{said}; dashed outlines: where everyone factually was"]
 
 
 def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
@@ -235,26 +236,10 @@ def _with_drawn_sizes(tracks: Tracks) -> Tracks:
     return replace(tracks, length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
 
 
-def _stride(tracks: Tracks) -> int:
-    """Frames from one that is kept to the next."""
-    wanted = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    return max(wanted, -(-tracks.rows.speed.size // MAX_PLACES))
-
-
-def _left_out(told: int, forecasts: Sequence[Forecast]) -> tuple[str, ...]:
-    """A note on futures that are not kept."""
-    kept = sum(one.agent.size for one in forecasts)
-    if kept == told:
-        return ()
-    share = 100.0 * kept / told
-    return (
-        f"{share:.0f} % of the predicted futures are kept, the likeliest: the page stays small",
-    )
-
-
-def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple[str, ...]:
-    told = episode.entry.options.get("notes")
-    notes = [str(note) for note in told] if isinstance(told, list) else []
+def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> list[str]:
+    """What a reader should know of the data."""
+    known = episode.entry.options.get("notes")
+    notes = [str(note) for note in known] if isinstance(known, list) else []
     if road is None:
         notes.append("no road is known: faint lines show where everyone went")
     if unit == "px":
@@ -269,4 +254,4 @@ def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> tuple
     shown_s = stride * episode.tracks.step_s
     if shown_s > 1.5 * SHOWN_EVERY_S:
         notes.append(f"places every {shown_s:.2g} s are kept, to keep the page small")
-    return tuple(notes)
+    return notes

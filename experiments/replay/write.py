@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from experiments.data.exchange import as_dataset
 from experiments.replay.page import MODES, default_mode, write_page
 from experiments.replay.pictures import check_picture, write_picture
 from experiments.replay.scene import DEFAULT_PREDICTOR, chosen_entry, gather
-from graphrqi.predict import get_predictor
+from graphrqi.predict import PREDICTORS
 from graphrqi.stream import DEFAULT_MODEL
 from sim.store.dataset import open_dataset
 
@@ -33,27 +32,15 @@ def write_replay(
     picture: Path | None = None,
     quiet: bool = False,
 ) -> list[Path]:
-    """What ``graphrqi replay`` does.
+    """Implement ``graphrqi replay``: write the page of an episode, and return all files written.
 
-    Args:
-        source: a dataset or a recording.
-        out: the HTML file.
-        episode: which one, as `chosen_entry` takes it; None for the first.
-        format: format of a recording; None to recognise it by its content.
-        net: the SUMO net that a recording was made on.
-        labels: a labels file; None to classify with ``model``.
-        model: a shipped model's name or a folder.
-        predictor: a key of ``PREDICTORS``, or "none" for no predictions.
-        color: what colours agents at first, one of ``MODES``; None for the truth where it is known.
-        begin_s: when the page opens, a film begins, or a picture was taken, s. By default a page
-            opens when the road has filled to half and there are beliefs, a film begins with the
-            episode, and a picture shows the fullest moment.
-        end_s: when a film ends, s; None for the end.
-        picture: also draw it into this file, .png, .pdf or .svg, or film it, .mp4 or .gif.
-        quiet: whether to show no progress.
+    Source, format and net are those of `experiments.data.exchange.as_dataset`, the episode that of
+    `chosen_entry`, and labels, model and predictor those of `gather`. The colour is one of
+    ``MODES``; None for the truth where it is known. The picture (.png, .pdf or .svg) or film (.mp4
+    or .gif) is drawn beside the page.
 
-    Returns:
-        The files that were written.
+    By default a page opens when the road has filled to half and there are beliefs, a film lasts as
+    long as the episode, and a picture shows the fullest moment. Other times are in s.
 
     Raises:
         InputError: if an option or a file is wrong.
@@ -62,13 +49,11 @@ def write_replay(
     if color is not None:
         lookup({mode: mode for mode in MODES}, color, "color")
     if predictor != "none":
-        get_predictor(predictor)
+        PREDICTORS[predictor]
     wanted = [path for path in (out, picture) if path is not None]
     for path in wanted:
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: found no folder {path.parent}, expected one")
         if not os.access(path.parent, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+            raise InputError(f"{path}: found no folder {path.parent} to write to, expected one")
     if picture is not None:
         check_picture(picture)
     with as_dataset(source, format, net) as folder:

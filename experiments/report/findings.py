@@ -7,7 +7,7 @@ from typing import Final
 
 import pandas as pd
 
-from experiments.report.tables import subject_of
+from experiments.report.tables import is_everyone, subject_of
 
 PAPER: Final = "graphrqi"
 """The method of the paper."""
@@ -17,27 +17,19 @@ PAIRS: Final = (("constant-velocity", "graphrqi-predict"), ("car-following-blind
 
 
 def findings(rows: pd.DataFrame) -> list[str]:
-    """Sentences on the scores of drivers and on predictions.
-
-    Args:
-        rows: tidy rows.
-
-    Returns:
-        Sentences by scenario; none where rows hold no such figures.
-    """
+    """Sentences by scenario on the scores of drivers and on predictions in tidy rows."""
     if "scenario" not in rows:
         return []
-    if "behavior" in rows:
-        rows = rows[rows["behavior"].isna() | (rows["behavior"] == "all")]
+    rows = rows[is_everyone(rows)]
     if "split" in rows and (rows["split"] == "test").any():
         rows = rows[rows["split"].isna() | (rows["split"] == "test")]
     if "name" in rows:
         rows = rows[rows["name"].isna()]
-    found: list[str] = []
-    for scenario, part in rows.groupby("scenario", sort=False):
-        said = [*_answers(part), *_predictions(part)]
-        found += [f"{scenario}: {sentence}" for sentence in said]
-    return found
+    return [
+        f"{scenario}: {sentence}"
+        for scenario, part in rows.groupby("scenario", sort=False)
+        for sentence in (*_answers(part), *_predictions(part))
+    ]
 
 
 def _values(rows: pd.DataFrame, subject: str, metric: str) -> dict[str, float]:

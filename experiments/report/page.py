@@ -16,13 +16,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from behaviors.errors import InputError, lookup
-from experiments.console.tables import MADE
 from experiments.figure_files import figure_bytes
 from experiments.report.findings import findings
 from experiments.report.pictures import Picture, pictures_of
 from experiments.report.tables import tables_of
 from experiments.report.worst_cases import Excerpt, take_excerpts
-from experiments.score.rows import Row, checked_rows, read_rows
+from experiments.score.rows import MADE, Row, checked_rows, read_rows
 from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
 from sim.store.catalogue import is_dataset
@@ -58,19 +57,13 @@ class Source:
 
 
 def read_source(path: Path) -> Source:
-    """Read the rows of a file or of a folder.
-
-    Args:
-        path: a file of rows, a folder with such files, or a model's folder.
-
-    Returns:
-        The source.
+    """The rows of a file, of a folder with such files, or of a model's folder.
 
     Raises:
         InputError: if there is nothing to report on, or a file is broken.
     """
     if path.is_file():
-        return Source(path, path.stem, table_of(read_rows(path), path))
+        return Source(path, path.stem, _table_of(read_rows(path), path))
     if not path.is_dir():
         raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
     if (path / FILE).is_file():
@@ -78,22 +71,11 @@ def read_source(path: Path) -> Source:
         rows = checked_rows(card.get("scores", []), f"{path / FILE}: card.scores")
     else:
         rows = [row for file in sorted(path.glob("*.json")) for row in read_rows(file)]
-    return Source(path, path.resolve().name, table_of(rows, path))
+    return Source(path, path.resolve().name, _table_of(rows, path))
 
 
-def table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
-    """Rows with a value as a table.
-
-    Args:
-        rows: tidy rows.
-        path: where they are from, for the message.
-
-    Returns:
-        A line for each row.
-
-    Raises:
-        InputError: if no row has a value.
-    """
+def _table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
+    """Rows with a value, of which there must be one, as a table."""
     measured = [row for row in rows if row.get("value") is not None]
     if not measured:
         raise InputError(

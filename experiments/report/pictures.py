@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR
-from behaviors.labels import BEHAVIORS
-from experiments.report.tables import FIRST, name_of, subject_of, varying
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
+from experiments.report.tables import FIRST, is_everyone, name_of, subject_of, varying
 
 CYCLE: Final = ("#4477AA", "#EE6677", "#228833", "#CCBB44", "#66CCEE", "#AA3377", UNKNOWN_COLOR)
 """Colours of series that are not behaviours: the scheme "bright" of Tol (2021, SRON technical note
@@ -31,14 +27,8 @@ SIZE_IN: Final = (5.2, 3.6)
 """Width and height of a picture, inches."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A picture of a page.
-
-    Attributes:
-        title: what it shows.
-        figure: the drawing.
-    """
+class Picture(NamedTuple):
+    """A picture of a page: what it shows, and the drawing."""
 
     title: str
     figure: Figure
@@ -47,18 +37,13 @@ class Picture:
 def pictures_of(rows: pd.DataFrame) -> Iterator[Picture]:
     """The pictures of the rows of one command.
 
-    Args:
-        rows: tidy rows of one command.
-
-    Yields:
-        The first of the metrics `FIRST` over a number or as bars, then reliability and confusion
-        matrices where rows have them.
+    The first of the metrics `FIRST` is shown over a number or as bars. Reliability and confusion
+    matrices follow where rows have them.
     """
     metric = next((name for name in FIRST if (rows["metric"] == name).any()), None)
     if metric is not None:
         chosen = rows[rows["metric"] == metric]
-        everyone = chosen.get("behavior", pd.Series(index=chosen.index, dtype=object))
-        chosen = chosen[everyone.isna() | (everyone == "all")]
+        chosen = chosen[is_everyone(chosen)]
         over = next((key for key in NUMBERS if key in varying(chosen)), None)
         for title, part in _parts(chosen, over):
             yield _lines(title, part, over) if over else _bars(title, part)
@@ -104,8 +89,6 @@ def color_of(name: str, place: int) -> str:
 
 
 def _axes() -> tuple[Figure, Axes]:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
 from behaviors.labels import BEHAVIORS
-from experiments.console.tables import MADE
-from experiments.score.rows import FIGURE
+from experiments.score.rows import FIGURE, MADE
 
 NAMES: Final = {
     "weighted_accuracy": "accuracy (A_w)",
@@ -46,23 +44,12 @@ SUBJECTS: Final = ("method", "model", "predictor", "solver", "policy", "stage", 
 """Keys that name what is compared, the first that rows have."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Table:
-    """A table of a page.
-
-    Attributes:
-        title: what it shows.
-        note: how many cases it rests on, and what cells hold.
-        cells: the figures as text.
-    """
+class Table(NamedTuple):
+    """A table of a page: what it shows, the number of cases it rests on, and itself as HTML."""
 
     title: str
     note: str
-    cells: pd.DataFrame
-
-    def html(self) -> str:
-        """The table as HTML; text in it is escaped."""
-        return str(self.cells.to_html(border=0, na_rep="", index_names=True, escape=True))
+    html: str
 
 
 def name_of(metric: str) -> str:
@@ -95,14 +82,9 @@ def subject_of(rows: pd.DataFrame) -> str | None:
 
 
 def varying(rows: pd.DataFrame, without: Sequence[str] = ()) -> list[str]:
-    """Keys that say what was measured and have several values, in the rows' order.
+    """Keys (but for some) that say what was measured and have several values, in the rows' order.
 
-    Args:
-        rows: tidy rows.
-        without: keys that are left out.
-
-    Returns:
-        The keys; names of things that are compared come last.
+    Names of things that are compared come last.
     """
     keys = [str(key) for key in rows if key not in (*MADE, *FIGURE, *without)]
     found = [key for key in keys if rows[key].nunique(dropna=False) > 1]
@@ -111,46 +93,30 @@ def varying(rows: pd.DataFrame, without: Sequence[str] = ()) -> list[str]:
 
 
 def tables_of(rows: pd.DataFrame, across: Sequence[str] = ()) -> Iterator[Table]:
-    """The tables of the rows of one command.
+    """The tables of the rows of one command; keys in ``across`` get columns beside the metric.
 
-    Args:
-        rows: tidy rows of one command.
-        across: keys that get columns of their own beside the metric.
-
-    Yields:
-        One table of all drivers for each scenario, then one for each metric that is measured by
-        behaviour.
+    One table of all drivers for each scenario comes first, then one for each metric that is
+    measured by behaviour.
     """
     rows = rows[~rows["metric"].isin(DRAWN)]
-    everyone = _is_everyone(rows)
-    split_by = "scenario" if "scenario" in rows else None
-    parts = rows[everyone].groupby(split_by, sort=False, dropna=False) if split_by else [
-        ("", rows[everyone])
-    ]  # fmt: skip
-    for name, part in parts:
+    everyone = is_everyone(rows)
+    scenario = rows["scenario"] if "scenario" in rows else pd.Series("", index=rows.index)
+    for name, part in rows[everyone].groupby(scenario[everyone], sort=False, dropna=False):
         heads = ["metric", *(k for k in ("horizon_s",) if k in varying(part)), *across]
-        yield pivot(part, str(name) or "figures", heads)
+        yield _pivot(part, str(name) or "figures", heads)
     for metric, part in rows[~everyone].groupby("metric", sort=False):
-        yield pivot(part, f"{name_of(str(metric))} by behaviour", ["behavior", *across])
+        yield _pivot(part, f"{name_of(str(metric))} by behaviour", ["behavior", *across])
 
 
-def _is_everyone(rows: pd.DataFrame) -> pd.Series[bool]:
+def is_everyone(rows: pd.DataFrame) -> pd.Series[bool]:
+    """Which rows are of all drivers, not of those of one behaviour."""
     if "behavior" not in rows:
         return pd.Series(data=True, index=rows.index)
     return rows["behavior"].isna() | (rows["behavior"] == "all")
 
 
-def pivot(rows: pd.DataFrame, title: str, across: Sequence[str]) -> Table:
-    """Arrange rows as a table.
-
-    Args:
-        rows: tidy rows; several of the same line and column are shown as the first.
-        title: what the table shows.
-        across: keys whose values distinguish the columns.
-
-    Returns:
-        The table; keys that have one value are not shown.
-    """
+def _pivot(rows: pd.DataFrame, title: str, across: Sequence[str]) -> Table:
+    """Rows as a table with a column for each value of ``across``; keys of one value are hidden."""
     down = varying(rows, across)
     frame = rows.assign(cell=[_cell(row) for row in rows.to_dict("records")])
     down = down or ["metric" if "metric" not in across else (subject_of(rows) or "command")]
@@ -170,7 +136,8 @@ def pivot(rows: pd.DataFrame, title: str, across: Sequence[str]) -> Table:
     n = rows["n"].dropna().astype(int)
     many = "" if n.empty else f"n = {n.min()}" + (f" to {n.max()}" if n.max() > n.min() else "")
     intervals = "in brackets: 95 % intervals" if rows["low"].notna().any() else ""
-    return Table(title, "; ".join(part for part in (many, intervals) if part), cells)
+    text = str(cells.to_html(border=0, na_rep="", index_names=True, escape=True))
+    return Table(title, "; ".join(part for part in (many, intervals) if part), text)
 
 
 def _words(column: Any) -> tuple[Any, ...]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from urllib.parse import urlencode
 
 import numpy as np
@@ -26,15 +25,11 @@ CASES: Final = 3
 """Worst cases of each sort that are shown for each scenario."""
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """An agent about which the run was wrong.
+class Case(NamedTuple):
+    """An agent about which the run was wrong, and where to see it, relative to the report.
 
-    Attributes:
-        sort: "answer" or "prediction".
-        badness: the probability given to the wrong behaviour, or metres.
-        text: one sentence on it.
-        href: where to see it, relative to the report.
+    The sort is "answer" or "prediction"; the badness is the probability given to the wrong
+    behaviour, or metres.
     """
 
     sort: str
@@ -43,16 +38,8 @@ class Case:
     href: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Excerpt:
-    """Unseen episodes of one scenario.
-
-    Attributes:
-        scenario: its name.
-        pictures: one moment, coloured by predicted behaviour and by prominence in the graph.
-        href: the replay of that moment.
-        cases: the worst of each sort.
-    """
+class Excerpt(NamedTuple):
+    """Unseen episodes of one scenario: pictures of one moment, its replay, and the worst cases."""
 
     scenario: str
     pictures: tuple[Picture, ...]
@@ -61,15 +48,9 @@ class Excerpt:
 
 
 def take_excerpts(folder: Path, jobs: int | None = None, quiet: bool = True) -> list[Excerpt]:
-    """Look at a run's unseen episodes and write their replays.
+    """Look at a run's unseen episodes, of each scenario that has some, and write their replays.
 
-    Args:
-        folder: of the run, with ``data`` and ``model``; replays go into ``replays`` in it.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
-
-    Returns:
-        One entry for each scenario that has unseen episodes.
+    The run's folder holds ``data`` and ``model``; replays go into ``replays`` in it.
     """
     dataset = open_dataset(folder / "data")
     (folder / "replays").mkdir(exist_ok=True)
@@ -138,7 +119,7 @@ def _wrong_predictions(scene: ReplayScene, page: str) -> Iterator[Case]:
         step = int(np.searchsorted(tracks.time_s, end_s - 1e-3))
         if step >= tracks.time_s.size:
             continue
-        likeliest = np.flatnonzero(np.diff(forecast.agent, prepend=-1) != 0)
+        likeliest = forecast.likeliest
         agent = forecast.agent[likeliest]
         away = np.hypot(*(forecast.xy[likeliest, -1] - tracks.xy[agent, step]).T)
         for row, error in zip(agent.tolist(), away.tolist(), strict=True):

@@ -7,7 +7,7 @@ separate figure.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -25,21 +25,16 @@ from experiments.score.metrics import (
     confusion,
     macro_f1,
     ratio,
-    recall_of,
+    recalls,
     reliability,
     summed,
     weighted_accuracy,
 )
-from experiments.score.rows import Cell, Row, tidy_row
+from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from graphrqi.posterior import aggressive_share
 from sim.frames import BoolArray, FloatArray, IntArray
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
-
-
-def styles_of(classes: Sequence[Behavior]) -> IntArray:
-    """(k,) code of each behaviour's style."""
-    return np.array([STYLES.index(b.style) for b in classes])
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +43,7 @@ class Answers:
 
     Attributes:
         episode: (n,) number of the episode.
-        probability: (n, k) of each class.
+        probability: (n, k) of each class; the likeliest is the answer.
         truth: (n,) codes into ``classes``, -1 where not known or none of them.
         style: (n,) codes into ``STYLES``, -1 where not known.
         answered: (n,) whether a behaviour is likely enough to be an answer.
@@ -71,7 +66,7 @@ class Answers:
     ) -> Answers:  # fmt: skip
         """Answers (n, k) that are always given, by true codes (n,) and episode numbers (n,)."""
         n, codes = len(probability), truth.astype(np.int64)
-        style = np.where(codes >= 0, styles_of(classes)[codes], -1)
+        style = np.where(codes >= 0, _styles_of(classes)[codes], -1)
         everyone = np.ones(n, dtype=bool)
         return cls(episode, probability, codes, style, everyone, np.zeros(n), classes)
 
@@ -93,24 +88,22 @@ class Answers:
 
     def where(self, chosen: BoolArray) -> Answers:
         """The answers for which ``chosen`` (n,) holds."""
-        arrays = {n: getattr(self, n)[chosen] for n in self.__slots__ if n != "classes"}
-        return Answers(**arrays, classes=self.classes)
+        names = [field.name for field in fields(self) if field.name != "classes"]
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
-    @property
-    def likeliest(self) -> IntArray:
-        """(n,) codes of the most likely behaviours."""
-        return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
-
-    @property
     def counts(self) -> FloatArray:
         """(E, k, k) confusion matrices of behaviours."""
-        return confusion(self.truth, self.likeliest, self.episode, len(self.classes))
+        likeliest = self.probability.argmax(axis=1)
+        return confusion(self.truth, likeliest, self.episode, len(self.classes))
 
-    @property
     def style_counts(self) -> FloatArray:
         """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
         answer = (aggressive_share(self.probability, self.classes) < 0.5).astype(np.int64)
         return confusion(self.style, answer, self.episode, len(STYLES))
+
+
+def _styles_of(classes: Sequence[Behavior]) -> IntArray:
+    return np.array([STYLES.index(b.style) for b in classes])
 
 
 def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
@@ -149,20 +142,17 @@ def score_answers(
     if not n:
         return rows
     rows.append(tidy_row(keys, "episodes", np.unique(episode).size, n=n))
-
-    def share(name: str, part: NDArray[Any], **extra: Cell) -> Row:
+    likeliest = np.where(answers.answered, answers.probability.argmax(axis=1), -1)
+    shares: list[tuple[str, dict[str, Cell], NDArray[Any]]] = [
+        ("answered_share", {}, answers.answered),
+        ("domain", {}, answers.domain),
+        ("confidence", {}, answers.probability.max(axis=1)),
+    ]
+    for code, behavior in enumerate(answers.classes if breakdown else ()):
+        shares.append(("named_share", {"behavior": str(behavior)}, likeliest == code))
+    for name, more, part in shares:
         found = bootstrap(ratio, summed(episode, part, np.ones(n)))
-        return tidy_row({**keys, **extra}, name, *found, n)
-
-    rows.append(share("answered_share", answers.answered))
-    rows.append(share("domain", answers.domain))
-    rows.append(share("confidence", answers.probability.max(axis=1)))
-    if breakdown:
-        answer = np.where(answers.answered, answers.likeliest, -1)
-        rows += [
-            share("named_share", answer == code, behavior=str(b))
-            for code, b in enumerate(answers.classes)
-        ]
+        rows.append(tidy_row({**keys, **more}, name, *found, n))
     known = answers.where(answers.truth >= 0)
     if known.truth.size:
         rows += _behavior_rows(known, keys, majority, breakdown)
@@ -176,11 +166,12 @@ def _behavior_rows(
     answers: Answers, keys: Mapping[str, Cell], majority: int | None, breakdown: bool
 ) -> Iterator[Row]:
     """Rows about drivers whose behaviour is known."""
-    truth, episode, counts = answers.truth, answers.episode, answers.counts
+    truth, episode, counts = answers.truth, answers.episode, answers.counts()
     constant = np.full(truth.size, np.bincount(truth).argmax() if majority is None else majority)
     bins = reliability(truth, answers.probability, episode)
     usual = confusion(truth, constant, episode, len(answers.classes))
-    right = summed(episode, answers.answered & (answers.likeliest == truth), answers.answered)
+    hit = answers.answered & (answers.probability.argmax(axis=1) == truth)
+    right = summed(episode, hit, answers.answered)
     figures: list[tuple[str, Statistic, FloatArray]] = [
         ("weighted_accuracy", weighted_accuracy, counts),
         ("majority_weighted_accuracy", weighted_accuracy, usual),
@@ -197,10 +188,10 @@ def _behavior_rows(
     for code, behavior in enumerate(answers.classes):
         own, row = int(total[code].sum()), {**keys, "behavior": str(behavior)}
         if own:
-            yield tidy_row(row, "recall", *bootstrap(recall_of(code), counts), own)
-        for taken_for, other in enumerate(answers.classes) if breakdown else ():
-            taken = float(total[code, taken_for])
-            yield tidy_row({**row, "answer": str(other)}, "confusion", taken, n=own)
+            found = bootstrap(lambda matrix, at=code: recalls(matrix)[..., at], counts)  # type: ignore[misc]
+            yield tidy_row(row, "recall", *found, own)
+        for taken, other in zip(total[code], answers.classes if breakdown else (), strict=False):
+            yield tidy_row({**row, "answer": str(other)}, "confusion", float(taken), n=own)
     for number, (count, sure, _) in enumerate(bins.sum(axis=0) if breakdown else ()):
         if count:
             row = {**keys, "confidence": round(float(sure / count), 4)}
@@ -211,15 +202,18 @@ def _behavior_rows(
 def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None) -> Iterator[Row]:
     """Rows about drivers whose style is known, with or without their behaviour."""
     truth, episode, n = answers.style, answers.episode, answers.style.size
-    aggressive = aggressive_share(answers.probability, answers.classes)
-    style_of = styles_of(answers.classes)
-    constant = np.full(n, np.bincount(truth).argmax() if majority is None else style_of[majority])
-    usual = confusion(truth, constant, episode, len(STYLES))
+    aggressive, counts = (
+        aggressive_share(answers.probability, answers.classes),
+        answers.style_counts(),
+    )
+    usual = (
+        np.bincount(truth).argmax() if majority is None else _styles_of(answers.classes)[majority]
+    )
     bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
     figures: list[tuple[str, Statistic, FloatArray]] = [
-        ("style_accuracy", weighted_accuracy, answers.style_counts),
-        ("majority_style_accuracy", weighted_accuracy, usual),
-        ("style_balanced_accuracy", balanced_accuracy, answers.style_counts),
+        ("style_accuracy", weighted_accuracy, counts),
+        ("majority_style_accuracy", ratio, summed(episode, truth == usual, np.ones(n))),
+        ("style_balanced_accuracy", balanced_accuracy, counts),
         ("style_ece", calibration_error, bins),
     ]
     for name, statistic, per_episode in figures:
@@ -235,12 +229,16 @@ def score_difference(ours: Answers, theirs: Answers, keys: Mapping[str, Cell]) -
         paired bootstrap over episodes.
     """
     rows = []
-    for name, statistic, pair in (
-        ("macro_f1", macro_f1, (ours.counts, theirs.counts)),
-        ("style_balanced_accuracy", balanced_accuracy, (ours.style_counts, theirs.style_counts)),
+    for name, of, pair in (
+        ("macro_f1", macro_f1, (ours.counts(), theirs.counts())),
+        (
+            "style_balanced_accuracy",
+            balanced_accuracy,
+            (ours.style_counts(), theirs.style_counts()),
+        ),
     ):
 
-        def difference(counts: FloatArray, of: Statistic = statistic) -> FloatArray:
+        def difference(counts: FloatArray, of: Statistic = of) -> FloatArray:
             return np.asarray(of(counts[..., 0, :, :]) - of(counts[..., 1, :, :]))
 
         found = bootstrap(difference, np.stack(pair, axis=1))
@@ -269,36 +267,32 @@ WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
 
 def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split")) -> list[Row]:
     """Rows of `score_answers` for people: a line for each combination of some keys."""
-    lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
-    for row in rows:
-        name, value, low = SHOWN.get(str(row["metric"])), row["value"], row["low"]
-        if name is None or value is None:
-            continue
-        place = {key: row.get(key) for key in down}
-        line = lines.setdefault(tuple(place.values()), place)
-        line[name] = f"{value:.0f}" if name == "drivers" else f"{value:.2f}"
+
+    def cell(row: Row) -> str:
+        value, low = float(row["value"] or 0.0), row["low"]
+        if row["metric"] == "drivers":
+            return f"{value:.0f}"
         if low is not None and row["metric"] in WITH_INTERVAL:
-            line[name] = f"{value:.2f} [{low:.2f}, {row['high']:.2f}]"
+            return f"{value:.2f} [{low:.2f}, {row['high']:.2f}]"
+        return f"{value:.2f}"
+
+    measured = [row for row in rows if row["value"] is not None]
+    lines = pivoted(measured, down, lambda row: SHOWN.get(str(row["metric"])), cell)
     order = [*down, *SHOWN.values()]
-    return [{k: line[k] for k in order if k in line} for line in lines.values()]
+    return [{k: line[k] for k in order if k in line} for line in lines]
 
 
 def confusion_table(rows: Sequence[Row]) -> list[Row]:
-    """How often each behaviour gets each answer, in the last group of rows that says so.
+    """How often each behaviour gets each answer, a line for each true behaviour.
 
-    Args:
-        rows: from `score_answers`; of the test split where there is one.
-
-    Returns:
-        A line for each true behaviour, with counts of answers.
+    Counts are of the last group of rows of `score_answers`, of the test split where there is one.
     """
     counted = [row for row in rows if row["metric"] == "confusion" and row["n"]]
     counted = [row for row in counted if row.get("split") == "test"] or counted
-    lines: dict[Cell, dict[str, Cell]] = {}
-    for row in counted:  # later groups are over more scenarios and replace earlier ones
-        line = lines.setdefault(row["behavior"], {"true behaviour": row["behavior"]})
-        line[str(row["answer"])] = int(row["value"] or 0)
-    return list(lines.values())
+    lines = pivoted(
+        counted, ["behavior"], lambda row: str(row["answer"]), lambda row: int(row["value"] or 0)
+    )
+    return [{"true behaviour": line.pop("behavior"), **line} for line in lines]
 
 
 def is_scored(rows: Iterable[Row]) -> bool:

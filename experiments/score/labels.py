@@ -6,21 +6,19 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Final, get_args
 
 import numpy as np
 import pyarrow as pa
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.console.notices import LOGGER
-from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
 from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
-from experiments.score.answers import STYLES, Answers, is_scored, score_answers
-from experiments.score.rows import Row
+from experiments.score.answers import STYLES, Answers, score_answers
+from experiments.score.rows import Cell, Row, pivoted
 from experiments.score.tables import LABELS, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
@@ -30,6 +28,9 @@ from sim.formats.common.label_file import DriverLabels, read_driver_labels
 from sim.frames import BoolArray, IntArray
 from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split
+
+ALL: Final = "all"
+"""The scenario or split of rows over several of them."""
 
 
 def labels_schema(model: Model) -> pa.Schema:
@@ -56,12 +57,13 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
     )
     tracks = measured(episode)
     answers = [(frame.time_s, stream.update(frame)) for frame in tracks.frames()]
+    schema = labels_schema(model)
     if not answers:
-        return labels_schema(model).empty_table()
+        return schema.empty_table()
     row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for _, a in answers])
     each = [a.ids.size for _, a in answers]
     probability = np.concatenate([a.probability for _, a in answers])
-    told = np.concatenate([a.labelled for _, a in answers])
+    labelled = np.concatenate([a.labelled for _, a in answers])
     aggressive = aggressive_share(probability, model.classes) >= 0.5
     known = {agent.id: agent for agent in episode.agents}
     drivers = [known[i] for i in tracks.ids.tolist()]
@@ -74,8 +76,8 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
         "agent": pa.array(tracks.ids[row]),
         "name": of_agents(tracks.names),
         "time_s": pa.array(np.repeat([time_s for time_s, _ in answers], each)),
-        "behavior": _words(model.classes, probability.argmax(axis=1), told),
-        "style": _words(STYLES, np.where(aggressive, 0, 1), told),
+        "behavior": _words(model.classes, probability.argmax(axis=1), labelled),
+        "style": _words(STYLES, np.where(aggressive, 0, 1), labelled),
         "domain": pa.array(np.repeat([a.domain for _, a in answers], each)),
         "unknown": pa.array(np.concatenate([a.unknown for _, a in answers])),
         "truth": of_agents([agent.behavior for agent in drivers]),
@@ -83,26 +85,23 @@ def label_episode(episode: Episode, model: Model, traffic: str | None = None) ->
     }
     for behavior, share in zip(model.classes, probability.T.astype(np.float32), strict=True):
         columns[f"p_{behavior}"] = pa.array(share)
-    schema = labels_schema(model)
     return pa.table(columns).select(schema.names).cast(schema)
 
 
-def _words(names: Sequence[str], codes: IntArray, told: BoolArray) -> pa.Array:
-    """The word of each code; null without a label."""
-    return pa.array([*map(str, names)], pa.string()).take(pa.array(codes, pa.int64(), mask=~told))
+def _words(names: Sequence[str], codes: IntArray, known: BoolArray) -> pa.Array:
+    """The word of each code; null where it is not known."""
+    return pa.array([*map(str, names)], pa.string()).take(pa.array(codes, pa.int64(), mask=~known))
 
 
 def _with_truth(
-    table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels | None
+    table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels
 ) -> pa.Table:
     """Answers about one episode with labels that are given now instead of what was known."""
-    found = () if labels is None else labels.of(names, entry.name, entry.file, entry.id)
-    given = {name: one for name, one in zip(names, found, strict=False) if one is not None}
-    for column, attribute in (("truth", "behavior"), ("true_style", "style")) if given else ():
-        words = [
-            getattr(given[name], attribute) if name in given else word
-            for name, word in zip(table["name"].to_pylist(), table[column].to_pylist(), strict=True)
-        ]
+    found = zip(names, labels.of(names, entry.name, entry.file, entry.id), strict=True)
+    given = {name: label for name, label in found if label is not None}
+    for column, attribute in (("truth", "behavior"), ("true_style", "style")):
+        rows = zip(table["name"].to_pylist(), table[column].to_pylist(), strict=True)
+        words = [getattr(given[n], attribute) if n in given else word for n, word in rows]
         at = table.column_names.index(column)
         table = table.set_column(at, column, pa.array(words, pa.string()))
     return table
@@ -169,17 +168,13 @@ def answer_episodes(
     ]
     arguments = [(model, path, entry, out is not None, traffic) for path, entry, _ in chosen]
     found: list[Answered] = []
-    with (
-        Progress("answering episodes", len(chosen), quiet) as progress,
-        nullcontext() if out is None else table_file(out, labels_schema(model)) as writer,
-    ):
-        answers = in_parallel(_answers, arguments, jobs) if arguments else ()
+    with nullcontext() if out is None else table_file(out, labels_schema(model)) as writer:
+        answers = in_parallel(_answers, arguments, jobs, "answering episodes", quiet)
         for (_, entry, place), (names, table) in zip(chosen, answers, strict=True):
-            labelled = _with_truth(table, names, entry, given)
+            labelled = table if given is None else _with_truth(table, names, entry, given)
             if writer is not None:
                 writer.write_table(labelled)
             found.append(Answered(place, entry, _last_answers(labelled)))
-            progress.advance()
         if given is not None:
             given.check()  # inside the block: nothing is written if a label belongs to no driver
     return found
@@ -192,10 +187,6 @@ def _answers(
     episode = open_dataset(folder).read(entry)
     table = label_episode(episode, model, traffic)
     return episode.tracks.names, table if every_frame else _last_answers(table)
-
-
-ALL: Final = "all"
-"""The scenario or split of rows over several of them."""
 
 
 def scored_answers(
@@ -232,16 +223,10 @@ def classify_dataset(
     source: Path, model: str | Path, out: Path | None = None, labels: Path | None = None,
     *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
 ) -> list[Row]:  # fmt: skip
-    """Implement ``graphrqi classify``: answer for every driver, and write a labels file.
+    """Implement ``graphrqi classify``: answer for every driver of a dataset's folder.
 
-    Args:
-        source: folder of a dataset.
-        model: a shipped model's name or a folder.
-        out: as `answer_episodes` takes it, like all others.
-        labels: labels of some drivers.
-        traffic: where the positions come from.
-        jobs: processes.
-        quiet: whether to show no progress.
+    ``model`` is a shipped model's name or a folder; all other arguments are as `answer_episodes`
+    takes them.
 
     Returns:
         Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
@@ -261,61 +246,30 @@ def classify_dataset(
     return [*rows, *scored_answers(answered, str(model), known.classes)]
 
 
-def evaluate(
-    model: str | Path, source: Path, labels: Path | None = None,
-    *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
-) -> list[Row]:  # fmt: skip
-    """Implement ``graphrqi evaluate``; arguments are those of `classify_dataset`.
-
-    Returns:
-        Rows by scenario and split, see `scored_answers`.
-
-    Raises:
-        InputError: if nothing is known of any driver that an answer was given about.
-    """
-    known = load_model(model)
-    answered = answer_episodes(
-        known, [open_dataset(source)], labels=labels, traffic=traffic, jobs=jobs,
-        quiet=quiet,
-    )  # fmt: skip
-    if not any(one.table.num_rows for one in answered):
-        raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")
-    rows = scored_answers(answered, str(model), known.classes)
-    if not is_scored(rows):
-        raise InputError(
-            f"{source}: found no driver whose behaviour or style is known, expected at least one; "
-            "--labels FILE.csv names some"
-        )
-    return rows
-
-
-def named_table(rows: Sequence[Row]) -> list[Row]:
+def named_table(rows: Sequence[Row]) -> list[dict[str, Cell]]:
     """How the drivers of each episode were answered, a line each, from `classify_dataset`."""
-    lines: dict[str, dict[str, Any]] = {}
-    for row in rows:
-        if row.get("name") is None:
-            continue
-        line = lines.setdefault(
-            str(row["episode"]), {"episode": row["name"], "split": row["split"]}
-        )
-        metric, value = str(row["metric"]), float(row["value"] or 0.0)
-        if metric == "drivers":
-            line[metric] = int(value)
-        elif metric == "answered_share":
-            line["unknown"] = _per_cent(1.0 - value)
-        elif metric in ("named_share", "domain", "confidence"):
-            line[str(row.get("behavior", metric))] = _per_cent(value)
-    return list(lines.values())
+
+    def column(row: Row) -> str | None:
+        metric = str(row["metric"])
+        if metric in ("named_share", "domain", "confidence"):
+            return str(row.get("behavior", metric))
+        return {"drivers": "drivers", "answered_share": "unknown"}.get(metric)
+
+    def cell(row: Row) -> Cell:
+        value = float(row["value"] or 0.0)
+        if row["metric"] == "drivers":
+            return int(value)
+        return f"{1.0 - value if row['metric'] == 'answered_share' else value:.0%}"
+
+    named = [row for row in rows if row.get("name") is not None]
+    lines = pivoted(named, ("episode", "name", "split"), column, cell)
+    return [{**line, "episode": line.pop("name")} for line in lines]
 
 
 def domain_notice(rows: Sequence[Row]) -> str | None:
     """One line if no driver was answered, or most of the traffic is unlike the training's.
 
-    Args:
-        rows: from `classify_dataset`.
-
-    Returns:
-        The line; None where the traffic is like that of the model's training.
+    Takes the rows of `classify_dataset`; None where the traffic is like the model's training.
     """
     total = {row["metric"]: float(row["value"] or 0.0) for row in rows if row.get("name") is None}
     if not total.get("drivers"):
@@ -324,18 +278,6 @@ def domain_notice(rows: Sequence[Row]) -> str | None:
         return None
     return (
         "this traffic is not like the model's training traffic: "
-        f"{_per_cent(1.0 - total['answered_share'])} of the drivers stay unknown; "
+        f"{1.0 - total['answered_share']:.0%} of the drivers stay unknown; "
         "graphrqi train --from MODEL --labels FILE adapts the model"
     )
-
-
-def _per_cent(share: float) -> str:
-    return f"{100 * share:.0f} %"
-
-
-def trained_here(model: str | Path, source: Path) -> bool:
-    """Whether a model was trained on a dataset of the same configuration as this one."""
-    data = load_model(model).card.get("data")
-    known = data.get("configurations") if isinstance(data, dict) else None
-    configuration = dict(open_dataset(source).header.configuration)
-    return isinstance(known, list) and configuration in known

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from sim.frames import FloatArray, IntArray
+from sim.frames import BoolArray, FloatArray, IntArray
 
 Statistic = Callable[[FloatArray], FloatArray]
 
@@ -60,6 +60,11 @@ def ratio(sums: FloatArray) -> FloatArray:
         return np.asarray(sums[..., 0] / sums[..., 1])
 
 
+def root_ratio(sums: FloatArray) -> FloatArray:
+    """The root of a `ratio`: of squares and a count, the root mean square."""
+    return np.sqrt(ratio(sums))
+
+
 def _totals(
     group: IntArray, code: NDArray[np.integer[Any]], size: int, weight: NDArray[Any] | None = None
 ) -> FloatArray:
@@ -89,20 +94,15 @@ def confusion(
 
 
 def recalls(matrix: FloatArray) -> FloatArray:
-    """(..., K) recall of each class; NaN where the class does not occur."""
+    """(..., k) recall of each class; NaN where the class does not occur.
+
+    Examples:
+        >>> recalls(np.array([[8.0, 2.0], [1.0, 3.0]])).tolist()
+        [0.8, 0.75]
+    """
     total = matrix.sum(axis=-1)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.diagonal(matrix, axis1=-2, axis2=-1) / np.where(total, total, np.nan))
-
-
-def recall_of(code: int) -> Statistic:
-    """The recall of one class; NaN where it does not occur.
-
-    Examples:
-        >>> float(recall_of(1)(np.array([[8.0, 2.0], [1.0, 3.0]])))
-        0.75
-    """
-    return lambda matrix: np.asarray(recalls(matrix)[..., code])
 
 
 def weighted_accuracy(matrix: FloatArray) -> FloatArray:
@@ -111,12 +111,7 @@ def weighted_accuracy(matrix: FloatArray) -> FloatArray:
 
 
 def balanced_accuracy(matrix: FloatArray) -> FloatArray:
-    """Mean recall of the classes that occur.
-
-    Examples:
-        >>> float(balanced_accuracy(np.array([[8.0, 2.0], [0.0, 2.0]])))
-        0.9
-    """
+    """Mean recall of the classes that occur."""
     return np.asarray(np.nanmean(recalls(matrix), axis=-1))
 
 
@@ -132,16 +127,9 @@ def macro_f1(matrix: FloatArray) -> FloatArray:
 def reliability(
     truth: NDArray[np.integer[Any]], probability: FloatArray, episode: IntArray
 ) -> FloatArray:
-    """How often answers given with a certain confidence are right.
+    """(E, bins, 3) answers by episode and bin of confidence, their confidences' sum, and the right.
 
-    Args:
-        truth: (n,) true codes.
-        probability: (n, k) posteriors; the answer is the most likely class.
-        episode: (n,) episode numbers.
-
-    Returns:
-        (E, bins, 3) per episode and bin of confidence: answers, the sum of their confidences, and
-        how many were right.
+    The answer is the most likely class of each row of posteriors (n, k); true codes are (n,).
     """
     confidence = probability.max(axis=1)
     right = probability.argmax(axis=1) == truth
@@ -162,20 +150,12 @@ def calibration_error(bins: FloatArray) -> FloatArray:
 
 
 def auc_over_episodes(
-    score: FloatArray, positive: NDArray[np.bool_], episode: IntArray
+    score: FloatArray, positive: BoolArray, episode: IntArray
 ) -> tuple[float, float, float]:
-    """Area under the ROC curve over all pairs, with an interval over episodes.
+    """Area under the ROC curve over all pairs (n,), and its 95 % interval over episodes.
 
     Equal to scikit-learn's ``roc_auc_score``; from the pairs won between any two episodes, all
-    resamples follow at once.
-
-    Args:
-        score: (n,) larger for positives.
-        positive: (n,) truth.
-        episode: (n,) episode numbers.
-
-    Returns:
-        Value, low, high; NaN where there are no pairs, low and high with a single episode too.
+    resamples follow at once. NaN where there are no pairs.
 
     Examples:
         >>> truth, where = np.array([True, False, True]), np.array([0, 0, 1])

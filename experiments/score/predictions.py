@@ -9,16 +9,25 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pyarrow as pa
 
+from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
-from experiments.score.metrics import Statistic, bootstrap, ratio
-from experiments.score.rows import Cell, Row, tidy_row
+from experiments.console.notices import LOGGER
+from experiments.data.parallel import in_parallel
+from experiments.data.scene_check import is_scene
+from experiments.data.windows import measured, traffic_of
+from experiments.score.metrics import bootstrap, ratio, root_ratio
+from experiments.score.rows import Cell, Row, pivoted, tidy_row
+from experiments.score.tables import PREDICTIONS, predictions_table, table_file
 from graphrqi.methods import Model
+from graphrqi.model_files import load_model
 from graphrqi.places.other_traffic import Traffic
 from graphrqi.posterior import Posterior
 from graphrqi.predict import check_map, chosen_predictor, predict
@@ -33,11 +42,14 @@ from graphrqi.predict.metrics import (
     overlap,
 )
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.scene.scene import LEARNED_S, make_scene
-from graphrqi.stream import BehaviorStream
+from graphrqi.predict.recorded.network import trained_network
+from graphrqi.predict.scene.scene import LEARNED_S, LONGEST_S, make_scene
+from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
+from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry, Split
 
 HORIZONS_S: Final = (1.0, 3.0, 5.0)
 """Horizons reported, s."""
@@ -69,6 +81,11 @@ LANE_MARGIN_M: Final = 0.5
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Groups of agents: all that drive, those of each true behaviour, those that walk."""
 
+SPLITS: Final[dict[str, Split | None]] = {
+    "test": "test", "validation": "validation", "train": "train", "all": None
+}  # fmt: skip
+"""Episodes that may be scored, by name."""
+
 
 @dataclass(frozen=True, slots=True)
 class Errors:
@@ -84,24 +101,12 @@ class Errors:
     count: FloatArray
 
 
-def shortest_s(horizon_s: float) -> float:
-    """The shortest episode in which anything is predicted, s, for a horizon in s."""
-    return horizon_s + min(LEAST_SEEN_S, horizon_s)
-
-
 def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iterator[int]:
-    """Indices one past the present, at which predictions are made.
+    """Indices one past the present, at which predictions are made, ``every_s`` apart.
 
     The first is after `WARM_UP_S`, or after a shorter horizon's time. An episode that is too short
-    for that is predicted once, as late as the horizon allows, from `LEAST_SEEN_S` on.
-
-    Args:
-        tracks: an episode.
-        horizon_s: how much of the future has to be known.
-        every_s: time between them.
-
-    Yields:
-        Stops, ascending; none in an episode shorter than `shortest_s`.
+    for that is predicted once, as late as the horizon allows, from `LEAST_SEEN_S` on. There are
+    none in an episode that is shorter still.
     """
     known = tracks.time_s[tracks.time_s + horizon_s <= tracks.time_s[-1:] + 1e-6]
     if not known.size:
@@ -145,19 +150,9 @@ def beliefs(
     is_scene: bool = True,
     traffic: Traffic = "simulated",
 ) -> dict[int, Posterior]:
-    """Posteriors of a classifier at each instant of prediction.
+    """Posteriors of a `graphrqi.stream.BehaviorStream` at each instant of prediction.
 
-    Equal to the posteriors of a `graphrqi.stream.BehaviorStream`, computed only where needed.
-
-    Args:
-        tracks: an episode.
-        model: the trained classifier.
-        stops: indices one past each present, ascending.
-        is_scene: as for `graphrqi.stream.BehaviorStream`.
-        traffic: as for `graphrqi.stream.BehaviorStream`.
-
-    Returns:
-        Posterior by stop.
+    Instants are indices one past each present; other arguments are those of the stream.
     """
     stream, wanted = BehaviorStream(model, traffic=traffic, is_scene=is_scene), set(stops)
     found: dict[int, Posterior] = {}
@@ -227,21 +222,20 @@ def score_episode(
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
             gap = distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
-            hit = hits(history, prediction.best[:, at])[scored]
+            hit = _hits(history, prediction.best[:, at])[scored]
             for h, horizon_s in enumerate(horizons_s):
                 last = round(horizon_s / SAMPLE_S)
                 values = [*displacement_errors(gap[:, :, :last], probability).values()]
-                values += set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
+                values += _set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
                 values.append(np.asarray(hit[:, :last].any(axis=1), dtype=np.float64))
-                values.append(off_road(road, prediction, scored, at[last - 1]))
+                values.append(_off_road(road, prediction, scored, at[last - 1]))
                 total[name][:, h] += member.T @ np.stack(values, axis=1)
     return {name: Errors(total[name], count) for name in predictors}
 
 
-def hits(history: Tracks, xy: FloatArray) -> BoolArray:
+def _hits(history: Tracks, xy: FloatArray) -> BoolArray:
     """(n, H) whether each agent's predicted outline overlaps another's at each time."""
-    before = np.concatenate([history.xy[:, -1:], xy[:, :-1]], axis=1)
-    moved = xy - before
+    moved = np.diff(xy, axis=1, prepend=history.xy[:, -1:])
     turned = np.arctan2(moved[..., 1], moved[..., 0])
     still = np.hypot(moved[..., 0], moved[..., 1]) < 0.2
     heading = np.where(still, history.heading[:, -1:], turned)
@@ -254,7 +248,7 @@ def hits(history: Tracks, xy: FloatArray) -> BoolArray:
     return out
 
 
-def set_measures(
+def _set_measures(
     prediction: Prediction, rows: IntArray, at: int, truth: FloatArray
 ) -> list[FloatArray]:
     """Whether each agent ended in its 90 % set, and minus the log density; NaN without a spread."""
@@ -266,7 +260,7 @@ def set_measures(
     return [inside, -log_density(truth[:, None], xy, spread, probability)[:, 0]]
 
 
-def off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
+def _off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
     """(m,) 1 where the likeliest future is off every lane at a time; NaN without a map."""
     if road is None:
         return np.full(rows.size, np.nan)
@@ -319,21 +313,157 @@ def score_predictions(
                 mine = total[name][:, g, h, m]
                 if not np.isfinite(mine).all():
                     continue
-                mean = root_ratio if metric == "rmse_m" else ratio
-                rows.append(_mean_row(row, metric, mean, mine, count))
+                figures = {metric: mine}
                 for other in names[: names.index(name)] if metric in ("ade_m", "fde_m") else ():
-                    apart = mine - total[other][:, g, h, m]
-                    rows.append(_mean_row(row, f"{metric}_minus_{other}", ratio, apart, count))
+                    figures[f"{metric}_minus_{other}"] = mine - total[other][:, g, h, m]
+                mean = root_ratio if metric == "rmse_m" else ratio
+                for what, sums in figures.items():
+                    found = bootstrap(mean, np.stack([sums, count], axis=1))
+                    rows.append(tidy_row(row, what, *found, int(count.sum())))
     return rows
 
 
-def root_ratio(sums: FloatArray) -> FloatArray:
-    """The root of a `ratio`: of squares and a count, the root mean square."""
-    return np.sqrt(ratio(sums))
+def _evaluate_episode(
+    folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
+    model: Model, keep: bool, weights: Path | None, traffic: str | None,
+) -> tuple[dict[str, Errors], pa.Table, float]:  # fmt: skip
+    """Errors by predictor, futures as rows if they are kept, and the length of one episode, s.
+
+    There are no errors where the episode is too short to predict anything.
+    """
+    dataset = open_dataset(folder)
+    tracks, road = measured(dataset.read(entry)), dataset.road(entry)
+    stops = list(instants(tracks, max(horizons_s)))
+    tables = [PREDICTIONS.empty_table()]
+    length_s = float(tracks.time_s[-1] - tracks.time_s[0]) if tracks.time_s.size else 0.0
+    if not stops:
+        return {}, tables[0], length_s
+
+    def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
+        tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
+
+    posteriors = beliefs(tracks, model, stops, is_scene(entry), traffic_of(entry, traffic))
+    errors = score_episode(
+        tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
+    )
+    return errors, pa.concat_tables(tables), length_s
 
 
-def _mean_row(
-    keys: Mapping[str, Cell], metric: str, mean: Statistic, total: FloatArray, count: FloatArray
-) -> Row:
-    found = bootstrap(mean, np.stack([total, count], axis=1))
-    return tidy_row(keys, metric, *found, int(count.sum()))
+def _check_request(predictors: Sequence[str], horizon_s: float) -> None:
+    samples = horizon_s / SAMPLE_S
+    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
+        raise InputError(
+            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
+            f"{LONGEST_S:g} s"
+        )
+    if not predictors:
+        raise InputError("predictors: found none, expected at least one name")
+    for name in predictors:
+        chosen_predictor(name)
+
+
+def predict_dataset(
+    source: Path,
+    predictors: Sequence[str],
+    horizon_s: float = 5.0,
+    model: str = DEFAULT_MODEL,
+    *,
+    out: Path | None = None,
+    weights: Path | None = None,
+    traffic: str | None = None,
+    split: str = "test",
+    jobs: int | None = None,
+    quiet: bool = False,
+) -> list[Row]:
+    """Implement ``graphrqi predict``: predict every episode of a split and return the errors.
+
+    Episodes that are too short are left out, each in a line on stderr.
+
+    Args:
+        source: a dataset.
+        predictors: keys of ``PREDICTORS``, or "module:function".
+        horizon_s: how far ahead, s.
+        model: the classifier whose beliefs are used: a shipped one's name or a folder.
+        out: where to write the futures (`experiments.score.tables`); None: nowhere.
+        weights: as `score_episode` takes them.
+        traffic: as `experiments.score.labels.label_episode` takes it.
+        split: a key of `SPLITS`; of ``test``, all of a scenario is predicted that has none.
+        jobs: processes; None for one per core.
+        quiet: whether to show no progress.
+
+    Returns:
+        Rows of `score_predictions` for each scenario.
+
+    Raises:
+        InputError: if the dataset, the model or a predictor's name is wrong, or no agent is seen
+            for long enough.
+    """
+    _check_request(predictors, horizon_s)
+    wanted = lookup(SPLITS, split, "split")
+    if weights is not None:
+        trained_network(weights)
+    classifier = load_model(model)
+    horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
+    dataset = open_dataset(source)
+    entries, scored = [], {}
+    for scenario in dataset.scenarios:
+        some = dataset.episodes(wanted, scenario)
+        scored[scenario] = split if some else "all"
+        if not some and split == "test":
+            some = dataset.episodes(None, scenario)
+        entries += [(scenario, entry) for entry in some]
+    if not entries:
+        raise InputError(f"{source}: found no {split} episode, expected at least 1")
+    found: dict[str, list[Mapping[str, Errors]]] = {}
+    short: list[tuple[EpisodeEntry, float]] = []
+    least_s = horizon_s + min(LEAST_SEEN_S, horizon_s)
+    same = (predictors, horizons_s, classifier, out is not None, weights, traffic)
+    arguments = [(source, entry, *same) for _, entry in entries]
+    with nullcontext() if out is None else table_file(out, PREDICTIONS) as file:
+        answers = in_parallel(_evaluate_episode, arguments, jobs, "predicting episodes", quiet)
+        for (scenario, entry), (errors, futures, length_s) in zip(entries, answers, strict=True):
+            if errors:
+                found.setdefault(scenario, []).append(errors)
+            else:
+                short.append((entry, length_s))
+            if file is not None:
+                file.write_table(futures)
+        if not found:
+            raise InputError(
+                f"{source}: found {len(short)} episodes of at most "
+                f"{max(length_s for _, length_s in short):g} s, expected one of {least_s:g} s or "
+                f"longer to predict {horizon_s:g} s ahead: ask for a shorter horizon"
+            )
+        if not any(errors[predictors[0]].count.any() for one in found.values() for errors in one):
+            raise InputError(
+                f"{source}: found no agent seen for {LEAST_SEEN_S:g} s and then for another "
+                f"{horizon_s:g} s, expected at least one agent"
+            )
+    for entry, length_s in short:
+        LOGGER.warning(
+            "skipped episode %s (%s): found %g s, expected at least %g s to predict %g s ahead",
+            entry.id, entry.name, length_s, least_s, horizon_s,
+        )  # fmt: skip
+    return [
+        row
+        for scenario, episodes in found.items()
+        for row in score_predictions(
+            episodes, {"scenario": scenario, "split": scored[scenario]}, horizons_s
+        )
+    ]
+
+
+def default_split(source: Path) -> str:
+    """The split that is scored unless another is asked for: of recordings, all."""
+    entries = open_dataset(source).episodes()
+    return "all" if all(entry.recording is not None for entry in entries) else "test"
+
+
+def errors_table(rows: Sequence[Row]) -> list[dict[str, Cell]]:
+    """One line per scenario and predictor: ADE and FDE of all drivers at each horizon."""
+    return pivoted(
+        (r for r in rows if r["behavior"] == "all" and r["metric"] in ("ade_m", "fde_m")),
+        ("scenario", "split", "predictor"),
+        lambda row: f"{row['metric']} {row['horizon_s']:g}s",
+        lambda row: round(float(row["value"] or 0.0), 3),
+    )

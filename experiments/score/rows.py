@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -17,8 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from behaviors.display import printable
 from behaviors.errors import InputError
-from experiments.console.tables import show_table, write_rows
+from sim.files import write_whole
 from sim.invalid_fields import first_wrong_field
 
 if TYPE_CHECKING:
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
+
+MADE: Final = ("command", "version", "seed", "dataset")
+"""Keys that say how a figure was made; tables for people leave them out."""
 
 FIGURE: Final = ("metric", "value", "low", "high", "n")
 """Keys of the figure itself."""
@@ -64,6 +69,45 @@ def tidy_row(
     return {**keys, "metric": metric, "value": value, "low": low, "high": high, "n": n}
 
 
+def melted(lines: Iterable[Row], keys: Sequence[str]) -> list[Row]:
+    """Tidy rows of a table that has a column for each figure; ``keys`` are its other columns.
+
+    Examples:
+        >>> melted([{"jobs": 2, "cpu_s": 1.5, "steps": 90}], ["jobs"])[0]
+        {'jobs': 2, 'metric': 'cpu_s', 'value': 1.5, 'low': None, 'high': None, 'n': None}
+    """
+    return [
+        tidy_row({key: line.get(key) for key in keys}, name, float(value))
+        for line in lines
+        for name, value in line.items()
+        if name not in keys and isinstance(value, int | float)
+    ]
+
+
+def pivoted(
+    rows: Iterable[Row],
+    down: Sequence[str],
+    column: Callable[[Row], str | None],
+    cell: Callable[[Row], Cell],
+) -> list[dict[str, Cell]]:
+    """A table for people: a line for each combination of some keys, with a cell for each row.
+
+    Rows without a column are left out; of several rows of one cell, the last is shown.
+
+    Examples:
+        >>> made = [tidy_row({"solver": "eigh", "d": d}, "cpu_ms", d / 10) for d in (25, 100)]
+        >>> pivoted(made, ["solver"], lambda row: f"{row['d']} (ms)", lambda row: row["value"])
+        [{'solver': 'eigh', '25 (ms)': 2.5, '100 (ms)': 10.0}]
+    """
+    lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
+    for row in rows:
+        name = column(row)
+        if name is not None:
+            place = {key: row.get(key) for key in down}
+            lines.setdefault(tuple(place.values()), place)[name] = cell(row)
+    return list(lines.values())
+
+
 def stamped(
     rows: Iterable[Row], command: str, seed: int | None = None, dataset: str | None = None
 ) -> list[Row]:
@@ -85,14 +129,7 @@ def stamped(
 
 
 def dataset_id(dataset: Dataset) -> str:
-    """Name of a dataset in rows: the same for datasets of the same episodes.
-
-    Args:
-        dataset: an opened dataset.
-
-    Returns:
-        12 hexadecimal digits of a hash over the ids of its episodes.
-    """
+    """Name of a dataset in rows: 12 hexadecimal digits of a hash over the ids of its episodes."""
     ids = sorted(entry.id for entry in dataset.episodes())
     return hashlib.sha256("\n".join(ids).encode()).hexdigest()[:12]
 
@@ -125,11 +162,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def checked_rows(found: Any, where: str) -> list[Row]:
-    """Rows that were read, refused if they are anything but a list of flat rows.
-
-    Args:
-        found: what was read.
-        where: the file, for the message.
+    """Rows that were read from a place, refused if they are anything but a list of flat rows.
 
     Raises:
         InputError: naming the row and what is wrong with it.
@@ -145,6 +178,65 @@ def checked_rows(found: Any, where: str) -> list[Row]:
                 wrong += ": rows as graphrqi COMMAND --json writes them"
             raise InputError(f"{where}: row {number}: {wrong}") from None
     return found
+
+
+def write_rows(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as a JSON list (``-``: to standard output); a number not finite becomes null.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    finite = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+        for row in rows
+    ]
+    text = json.dumps(finite, indent=1, allow_nan=False, default=str) + "\n"
+    if str(path) == "-":
+        sys.stdout.write(text)
+    else:
+        write_whole(path, text.encode())
+
+
+def show_table(
+    rows: Sequence[Row],
+    json: Path | None = None,
+    title: str = "",
+    lines: Sequence[Mapping[str, Any]] | None = None,
+) -> None:
+    """Print a table for people, and write tidy rows as JSON if a file is named.
+
+    Args:
+        rows: tidy rows.
+        json: file for the rows; ``-`` prints JSON instead of the table.
+        title: what stands above the table.
+        lines: what is printed, as mappings with the same keys; None for the rows themselves. Off a
+            terminal, a line is up to 200 characters wide.
+
+    Raises:
+        OSError: if the file cannot be written.
+    """
+    if json is not None:
+        write_rows(rows, json)
+        if str(json) == "-":
+            return
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = rows if lines is None else lines
+    columns = list(dict.fromkeys(key for row in shown for key in row if key not in MADE))
+    table = Table(*map(printable, columns), title=printable(title) or None)
+    for row in shown:
+        table.add_row(*(printable(_text(row.get(column))) for column in columns))
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, markup=False, width=200)
+    console.print(table)
+
+
+def _text(cell: object) -> str:
+    if cell is None:
+        return ""
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
 def show_parts(
@@ -168,25 +260,3 @@ def show_parts(
         if json is not None and str(json) != "-":
             write_rows(rows, json)
     show_table(rows, json, lines=None if table is None else table(rows))
-
-
-def melted(lines: Iterable[Row], keys: Sequence[str]) -> list[Row]:
-    """Tidy rows of a table that has a column for each figure.
-
-    Args:
-        lines: the table.
-        keys: columns that say what was measured; every other column with a number is a figure.
-
-    Returns:
-        A row for each figure of each line.
-
-    Examples:
-        >>> melted([{"jobs": 2, "cpu_s": 1.5, "steps": 90}], ["jobs"])[0]
-        {'jobs': 2, 'metric': 'cpu_s', 'value': 1.5, 'low': None, 'high': None, 'n': None}
-    """
-    return [
-        tidy_row({key: line.get(key) for key in keys}, name, float(value))
-        for line in lines
-        for name, value in line.items()
-        if name not in keys and isinstance(value, int | float)
-    ]

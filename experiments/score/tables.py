@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
@@ -29,19 +30,19 @@ JOINED: Final = tuple(
 )
 """First columns of every table; the recording and file are null for simulated episodes."""
 
+_AGENT: Final = [("agent", pa.int64()), ("name", pa.string()), ("time_s", pa.float64())]
+
 LABELS: Final = pa.schema(
     [
         *JOINED,
-        pa.field("agent", pa.int64()),
-        pa.field("name", pa.string()),
-        pa.field("time_s", pa.float64()),
-        pa.field("behavior", pa.string()),
-        pa.field("style", pa.string()),
-        *(pa.field(f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
-        pa.field("domain", pa.float32()),
-        pa.field("unknown", pa.float32()),
-        pa.field("truth", pa.string()),
-        pa.field("true_style", pa.string()),
+        *_AGENT,
+        ("behavior", pa.string()),
+        ("style", pa.string()),
+        *((f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
+        ("domain", pa.float32()),
+        ("unknown", pa.float32()),
+        ("truth", pa.string()),
+        ("true_style", pa.string()),
     ]
 )
 """Columns of a labels file: one row per driver and frame from one second of observation on.
@@ -55,21 +56,47 @@ null where unknown."""
 PREDICTIONS: Final = pa.schema(
     [
         *JOINED,
-        pa.field("predictor", pa.string()),
-        pa.field("agent", pa.int64()),
-        pa.field("name", pa.string()),
-        pa.field("time_s", pa.float64()),
-        pa.field("mode", pa.int8()),
-        pa.field("probability", pa.float32()),
-        pa.field("ahead_s", pa.float32()),
-        pa.field("x_m", pa.float64()),
-        pa.field("y_m", pa.float64()),
+        ("predictor", pa.string()),
+        *_AGENT,
+        ("mode", pa.int8()),
+        ("probability", pa.float32()),
+        ("ahead_s", pa.float32()),
+        ("x_m", pa.float64()),
+        ("y_m", pa.float64()),
     ]
 )
 """Columns of a predictions file: one row per future and place, every half second.
 
 ``mode`` distinguishes the futures of one predictor, agent and instant ``time_s``; a future's
 probability is repeated in each of its rows."""
+
+
+CHANCES: Final = [f"p_{b.value}" for b in BEHAVIORS]
+"""Columns of a labels file with the probability of each behaviour."""
+
+
+def read_labels(path: Path, episode: str) -> pd.DataFrame:
+    """The columns ``agent``, ``time_s`` and `CHANCES` of an episode's rows in a labels file.
+
+    Raises:
+        InputError: if the file (.parquet) is no labels file, has no such row, or an empty cell in
+            one, or its probabilities do not add to 1.
+    """
+    try:
+        table = pd.read_parquet(
+            path, columns=["agent", "time_s", *CHANCES], filters=[("episode", "==", episode)]
+        )
+    except (ValueError, OSError, KeyError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: {said:.120}, expected a file of labels") from None
+    if table.empty:
+        raise InputError(f"{path}: found no row of episode {episode}, expected its labels")
+    empty = [name for name in table if table[name].isna().any()]
+    if empty:
+        raise InputError(f"{path}: found an empty {empty[0]}, expected one in every row")
+    if not (np.abs(table[CHANCES].sum(axis=1) - 1.0) < 1e-3).all():
+        raise InputError(f"{path}: found p_ columns that do not add to 1, expected probabilities")
+    return table
 
 
 def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
@@ -84,7 +111,7 @@ def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
 def predictions_table(
     prediction: Prediction, history: Tracks, predictor: str, entry: EpisodeEntry, horizon_s: float
 ) -> pa.Table:
-    """One instant's futures as rows.
+    """One instant's futures as rows with the columns `PREDICTIONS`.
 
     Args:
         prediction: the futures of the agents of the history.
@@ -92,9 +119,6 @@ def predictions_table(
         predictor: whose futures they are.
         entry: the episode.
         horizon_s: no place farther ahead is kept, s.
-
-    Returns:
-        A table with the columns `PREDICTIONS`; agents, futures and times ascend.
     """
     ahead = np.arange(1, round(horizon_s / SAMPLE_S) + 1) * SAMPLE_S
     ahead = ahead[ahead <= prediction.time_s[-1] + 1e-6]
@@ -120,9 +144,6 @@ def predictions_table(
 def check_ending(path: Path) -> Path:
     """The path of a file to write, refused if nothing is written with such an ending.
 
-    Raises:
-        InputError: naming the ending.
-
     Examples:
         >>> check_ending(Path("labels.xlsx"))
         Traceback (most recent call last):
@@ -138,12 +159,8 @@ def check_ending(path: Path) -> Path:
 def table_file(path: Path, schema: pa.Schema) -> Iterator[pyarrow.csv.CSVWriter | pq.ParquetWriter]:
     """A new file of rows; it appears complete when the block ends, or not at all.
 
-    Args:
-        path: the file; its ending says whether it is CSV or Parquet, see `ENDINGS`.
-        schema: its columns; CSV takes no dictionaries.
-
-    Yields:
-        Its writer, whose ``write_table`` adds rows. In CSV, null is an empty cell.
+    Its writer's ``write_table`` adds rows with the schema. The file's ending says whether it is
+    Parquet or CSV, where null is an empty cell.
 
     Raises:
         InputError: if the file has another ending.
@@ -159,19 +176,17 @@ def table_file(path: Path, schema: pa.Schema) -> Iterator[pyarrow.csv.CSVWriter 
 
 
 def write_conflicts(source: Path, out: Path) -> None:
-    """Write the conflicts of all episodes of a dataset into one file.
+    """Write the conflicts of all episodes of a dataset's folder into one file, .parquet or .csv.
 
-    Args:
-        source: folder of a dataset.
-        out: .parquet or .csv, with the columns `JOINED`, the names of both road users, and those of
-            the dataset's table ``conflicts``.
+    It has the columns `JOINED`, the names of both road users, and those of the dataset's table
+    ``conflicts``.
 
     Raises:
         InputError: if the file has another ending.
         OSError: if it cannot be written.
     """
     dataset = open_dataset(source)
-    names = [pa.field(name, pa.string()) for name in ("first_name", "second_name")]
+    names = [(name, pa.string()) for name in ("first_name", "second_name")]
     own = [
         pa.field(f.name, pa.string() if pa.types.is_dictionary(f.type) else f.type)
         for f in CONFLICTS

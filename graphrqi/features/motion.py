@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.sorted_ids import find
+from behaviors.row_index import find_sorted
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
 
 SPAN_S: Final = 0.4
@@ -70,7 +70,7 @@ def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
         >>> align(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([0, 2]), array([1, 2]))
     """
-    at, there = find(old_ids, new_ids)
+    at, there = find_sorted(old_ids, new_ids)
     into = np.flatnonzero(there)
     return into, at[into]
 
@@ -82,7 +82,7 @@ def merge(known: IntArray, ids: IntArray) -> tuple[IntArray, IntArray]:
         >>> merge(np.array([2, 5, 9]), np.array([5, 7, 9]))
         (array([2, 5, 7, 9]), array([1, 2, 3]))
     """
-    rows, there = find(known, ids)
+    rows, there = find_sorted(known, ids)
     if there.all():
         return known, rows
     merged = np.sort(np.concatenate((known, ids[~there])), kind="stable")

@@ -1,9 +1,9 @@
 """Features of vertices in the spectrum of the paper's accumulated traffic graph.
 
-`eigenvector_rows` is what the paper feeds to its classifier: row i of the eigenvector matrix U. An
-eigenvector is defined up to its sign, or up to a rotation where its eigenvalue is repeated. Rows of
-U are therefore not functions of the graph. The features of `invariant` are. They are sums of
-f(lambda) u_i^2 over whole eigenspaces, which do not depend on the choice of eigenvectors.
+The paper feeds its classifier with row i of the eigenvector matrix U. An eigenvector is defined up
+to its sign, or up to a rotation where its eigenvalue is repeated. Rows of U are therefore not
+functions of the graph. The features of `invariant` are. They are sums of f(lambda) u_i^2 over whole
+eigenspaces, which do not depend on the choice of eigenvectors.
 Eigenvalues are scaled by the largest one, so that neither number nor order of the vehicles matters.
 `GraphSpectrum` follows the graph and its largest eigenpairs from frame to frame, for two observers:
 `EigenvectorObserver` gives rows of U, `SpectrumObserver` invariant features.
@@ -51,22 +51,6 @@ SPECTRAL: Final = len(INVARIANT_NAMES) + 1
 
 _SAME_EIGENVALUE: Final = 1e-6
 """Relative distance below which two eigenvalues count as one (solvers deliver 1e-8)."""
-
-
-def eigenvector_rows(eigenvectors: FloatArray, num_pairs: int = NUM_PAIRS) -> FloatArray:
-    """Rows of U, padded with zeros where the graph has fewer pairs than asked for.
-
-    Args:
-        eigenvectors: (d, k) columns in descending order of eigenvalue.
-        num_pairs: columns wanted.
-
-    Returns:
-        (d, num_pairs) one row per vertex.
-    """
-    d, k = eigenvectors.shape
-    out = np.zeros((d, num_pairs))
-    out[:, : min(k, num_pairs)] = eigenvectors[:, :num_pairs]
-    return out
 
 
 def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
@@ -153,9 +137,7 @@ class GraphSpectrum:
             return np.zeros((ids.size, SPECTRAL))
         self._solved_s = time_s
         spectrum, rows, degrees = self.solve(ids)
-        values = invariant(
-            np.asarray(spectrum.eigenvalues), np.asarray(spectrum.eigenvectors), degrees
-        )
+        values = invariant(spectrum.eigenvalues, spectrum.eigenvectors, degrees)
         return np.concatenate([values[rows], np.ones((ids.size, 1))], axis=1)
 
 
@@ -189,8 +171,10 @@ class EigenvectorObserver(Observer):
         """The drivers present with their rows of the graph's present spectrum."""
         present = super().observation()
         spectrum, rows, _ = self._spectrum.solve(present.ids)
-        vectors = eigenvector_rows(np.asarray(spectrum.eigenvectors))
-        return dataclasses.replace(present, instant=vectors[rows])
+        vectors = np.zeros((rows.size, NUM_PAIRS))  # stay zero where there are fewer pairs
+        known = spectrum.eigenvectors[rows, :NUM_PAIRS]
+        vectors[:, : known.shape[1]] = known
+        return dataclasses.replace(present, instant=vectors)
 
 
 class SpectrumObserver(Observer):

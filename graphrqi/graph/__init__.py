@@ -9,7 +9,6 @@ Examples:
            [ 0., -1.,  1.]])
 """
 
-from graphrqi.graph.sighting import Sighting
-from graphrqi.graph.traffic_graph import TrafficGraph
+from graphrqi.graph.traffic_graph import MAX_COORDINATE_M, Sighting, TrafficGraph
 
-__all__ = ["Sighting", "TrafficGraph"]
+__all__ = ["MAX_COORDINATE_M", "Sighting", "TrafficGraph"]

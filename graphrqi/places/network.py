@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.arrays import FloatArray, SingleArray
-from graphrqi.classify.contract import saved, softmax
+from graphrqi.classify.contract import part_of, saved, softmax
 from graphrqi.classify.standardisation import Standardisation
 from graphrqi.places.drivers import PlaceDrivers
 
@@ -142,22 +142,22 @@ class PlaceNetwork:
         named = {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
         members: list[Member] = []
         while f"member{len(members)}.own.weight" in named:
-            prefix = f"member{len(members)}"
-            weights, biases, inputs = [], [], num_features
-            for layer in LAYERS:
-                weight = saved(named, f"{prefix}.{layer}.weight", (inputs, None))
-                weights.append(np.ascontiguousarray(weight, dtype=np.float32))
-                bias = saved(named, f"{prefix}.{layer}.bias", (weight.shape[1],))
-                biases.append(bias.astype(np.float32))
-                own, shown = biases[0].size, biases[-1].size
-                inputs = own if layer == "own" else own + 2 * shown + 1
-                if layer == "joint":
-                    inputs = shown
-            if biases[-1].size != num_classes:
-                raise InputError(
-                    f"{prefix}: found {biases[-1].size} outputs, expected {num_classes}"
+            one = part_of(named, f"member{len(members)}")
+            biases = [saved(one, f"{layer}.bias", (None,)) for layer in LAYERS]
+            own, shown, joint, answer = (bias.size for bias in biases)
+            if answer != num_classes:
+                raise InputError(f"answer: found {answer} outputs, expected {num_classes}")
+            inputs = num_features, own, own + 2 * shown + 1, joint
+            weights = [
+                saved(one, f"{layer}.weight", (before, bias.size))
+                for layer, before, bias in zip(LAYERS, inputs, biases, strict=True)
+            ]
+            members.append(
+                Member(
+                    tuple(np.ascontiguousarray(each, dtype=np.float32) for each in weights),
+                    tuple(each.astype(np.float32) for each in biases),
                 )
-            members.append(Member(tuple(weights), tuple(biases)))
+            )
         if not members:
             raise InputError("members: found none, expected at least one network")
         return cls(Standardisation.restored(named, num_features), tuple(members))

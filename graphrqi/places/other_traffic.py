@@ -24,9 +24,8 @@ from graphrqi.classify.contract import part_of, saved
 from graphrqi.features.drivers import LEFT_OVER, SCENE_NAMES, UNKNOWN_SCENE, DriverObserver
 from graphrqi.features.observer import Observation
 from graphrqi.features.smoothed_quantities import LEAST_LEFT_OVER_M
-from graphrqi.places.drivers import PlaceDrivers
+from graphrqi.places.drivers import PlaceDrivers, beside_others, level_shown, log_odds_of, restyled
 from graphrqi.places.network import PlaceNetwork
-from graphrqi.places.people import beside_others, level_shown, log_odds_of, restyled
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 
 Traffic = Literal["simulated", "recorded", "other"]

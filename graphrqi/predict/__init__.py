@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, own_function
@@ -15,7 +15,7 @@ from behaviors.registry import Registry, own_function
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
     from graphrqi.predict.prediction import Prediction
-    from graphrqi.predict.scene.scene import Scene
+    from graphrqi.predict.scene.scene import Scene, Unmapped
     from sim.episode.window import Window
     from sim.frames import Tracks
     from sim.road import Road
@@ -41,20 +41,11 @@ NO_MAP_NEEDED: Final = ("constant-velocity", "constant-acceleration", "kalman", 
 """Predictors that work without a map; `graphrqi-predict` then uses its network for recordings."""
 
 
-def get_predictor(name: str) -> Predictor:
-    """The predictor of that name.
-
-    Raises:
-        InputError: if the name is unknown; the message suggests the nearest one.
-    """
-    return PREDICTORS[name]
-
-
 def chosen_predictor(name: str) -> Predictor:
     """The predictor that a user asks for.
 
-    A name that was read from a file goes to `get_predictor`, which runs no other code than ours and
-    that of installed packages.
+    A name that was read from a file is looked up in ``PREDICTORS`` alone, which runs no other code
+    than ours and that of installed packages.
 
     Args:
         name: a key of ``PREDICTORS``, or "module:function" of the user's own; the module may lie in
@@ -67,7 +58,7 @@ def chosen_predictor(name: str) -> Predictor:
     from graphrqi.predict.prediction import Prediction
 
     if ":" not in name:
-        return get_predictor(name)
+        return PREDICTORS[name]
     function = own_function("predictor", name)
 
     def checked(scene: Scene, posterior: Posterior) -> Prediction:
@@ -127,39 +118,28 @@ def predict(
     """
     from graphrqi.predict.scene.scene import (
         LEARNED_S,
+        Unmapped,
         check_history,
         check_horizon,
         make_scene,
         since_break,
     )
 
-    function = get_predictor(predictor)
+    function: Callable[[Any, Posterior], Prediction] = PREDICTORS[predictor]
     check_map(predictor, road)
     check_horizon(horizon_s)
     check_history(history)
     if window is not None:
         history = window.of_tracks(history)
-    history = since_break(history)
-    network = None
     if weights is not None and predictor == "graphrqi-predict":
         from graphrqi.predict.learned.predictors import with_weights
-        from graphrqi.predict.recorded.network import trained_network
 
-        network, function = trained_network(weights), with_weights(weights)
+        function = with_weights(weights)
     if road is None:
-        from graphrqi.predict.extrapolation import WITHOUT_MAP
-        from graphrqi.predict.prediction import STEP_S
-        from graphrqi.predict.recorded.predictor import predict_recorded
-
-        if history.time_s.size == 0:
-            raise InputError("history: found no frame, expected at least 1")
-        present = history.window(history.time_s.size, history.time_s.size)
-        steps = round(horizon_s / STEP_S)
-        if predictor in WITHOUT_MAP:
-            return WITHOUT_MAP[predictor](present, steps)
-        return predict_recorded(present, steps, network)
-    scene = make_scene(history, road, max(horizon_s, LEARNED_S))
+        scene: Scene | Unmapped = Unmapped.of(since_break(history), horizon_s)
+    else:
+        scene = make_scene(history, road, max(horizon_s, LEARNED_S))
     return function(scene, posterior).until(horizon_s)
 
 
-__all__ = ["PREDICTORS", "check_map", "chosen_predictor", "get_predictor", "predict"]
+__all__ = ["PREDICTORS", "check_map", "chosen_predictor", "predict"]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final
-
 import numpy as np
 
 from graphrqi.arrays import FloatArray
@@ -12,7 +9,7 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import tracked
 from graphrqi.predict.scene.agent_states import present_acceleration
-from graphrqi.predict.scene.scene import Scene
+from graphrqi.predict.scene.scene import Scene, Unmapped
 from sim.frames import PEDESTRIAN, Tracks
 
 
@@ -43,25 +40,17 @@ def keep_filtered_motion(history: Tracks, steps: int) -> Prediction:
     return _one(history, xy)
 
 
-WITHOUT_MAP: Final[dict[str, Callable[[Tracks, int], Prediction]]] = {
-    "constant-velocity": keep_velocity,
-    "constant-acceleration": keep_acceleration,
-    "kalman": keep_filtered_motion,
-}
-"""The predictors that need no map: a history and the number of steps in, futures out."""
-
-
-def constant_velocity(scene: Scene, posterior: Posterior) -> Prediction:
+def constant_velocity(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
     """`keep_velocity` as a predictor."""
     return keep_velocity(scene.history, scene.steps)
 
 
-def constant_acceleration(scene: Scene, posterior: Posterior) -> Prediction:
+def constant_acceleration(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
     """`keep_acceleration` as a predictor."""
     return keep_acceleration(scene.history, scene.steps)
 
 
-def kalman(scene: Scene, posterior: Posterior) -> Prediction:
+def kalman(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
     """`keep_filtered_motion` as a predictor."""
     return keep_filtered_motion(scene.history, scene.steps)
 

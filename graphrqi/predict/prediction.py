@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import pandas
-
 
 STEP_S: Final = 0.1
 """Time between predicted positions, s: the simulators' usual step."""
@@ -105,23 +101,6 @@ class Prediction:
             f"{_counted(self.time_s.size, 'time')}{horizon}, "
             f"{'without' if self.spread is None else 'with'} spread)"
         )
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """One row per agent, future and time: agent, future, probability, time_s, x, y, spread."""
-        import pandas
-
-        n, k, h = self.xy.shape[:3]
-        columns = {
-            "agent": np.repeat(self.ids, k * h),
-            "future": np.tile(np.repeat(np.arange(k), h), n),
-            "probability": np.repeat(self.probability.ravel(), h),
-            "time_s": np.tile(self.time_s, n * k),
-            "x": self.xy[..., 0].ravel(),
-            "y": self.xy[..., 1].ravel(),
-        }
-        if self.spread is not None:
-            columns["spread"] = self.spread.ravel()
-        return pandas.DataFrame(columns)
 
 
 def _counted(number: int, what: str) -> str:

@@ -28,7 +28,7 @@ def solve(problem: Problem) -> Pairs:
     from scipy.sparse import csc_array, eye_array
     from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh, splu
 
-    laplacian, k, null = problem.graph.laplacian, problem.num_pairs, problem.null
+    laplacian, k = problem.graph.laplacian, problem.num_pairs
     d = problem.graph.ids.size
     start = problem.starting_block().sum(axis=1)
     rng = np.random.default_rng(0)  # for restarts; scipy's own differs from call to call
@@ -42,8 +42,8 @@ def solve(problem: Problem) -> Pairs:
             factor = splu(csc_array(laplacian + shift * eye_array(d)))
 
             def inverse(x: Floats) -> Floats:
-                y: Floats = factor.solve(x - null @ (null.T @ x))
-                return y - null @ (null.T @ y)
+                y: Floats = factor.solve(x)
+                return y
 
             operator = LinearOperator((d, d), matvec=inverse, dtype=np.float64)
             _, vectors = eigsh(operator, k, which="LA", v0=start, tol=goal, rng=rng)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import get_args
 
 import numpy as np
@@ -18,13 +17,7 @@ import numpy as np
 from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.spectrum import End, Floats, Spectrum
-from graphrqi.spectrum.subspaces import (
-    carry_rows,
-    dense_pairs,
-    laplacian_scale,
-    null_space,
-    pick,
-)
+from graphrqi.spectrum.subspaces import all_pairs, carry_rows, laplacian_scale, pick
 
 ENDS = get_args(End)
 
@@ -79,7 +72,6 @@ class Problem:
         end: "largest" or "smallest".
         previous: an earlier answer to start from, perhaps of other vehicles.
         tol: residual asked for, relative to ``scale``.
-        nonzero: whether the null space is left out.
     """
 
     graph: TrafficGraph
@@ -87,36 +79,29 @@ class Problem:
     end: End
     previous: Spectrum | None
     tol: float
-    nonzero: bool
 
     @property
     def scale(self) -> float:
         """Size of the Laplacian: max(1, largest degree), at least half of lambda_max."""
         return laplacian_scale(self.graph)
 
-    @cached_property
-    def null(self) -> Floats:
-        """(d, c) orthonormal basis of what is left out; no columns if nothing is."""
-        return null_space(self.graph) if self.nonzero else np.zeros((self.graph.ids.size, 0))
-
     @property
     def num_pairs(self) -> int:
         """How many pairs are wanted; so many exist."""
-        return int(min(self.asked, self.graph.ids.size - self.null.shape[1]))
+        return int(min(self.asked, self.graph.ids.size))
 
-    def starting_block(self, size: int | None = None, outside: Floats | None = None) -> Floats:
+    def starting_block(self, size: int | None = None) -> Floats:
         """(d, k) orthonormal columns to start from: the earlier vectors, or noise of a fixed seed.
 
         Args:
             size: k; as many as are wanted if not given.
-            outside: (d, m) orthonormal columns that they are orthogonal to; ``null`` if not given.
         """
-        d, outside = self.graph.ids.size, self.null if outside is None else outside
+        d = self.graph.ids.size
         noise = np.random.default_rng(d).normal(size=(d, size or self.num_pairs))
         if self.previous is not None:
             known = carry_rows(self.previous, self.graph)[:, : noise.shape[1]]
             noise[:, : known.shape[1]] = known + 1e-9 * noise[:, : known.shape[1]]
-        return np.linalg.qr(noise - outside @ (outside.T @ noise))[0]
+        return np.linalg.qr(noise)[0]
 
     def chosen(self, values: Floats, vectors: Floats) -> tuple[Floats, Floats]:
         """Those of the given pairs that are wanted, in the order of the end."""
@@ -124,9 +109,8 @@ class Problem:
         return values[wanted], vectors[:, wanted]
 
     def dense(self, note: str = "") -> Pairs:
-        """The answer of LAPACK's dense symmetric solver."""
-        found = dense_pairs(self.graph, self.null)
-        return Pairs(*self.chosen(*found), complete=True, note=note)
+        """The answer of LAPACK's dense symmetric solver, component by component."""
+        return Pairs(*self.chosen(*all_pairs(self.graph)), complete=True, note=note)
 
 
 @dataclass(frozen=True)
@@ -149,7 +133,6 @@ class Solver:
         end: End = "largest",
         previous: Spectrum | None = None,
         tol: float = 1e-8,
-        nonzero: bool = False,
     ) -> Spectrum:
         """Compute eigenpairs at one end of the spectrum.
 
@@ -159,7 +142,6 @@ class Solver:
             end: "largest" or "smallest".
             previous: any earlier answer, of other vehicles too, to start from.
             tol: residuals up to tol * max(1, lambda_max) are asked for.
-            nonzero: leave out the null space (one pair per connected component).
 
         Returns:
             The pairs, with their residuals.
@@ -168,10 +150,10 @@ class Solver:
             InputError: for an argument out of range.
         """
         check_arguments(num_pairs, end, tol, previous)
-        problem = Problem(graph, num_pairs, end, previous, tol, nonzero)
+        problem = Problem(graph, num_pairs, end, previous, tol)
         if self.dense_share is not None:
             k = problem.num_pairs
-            if k < 1 or self.dense_share * k + problem.null.shape[1] >= graph.ids.size:
+            if k < 1 or self.dense_share * k >= graph.ids.size:
                 return answer(graph, problem.dense(), end, tol)
         return answer(graph, self.find(problem), end, tol)
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.graph import TrafficGraph
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 End: TypeAlias = Literal["largest", "smallest"]
 Floats: TypeAlias = NDArray[np.float64]
@@ -66,17 +63,3 @@ class Spectrum:
         if self.note:
             parts.append(f"note: {self.note:.120}")
         return f"Spectrum({', '.join(parts)})"
-
-    def to_pandas(self) -> pd.DataFrame:
-        """Table of the eigenvectors: a row per vehicle, a column per pair.
-
-        Returns:
-            Rows indexed by vehicle id (``id``), columns by eigenvalue (``eigenvalue``).
-        """
-        import pandas as pd
-
-        return pd.DataFrame(
-            np.array(self.eigenvectors),
-            index=pd.Index(np.array(self.ids), name="id"),
-            columns=pd.Index(np.array(self.eigenvalues), name="eigenvalue"),
-        )

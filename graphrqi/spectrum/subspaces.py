@@ -55,38 +55,24 @@ def null_space(graph: TrafficGraph) -> Floats:
     return basis
 
 
-def dense_pairs(graph: TrafficGraph, null: Floats | None = None) -> tuple[Floats, Floats]:
-    """All (m,) eigenvalues, ascending, and (d, m) eigenvectors, but those of the null space.
+def all_pairs(graph: TrafficGraph) -> tuple[Floats, Floats]:
+    """Every eigenpair of d vehicles: (d,) eigenvalues, ascending, and (d, d) eigenvectors.
 
-    Adding s N N^T, N the given null space, moves its eigenvalue from 0 to s above every other one
-    and touches nothing else.
+    The Laplacian of a graph in pieces is block diagonal. The null space comes out exactly, as the
+    indicators of the components. Costs the sum of the cubes of the component sizes.
     """
-    matrix = graph.laplacian.toarray()
-    kept = graph.ids.size
-    if null is not None and null.shape[1]:
-        matrix += 4.0 * laplacian_scale(graph) * null @ null.T
-        kept -= null.shape[1]
-    values, vectors = np.linalg.eigh(matrix)
-    return values[:kept], vectors[:, :kept]
-
-
-def pairs_by_component(graph: TrafficGraph) -> tuple[Floats, Floats, Floats]:
-    """Every eigenpair of d vehicles in c components, with the null space apart.
-
-    Returns (d - c,) nonzero eigenvalues, ascending, (d, d - c) their eigenvectors, and (d, c) the
-    orthonormal indicators of the components. Costs the sum of the cubes of the component sizes.
-    """
-    null, laplacian = null_space(graph), graph.laplacian
-    labels, above = components(graph), 4.0 * laplacian_scale(graph)
-    values, vectors = np.empty(0), np.zeros((graph.ids.size, graph.ids.size - null.shape[1]))
-    for c in range(null.shape[1]):
+    null, laplacian, d = null_space(graph), graph.laplacian, graph.ids.size
+    labels, above, zeros = components(graph), 4.0 * laplacian_scale(graph), null.shape[1]
+    values, vectors = np.zeros(zeros), np.zeros((d, d))
+    vectors[:, :zeros] = null
+    for c in range(zeros):
         rows = np.flatnonzero(labels == c)
-        block: Floats = (laplacian if null.shape[1] == 1 else laplacian[rows][:, rows]).toarray()
+        block: Floats = (laplacian if zeros == 1 else laplacian[rows][:, rows]).toarray()
         inner, turn = np.linalg.eigh(block + above / rows.size)  # moves 0 above all the rest
         vectors[np.ix_(rows, values.size + np.arange(rows.size - 1))] = turn[:, :-1]
         values = np.append(values, inner[:-1])
     sort = np.argsort(values, kind="stable")
-    return values[sort], vectors[:, sort], null
+    return values[sort], vectors[:, sort]
 
 
 def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None = None) -> Floats:

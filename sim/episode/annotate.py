@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from behaviors.detector_inputs import DetectorInputs, ShownTrait
-from behaviors.traits import detect
+from behaviors.traits import DetectorInputs, ShownTrait, detect
 from sim.episode.detector_inputs import detector_inputs, with_encounters
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe

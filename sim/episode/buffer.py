@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from behaviors.sorted_ids import find
+from behaviors.row_index import find_sorted
 from sim.frames import KINDS, MAX_MAGNITUDE, SIGNALS, Event, Frame, Tracks
 
 _TABLES = ("_xy", "_heading", "_speed", "_valid")
@@ -59,7 +59,7 @@ class FrameBuffer:
             self._signals = np.empty((frame.signals.size, 2 * self._steps), dtype=np.int8)
         if self._end == 2 * self._steps:
             self._move_back()
-        at, known = find(self._ids, frame.ids)
+        at, known = find_sorted(self._ids, frame.ids)
         if not known.all():
             self._add(frame.ids[~known])
             at = np.searchsorted(self._ids, frame.ids)

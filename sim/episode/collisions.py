@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.detector_inputs import ShownTrait
+from behaviors.traits import ShownTrait
 from sim.episode.contacts import Contact
 from sim.episode.observables import Observables
 from sim.episode.yielding import ROLLING_MPS, could_stop

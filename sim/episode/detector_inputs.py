@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.detector_inputs import DetectorInputs, RuleEncounter
+from behaviors.traits import DetectorInputs, RuleEncounter
 from sim.episode.observables import Observables, observe
 from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, Tracks, says_stop
 from sim.road import Road

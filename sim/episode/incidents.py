@@ -11,9 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.detector_inputs import DetectorInputs
 from behaviors.row_index import RowIndex
-from behaviors.traits import cutting_in
+from behaviors.traits import DetectorInputs, cutting_in
 from sim.episode.collisions import Crashes, collisions
 from sim.episode.contacts import contacts
 from sim.episode.detector_inputs import detector_inputs

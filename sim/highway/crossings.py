@@ -171,8 +171,7 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
     """Whether a driver stops for a pedestrian at a crossing that is ``near`` to ``far`` m ahead."""
     me, person, crossing = scene.vehicles[i], scene.walkers[w], scene.net.crossings[strip.crossing]
     overlooks = me.overlook_probability
-    if overlooks > 0.0 and chance(me.key, OVERLOOKS, person.agent) < overlooks:
-        return False
+    sees = overlooks <= 0.0 or chance(me.key, OVERLOOKS, person.agent) >= overlooks
     at = _crossover(w, scene)
     half = scene.net.lanes[me.lane].width / 2 - STRIP_M
     beyond = person.s - scene.footways.crossovers[at].begin_s
@@ -187,7 +186,7 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
         return False
     if on and (enters_s <= 0.0 or (person.speed > 0.0 and enters_s < DANGER_S)):
         hard = me.emergency_decel
-        return can_stop(speed, near, hard) and leaves_s > comes_s - DANGER_S
+        return sees and can_stop(speed, near, hard) and leaves_s > comes_s - DANGER_S
     if on and person.stood_s > STALLED_S:
         return False
     if not ((crossing.priority or lit) and (on or walk)):
@@ -198,7 +197,7 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
     gap_s = me.crossing_gap_s
     heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
     met = enters_s < clears_s + MET_S and -beyond < MET_KERB_S * pace
-    yields = heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability
+    yields = sees and heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability
     if met or yields:
         _note_met(i, strip.crossing, met, yields, scene)
     return bool(yields)

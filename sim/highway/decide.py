@@ -51,7 +51,7 @@ from sim.highway.driving import (
     turning_angle,
 )
 from sim.highway.scene import along_lane, beside, onward, path_to
-from sim.highway.state import MOST_LATE, Scene
+from sim.highway.state import LATE_S, MOST_LATE, Scene
 from sim.highway.tables import curvature_at, heading_at, project
 
 STOP_LASTS_S: Final = (3.0, 6.0)
@@ -178,7 +178,9 @@ def _steer(i: int, scene: Scene) -> None:
 def _choose_lane(i: int, scene: Scene) -> None:
     me = scene.vehicles[i]
     me.wanted = me.lane
-    if me.forced >= 0:
+    if me.clock < me.lapse_until:
+        me.wanted = me.target
+    elif me.forced >= 0:
         me.wanted = me.forced
     elif me.lane != me.target:
         if me.wrong_way or scene.net.lanes[me.target].wrong or not _is_behind_a_change(i, scene):
@@ -354,7 +356,7 @@ def _accelerate(i: int, scene: Scene) -> None:
     gap, front_speed = here.front_gap, here.front_speed
     if me.perception_noise > 0.0 and gap < np.inf:
         error = me.perception_noise * _error(me)
-        front_speed -= CLOSING_ERROR_PER_S * error * gap
+        front_speed += CLOSING_ERROR_PER_S * error * gap
         gap *= math.exp(error)
     accel = follow(me, speed, desired, gap, front_speed)
     if me.wanted != me.lane:
@@ -388,11 +390,12 @@ def _error(me: Any) -> float:
 @in_place(inner=True)
 def _late(me: Any, accel: float) -> float:
     """The acceleration that the driver wanted a reaction time ago; ``accel`` is the present one."""
-    me.late[me.decided % MOST_LATE] = accel
-    me.decided += 1
-    step_s = max(me.clock / me.decided, 1e-3)
-    ago = min(int(me.reaction_time_s / step_s + 0.5), MOST_LATE - 1, me.decided - 1)
-    return float(me.late[(me.decided - 1 - ago) % MOST_LATE])
+    now = int(me.clock / LATE_S + 0.5)
+    me.late[now % MOST_LATE] = accel
+    if me.late_since < 0:
+        me.late_since = now
+    ago = min(int(me.reaction_time_s / LATE_S + 0.5), now - me.late_since)
+    return float(me.late[(now - ago) % MOST_LATE])
 
 
 @in_place(inner=True)

@@ -23,8 +23,11 @@ EVENT_KINDS: Final = tuple(EventKind)
 MOST_MET: Final = 4
 """Crossings at which a driver can have met pedestrians that it has not passed yet."""
 
-MOST_LATE: Final = 50
-"""Steps for which a driver's decisions are kept: 5 s at 10 steps a second."""
+LATE_S: Final = 0.1
+"""A driver's decisions are kept this often, s."""
+
+MOST_LATE: Final = 51
+"""How many of them are kept: those of the longest reaction time."""
 
 VEHICLE: Final = record_type(
     agent="i8", kind="i8", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",
@@ -47,7 +50,7 @@ VEHICLE: Final = record_type(
     cut_in_at="f8", stop_at="f8", stop_until="f8", wrong_way_at="f8",
     cut_ins="i8", stops="i8", wrong_ways="i8", dawdled="i8",
     lapse_at="f8", lapse_until="f8", lapses="i8", error="f8", erred="i8", seen_at="f8",
-    late=f"{MOST_LATE}f8", decided="i8",
+    late=f"{MOST_LATE}f8", late_since="i8",
     met=f"{MOST_MET}i8", met_near=f"{MOST_MET}i1", yielded=f"{MOST_MET}i1",
     last_path="i8", path_before="i8", line_before="f8", stood_at="i8", stopped_s="f8",
     # where it is on its way, in this step
@@ -65,17 +68,18 @@ one; ``wanted``: the same from the next step on; ``go_at``: when it may start, a
 ``standing_since``: infinite while it moves; ``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``:
 how many times each was drawn; ``lapse_at``, ``lapse_until``, ``lapses``: the same of lapses of
 attention; ``error``: of perception, with standard deviation 1, drawn ``erred`` times, last at
-``seen_at``; ``late``: the last accelerations wanted, of ``decided`` in all; ``met``: crossings at
-which the driver met pedestrians closely (``met_near``) or ``yielded``; ``last_path``: the junction
-path that it was on last, until it has left it; ``path_before``, ``line_before``: the path ahead a
-step ago and how far away it was; ``stood_at``: the path before whose stop sign it has stood, since
-``stopped_s``; ``then``: the stretch after its lane's; ``path``: the junction path that it is on or
-comes to next; ``to_line``: front bumper to the beginning of that path, or to the end of a lane
-without one, negative beyond it; ``stood_s``: for how long it has stood; ``stop_gap``: front bumper
-to the line at which to stop; ``speed_cap``: speed not to exceed; ``held``: whether a light or a
-sign makes it stop at the line, and ``was_held`` a step ago; ``changes``: whether lane changes are
-allowed; ``forced``: the lane that it has to head for; ``astray``: whether it needs another route;
-``arrives``: whether it is at the end of its way; ``leaves``: why it goes.
+``seen_at``; ``late``: the last accelerations wanted, every `LATE_S`, the first at ``late_since``;
+``met``: crossings at which the driver met pedestrians closely (``met_near``) or ``yielded``;
+``last_path``: the junction path that it was on last, until it has left it; ``path_before``,
+``line_before``: the path ahead a step ago and how far away it was; ``stood_at``: the path before
+whose stop sign it has stood, since ``stopped_s``; ``then``: the stretch after its lane's; ``path``:
+the junction path that it is on or comes to next; ``to_line``: front bumper to the beginning of that
+path, or to the end of a lane without one, negative beyond it; ``stood_s``: for how long it has
+stood; ``stop_gap``: front bumper to the line at which to stop; ``speed_cap``: speed not to exceed;
+``held``: whether a light or a sign makes it stop at the line, and ``was_held`` a step ago;
+``changes``: whether lane changes are allowed; ``forced``: the lane that it has to head for;
+``astray``: whether it needs another route; ``arrives``: whether it is at the end of its way;
+``leaves``: why it goes.
 """
 
 WALKER: Final = record_type(
@@ -189,7 +193,7 @@ def blank_vehicle() -> Any:
     for name in times:
         row[name] = np.inf
     ways = ("route", "last_path", "path_before", "stood_at", "then", "path", "forced")
-    for name in ("agent", "met", *ways):
+    for name in ("agent", "met", "late_since", *ways):
         row[name] = -1
     row["stop_until"], row["changes"] = -np.inf, True
     return row

@@ -162,6 +162,7 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
         for name, value in profile_fields(profile, self.kind, self.law).items():
             if name in FIELDS:
                 row[name] = value
+        row.late_since = -1
         for at, kind, drawn, rate in (
             ("cut_in_at", CUTS_IN, "cut_ins", row.cut_in_rate_per_min),
             ("stop_at", STOPS, "stops", row.stop_rate_per_min),

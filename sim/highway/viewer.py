@@ -17,7 +17,7 @@ from highway_env.envs.common.graphics import EnvViewer
 from highway_env.road.graphics import WorldSurface
 from numpy.typing import NDArray
 
-from behaviors.colors import COLORS, rgb
+from behaviors.labels import BEHAVIORS
 from sim.frames import Signal
 from sim.highway.network import HighwayNetwork
 from sim.highway.traffic import TrafficRoad
@@ -25,9 +25,6 @@ from sim.road.shapes import RoadShapes, road_shapes
 
 FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
-
-BEHAVIOR_COLORS: Final[dict[str, Color]] = {b: rgb(c) for b, c in COLORS.items()}
-"""As in every other picture, for pygame."""
 
 SIGNAL_COLORS: Final[dict[Signal, Color]] = {
     Signal.RED: (235, 50, 50),
@@ -101,8 +98,8 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         font = pygame.font.Font(None, 18)
         x, y = 8, surface.get_height() - 20
         pygame.draw.rect(surface, GROUND, (0, y - 6, surface.get_width(), 26))
-        for behavior, color in BEHAVIOR_COLORS.items():
-            pygame.draw.rect(surface, color, (x, y, 12, 12))
+        for behavior in BEHAVIORS:
+            pygame.draw.rect(surface, pygame.Color(behavior.color), (x, y, 12, 12))
             text = font.render(str(behavior), True, OUTLINE)
             surface.blit(text, (x + 16, y))
             x += 26 + text.get_width()
@@ -143,7 +140,7 @@ def _draw_traffic(surface: WorldSurface, road: TrafficRoad, ego: Any | None) -> 
         pygame.draw.circle(surface, PERSON, place, max(3, round(0.35 * surface.scaling)))
     for vehicle in road.vehicles:
         behavior = getattr(vehicle, "behavior", None)
-        color = PAVING if behavior is None else BEHAVIOR_COLORS.get(behavior) or rgb(behavior.color)
+        color: Any = PAVING if behavior is None else pygame.Color(behavior.color)
         color = EGO if vehicle is ego else color
         _draw_vehicle(surface, vehicle, color, EGO if vehicle is ego else OUTLINE)
 

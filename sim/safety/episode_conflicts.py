@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.display import import_pandas
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import (
@@ -149,11 +148,9 @@ class Conflicts:
 
         Returns:
             A data frame with the attributes as columns: kinds as words, missing ids as null.
-
-        Raises:
-            InputError: if pandas is not installed.
         """
-        pandas = import_pandas()
+        import pandas
+
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
         columns["kind"] = np.array([str(kind) for kind in CONFLICT_KINDS], dtype=object)[self.kind]
         for name in ("passed_first", "priority"):

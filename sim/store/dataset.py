@@ -8,6 +8,7 @@ second. `sim.store.schema` says what the files hold; `sim.store.writing` writes 
 from __future__ import annotations
 
 import hashlib
+import html
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -18,10 +19,10 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from behaviors.detector_inputs import ShownTrait
-from behaviors.display import counted, html_table, import_pandas
+from behaviors.display import counted
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
+from behaviors.traits import ShownTrait
 from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.road import Road
@@ -224,21 +225,17 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """A table of the first episodes, for notebooks."""
-        rows = self.catalogue.slice(0, SHOWN_EPISODES).select(_COLUMNS).to_pylist()
+        table = self.catalogue.slice(0, SHOWN_EPISODES).select(_COLUMNS).to_pandas()
         more = len(self) - SHOWN_EPISODES
-        last = [(f"and {more} more",)] if more > 0 else []
-        return html_table(repr(self), _COLUMNS, [*(tuple(row.values()) for row in rows), *last])
+        last = f"<p>and {more} more</p>" if more > 0 else ""
+        return f"<p>{html.escape(repr(self))}</p>{table.to_html(index=False)}{last}"
 
     def to_pandas(self) -> Any:
         """A pandas table with a row per episode: the catalogue.
 
         Returns:
             A data frame with the columns of ``sim.store.schema.CATALOGUE``, in its order.
-
-        Raises:
-            InputError: if pandas is not installed.
         """
-        import_pandas()
         return self.catalogue.cast(CATALOGUE).to_pandas()
 
     def read(self, entry: EpisodeEntry) -> Episode:

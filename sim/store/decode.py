@@ -10,11 +10,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style, Trait, read_behaviors
 from behaviors.profiles import PERCEPTION_FIELDS, PROFILE_FIELDS, Profile
 from behaviors.row_index import RowIndex
+from behaviors.traits import ShownTrait
 from sim.files import Place
 from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, TrackRows, Tracks
 from sim.safety import CONFLICT_KINDS, Conflicts

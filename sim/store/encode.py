@@ -10,9 +10,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.profiles import PROFILE_FIELDS
+from behaviors.traits import ShownTrait
 from sim.frames import SIGNALS, EventKind, TrackRows, Tracks
 from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.scenario import AgentSpec

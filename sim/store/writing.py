@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow as pa
 from pydantic import JsonValue
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
+from behaviors.traits import ShownTrait
 from sim.episode.annotate import Annotations, annotate
 from sim.files import Place, local_path, new_folder, place_of, temporary_folder
 from sim.frames import KINDS, Frame, Tracks

@@ -6,9 +6,9 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
 
 VISION = {
     "usual": np.eye(3),
@@ -37,7 +37,7 @@ JUST_NOTICEABLE = 2.3
 
 
 def linear(color):
-    v = np.array(rgb(color)) / 255
+    v = np.array(to_rgb(color))
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 

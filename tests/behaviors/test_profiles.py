@@ -1,8 +1,5 @@
 import numpy as np
 import pytest
-from sklearn.ensemble import RandomForestClassifier
-from sklearn.metrics import f1_score
-from sklearn.model_selection import cross_val_predict
 
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Style
 from behaviors.profiles import PROFILE_FIELDS, SOURCES, sample_profile
@@ -37,23 +34,3 @@ def test_aggressive_drivers_keep_less_distance_than_conservative_ones():
         aggressive = [getattr(PROFILES[b], name) for b in BEHAVIORS if b.style == Style.AGGRESSIVE]
         careful = [getattr(PROFILES[b], name) for b in BEHAVIORS if b.style == Style.CONSERVATIVE]
         assert max(aggressive) < min(careful)
-
-
-def test_realised_numbers_overlap_but_tell_the_behaviours_apart():
-    names = (
-        "speed_factor",
-        "time_headway_s",
-        "min_gap_m",
-        "max_accel_mps2",
-        "comfort_decel_mps2",
-    )
-    rng = np.random.default_rng(0)
-    rows, labels = [], []
-    for behavior in BEHAVIORS:
-        for _ in range(200):
-            profile = sample_profile(behavior.profile, rng)
-            rows.append([getattr(profile, name) for name in names])
-            labels.append(behavior.code)
-    forest = RandomForestClassifier(100, random_state=0)
-    predicted = cross_val_predict(forest, np.array(rows), labels, cv=3)
-    assert 0.91 < f1_score(labels, predicted, average="macro") < 0.98

@@ -3,11 +3,17 @@ import dataclasses
 import numpy as np
 import pytest
 
-from behaviors.detector_inputs import DetectorInputs, RuleEncounter, ShownTrait, lane_changes
 from behaviors.labelling import THRESHOLDS, characteristic_traits, label_from_traits
 from behaviors.labels import TRAITS, Behavior, Trait
 from behaviors.row_index import RowIndex
-from behaviors.traits import DETECTORS, detect
+from behaviors.traits import (
+    DETECTORS,
+    DetectorInputs,
+    RuleEncounter,
+    ShownTrait,
+    detect,
+    lane_changes,
+)
 
 T = 600
 STEP_S = 0.1

@@ -7,11 +7,9 @@ import shutil
 import numpy as np
 import pytest
 
-from behaviors.detector_inputs import ShownTrait
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Trait
-from experiments.replay.beliefs import Beliefs, kept_steps, sampled
-from experiments.replay.forecasts import Forecast
-from experiments.replay.graph_history import graph_history
+from behaviors.traits import ShownTrait
+from experiments.replay.layers import Beliefs, Forecast, graph_history, kept_steps, sampled
 from experiments.replay.scene import ReplayScene
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Tracks

@@ -11,11 +11,11 @@ from experiments.benchmarks.classification import (
     OURS,
     RIVAL,
     Data,
+    Recordings,
     across_scenarios,
     inductive,
     leak_probe,
 )
-from experiments.benchmarks.classified import Recordings
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.score.answers import Answers, score_answers

@@ -11,16 +11,14 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.cli.commands import main
-from experiments.score.predict import (
-    errors_table,
-    predict_dataset,
-)
 from experiments.score.predictions import (
     GROUPS,
     MEASURES,
     Errors,
+    errors_table,
     future,
     instants,
+    predict_dataset,
     score_episode,
     score_predictions,
 )
@@ -28,7 +26,7 @@ from experiments.score.tables import PREDICTIONS
 from experiments.training.predictor import calibrate_drivers
 from graphrqi.networks.weights import load_weights
 from graphrqi.posterior import Posterior
-from graphrqi.predict import get_predictor
+from graphrqi.predict import PREDICTORS
 from graphrqi.predict.networks.futures import MODES
 from graphrqi.predict.rollout.driver_table import load_table
 from scenarios import SCENARIOS
@@ -146,7 +144,7 @@ def test_a_predictor_of_ones_own_is_scored_beside_ours(own, dataset, tmp_path, c
 
 def test_a_name_from_a_file_runs_no_code(own):
     with pytest.raises(InputError, match="unknown predictor"):
-        get_predictor(f"{own}:ahead")
+        PREDICTORS[f"{own}:ahead"]
 
 
 def test_errors_of_a_braking_vehicle_are_the_textbook_ones(road):

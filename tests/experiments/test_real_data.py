@@ -1,4 +1,4 @@
-"""The benchmark on real recordings: sheets, features without a unit, and small files."""
+"""The benchmark on real recordings: sheets, and small files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from sklearn.metrics import cohen_kappa_score
 from behaviors.labelling import style_of
 from behaviors.labels import Behavior, Trait
 from experiments.benchmarks.real_data import measure, read_traf
-from experiments.benchmarks.unit_free import unit_free_features
 from sim.formats import argo, traf
 from sim.formats.argo import remove_ego_motion
 from sim.formats.traf import labels, read_sheet, sheets_of
@@ -99,27 +98,14 @@ def test_labels_of_sheets(tmp_path):
     assert labels(tracks, sheets, "lenient").tolist() == [-1, Behavior.CAREFUL.code]
 
 
-# --- features -----------------------------------------------------------------------------------
-
-
-def test_features_do_not_depend_on_the_unit():
-    rng = np.random.default_rng(0)
-    xy = np.cumsum(rng.normal(1.0, 0.3, (12, 120, 2)), axis=1) + rng.uniform(0, 80, (12, 1, 2))
-    sides = rng.uniform(4.0, 8.0, (12, 2))
-    mine = unit_free_features(xy, sides)
-    assert mine.shape[0] == 12
-    np.testing.assert_allclose(unit_free_features(xy * 3.7, sides * 3.7), mine, atol=1e-6)
-    np.testing.assert_allclose(unit_free_features(xy[::-1], sides[::-1]), mine[::-1], atol=1e-9)
-
-
 # --- the bench ----------------------------------------------------------------------------------
 
 
 def test_bench_finds_what_is_there(data):
-    rows = [row for part in measure(data, ("unit-free", "majority"), (2,), 1) for row in part]
+    rows = [row for part in measure(data, ("nine-numbers", "majority"), (2,), 1) for row in part]
     score = {(r["method"], r["metric"]): r["value"] for r in rows}
-    assert score["unit-free", "balanced_accuracy"] > 0.9
-    assert score["unit-free", "auc"] > 0.95
+    assert score["nine-numbers", "balanced_accuracy"] > 0.9
+    assert score["nine-numbers", "auc"] > 0.95
     assert score["majority", "balanced_accuracy"] == 0.5
     assert {r["protocol"] for r in rows} == {"leave-one-video-out"}
     assert {r["n"] for r in rows} == {42}

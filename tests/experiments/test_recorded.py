@@ -141,12 +141,3 @@ def test_beliefs_about_recorded_drivers_are_compared_between_their_halves(data):
     metrics = {row["metric"]: row["value"] for row in rows}
     assert 0.0 <= metrics["share_unknown"] <= 1.0
     assert {row["protocol"] for row in rows} == {"recorded"}
-
-
-def test_long_tracks_are_halved():
-    tracks = traffic()
-    cut, rows, middle = recorded_beliefs.cut_in_half(tracks)
-    assert cut.ids.size == tracks.ids.size + rows.size
-    seen = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1]))
-    assert not (cut.valid[seen[0]] & cut.valid[seen[1]]).any()
-    assert (cut.valid[seen[1]].argmax(axis=1) >= middle).all()

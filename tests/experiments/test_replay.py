@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors.labels import BEHAVIORS
-from experiments.replay.beliefs import read_beliefs
-from experiments.replay.graph_history import graph_history
+from experiments.replay.layers import graph_history, read_beliefs
 from experiments.replay.page import write_page
 from experiments.replay.pictures import write_picture
 from experiments.replay.scene import chosen_entry, gather

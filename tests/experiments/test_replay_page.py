@@ -8,9 +8,9 @@ import io
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.ImageColor import getrgb as rgb
 
-from behaviors.colors import COLORS, UNKNOWN_COLOR, rgb
-from behaviors.labels import BEHAVIORS
+from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
 from experiments.replay.page import MODES, ramp, write_page
 
 SIZES = {"wide": (1280, 800), "narrow": (390, 844)}

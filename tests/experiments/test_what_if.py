@@ -13,8 +13,8 @@ from behaviors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.cli.commands import main
 from experiments.generate.configuration import GenerateConfig
-from experiments.replay.ghosts import find_ghosts
-from experiments.replay.paths import write_paths
+from experiments.replay.layers import find_ghosts
+from experiments.replay.pictures import write_paths
 from experiments.what_if.branches import WhatIf, branch_of, change_of, make_what_if
 from experiments.what_if.outcomes import (
     branches_of,

@@ -9,8 +9,8 @@ import pytest
 from sklearn.metrics import roc_auc_score
 
 from behaviors.labels import BEHAVIORS
+from experiments.benchmarks.prediction import yield_chances
 from experiments.benchmarks.real_data import auc_within
-from experiments.benchmarks.yielding import yield_chances
 from graphrqi.posterior import Posterior
 from graphrqi.predict.rollout.driver_table import YIELDS
 from scenarios import SCENARIOS

@@ -27,8 +27,7 @@ def hostile_graphs(count: int, largest: int = 400, seed: int = 0) -> Iterator[tu
         seed: of all of it.
 
     Yields:
-        Graph, pairs wanted (1 to 32), end, whether to leave out the null space, whether to start
-        from the last answer at that end.
+        Graph, pairs wanted (1 to 32), end, whether to start from the last answer at that end.
     """
     rng = np.random.default_rng(seed)
     done = 0
@@ -53,7 +52,7 @@ def hostile_graphs(count: int, largest: int = 400, seed: int = 0) -> Iterator[tu
                 seen = np.round(xy[present]) if rng.random() < 0.15 else xy[present]
                 graph = traffic = traffic.observe(present, seen)
             end = ("largest", "smallest")[rng.integers(2)]
-            yield graph, int(rng.integers(1, 33)), end, rng.random() < 0.5, rng.random() < 0.8
+            yield graph, int(rng.integers(1, 33)), end, rng.random() < 0.8
             done += 1
             if done == count:
                 return

@@ -11,9 +11,8 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from graphrqi.networks.weights import save_weights
 from graphrqi.posterior import Posterior
-from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict import PREDICTORS, predict
 from graphrqi.predict.prediction import Prediction
-from graphrqi.predict.rollout.agreement import agreement
 from graphrqi.predict.rollout.driver_table import (
     DRIVER_FIELDS,
     DriverParameters,
@@ -23,6 +22,7 @@ from graphrqi.predict.rollout.driver_table import (
     save_table,
 )
 from graphrqi.predict.rollout.rollout import positions, roll
+from graphrqi.predict.rollout.route import agreement
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.predict.scene.stop_constraints import PROCEED, STOP
 from scenarios import SCENARIOS
@@ -340,8 +340,8 @@ def test_calibrated_profiles_are_ordered_as_the_behaviours_are():
     assert aggressive.max() < conservative.min()
 
 
-def test_get_predictor_finds_each():
-    assert all(callable(get_predictor(name)) for name in PREDICTORS)
+def test_every_predictor_is_found():
+    assert all(callable(one) for one in PREDICTORS.values())
 
 
 def test_beliefs_agree_with_what_drivers_are_seen_doing(straight):
@@ -373,16 +373,6 @@ def test_scenes_and_predictions_say_what_they_hold(straight):
     assert len(scene) < 400
     found = predict(past, NOBODY, straight, predictor="graphrqi-predict")
     assert repr(found) == "Prediction(2 agents, 6 futures each, 50 times up to 5 s, with spread)"
-
-
-def test_predictions_become_tables(straight):
-    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
-    found = predict(history([[0.0, 0.0]], [0.0], [4.0]), NOBODY, straight, horizon_s=1.0)
-    table = found.to_pandas()
-    assert isinstance(table, pandas.DataFrame)
-    assert len(table) == found.modes * 10
-    last = table[(table["future"] == 2) & (table["time_s"] > 0.95)]
-    assert last[["x", "y"]].to_numpy()[0] == pytest.approx(found.xy[0, 2, -1])
 
 
 @pytest.mark.parametrize("name", ["lstm", "graphrqi-predict"])

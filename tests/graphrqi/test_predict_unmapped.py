@@ -11,7 +11,7 @@ import pytest
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
-from graphrqi.predict import PREDICTORS, get_predictor, predict
+from graphrqi.predict import PREDICTORS, predict
 from graphrqi.predict.networks.perceptron import Perceptron
 from graphrqi.predict.recorded.features import (
     QUEUE,
@@ -271,7 +271,7 @@ def test_features_are_as_many_as_told():
 
 @pytest.mark.parametrize("name", ["theirs", "car-following", "car-following-blind", "lstm"])
 def test_a_predictor_that_needs_a_map_says_so(name, monkeypatch):
-    monkeypatch.setitem(PREDICTORS, "theirs", get_predictor("constant-velocity"))
+    monkeypatch.setitem(PREDICTORS, "theirs", PREDICTORS["constant-velocity"])
     with pytest.raises(InputError, match=f"road: found none for the predictor '{name}', expected"):
         predict(recording([0.0], [10.0]), NOBODY, None, predictor=name)
 

@@ -13,11 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
-from experiments.benchmarks.graph_sequences import (
+from experiments.benchmarks.spectrum import (
     graph_sequence,
 )
 from graphrqi.graph import TrafficGraph
@@ -45,10 +43,10 @@ SHAPES = {
 }
 
 
-def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Any:
+def errors_against_lapack(found: Spectrum, num_pairs: int) -> Any:
     """Relative errors of eigenvalues and residuals, and departure from orthonormality.
 
-    The matrix is made anew from the graph's edges, and its zeros are counted in scipy.
+    The matrix is made anew from the graph's edges.
     """
     graph = found.graph
     d = graph.ids.size
@@ -59,8 +57,6 @@ def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Any
         matrix[ends] += np.array([[1.0, -1.0], [-1.0, 1.0]])
     values = np.linalg.eigvalsh(matrix) if d else np.zeros(0)
     scale = max(1.0, values.max(initial=0.0))
-    zeros = connected_components(csr_array(matrix), directed=False)[0] if nonzero and d else 0
-    values = values[zeros:]
     values = (values[::-1] if found.end == "largest" else values)[:num_pairs]
     vectors = found.eigenvectors
     assert found.eigenvalues.shape == values.shape
@@ -75,17 +71,15 @@ def errors_against_lapack(found: Spectrum, num_pairs: int, nonzero: bool) -> Any
 
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("end", ENDS)
-@pytest.mark.parametrize("nonzero", [False, True], ids=["all", "nonzero"])
-def test_every_solver_keeps_the_contract(name: str, end: End, nonzero: bool) -> None:
+def test_every_solver_keeps_the_contract(name: str, end: End) -> None:
     previous: Spectrum | None = None
     for shape, graph in SHAPES.items():
         for k in (1, 8, 200):
-            found = SOLVERS[name](graph, k, end, previous, nonzero=nonzero)
+            found = SOLVERS[name](graph, k, end, previous)
             d = graph.ids.size
-            room = d - null_space(graph).shape[1] if nonzero else d
-            assert found.eigenvalues.shape == (min(k, room),), (shape, k)
-            assert found.eigenvectors.shape == (d, min(k, room)), (shape, k)
-            assert found.residuals.shape == (min(k, room),), (shape, k)
+            assert found.eigenvalues.shape == (min(k, d),), (shape, k)
+            assert found.eigenvectors.shape == (d, min(k, d)), (shape, k)
+            assert found.residuals.shape == (min(k, d),), (shape, k)
             order = np.sort(found.eigenvalues)
             assert np.array_equal(found.eigenvalues, order[::-1] if end == "largest" else order), (
                 shape,
@@ -100,7 +94,7 @@ def test_every_solver_keeps_the_contract(name: str, end: End, nonzero: bool) -> 
             if name in RIGHT:
                 assert found.certified, (shape, k, found.note)
             if found.certified:
-                assert errors_against_lapack(found, k, nonzero).max() < 1e-8, (shape, k)
+                assert errors_against_lapack(found, k).max() < 1e-8, (shape, k)
             previous = found
 
 
@@ -110,19 +104,19 @@ def test_every_solver_keeps_the_contract(name: str, end: End, nonzero: bool) -> 
 def test_sequences_stay_right(name: str, kind: str, end: End) -> None:
     previous: Spectrum | None = None
     for graph in graph_sequence("crossing", kind, 60, 30):
-        previous = SOLVERS[name](graph, 8, end, previous, nonzero=end == "smallest")
+        previous = SOLVERS[name](graph, 8, end, previous)
         assert previous.certified
-        assert errors_against_lapack(previous, 8, end == "smallest").max() < 1e-8
+        assert errors_against_lapack(previous, 8).max() < 1e-8
 
 
 def test_a_thousand_hostile_graphs() -> None:
     last: dict[str, Spectrum] = {}
     fallbacks = 0
-    for graph, k, end, nonzero, warm in hostile_graphs(1000, largest=400, seed=11):
-        found = SOLVERS["graphrqi"](graph, k, end, last.get(end) if warm else None, 1e-8, nonzero)
+    for graph, k, end, warm in hostile_graphs(1000, largest=400, seed=11):
+        found = SOLVERS["graphrqi"](graph, k, end, last.get(end) if warm else None, 1e-8)
         last[end] = found
         assert found.certified
-        assert (errors_against_lapack(found, k, nonzero) < [1e-8, 1e-8, 1e-9]).all()
+        assert (errors_against_lapack(found, k) < [1e-8, 1e-8, 1e-9]).all()
         fallbacks += found.note.startswith("fell back")
     assert fallbacks <= 10
 
@@ -136,10 +130,9 @@ def test_any_graph(data: st.DataObject) -> None:
     edges = [(a, b) for a, b in drawn if a != b]
     k = data.draw(st.integers(1, 32))
     end: End = data.draw(st.sampled_from(ENDS))
-    nonzero = data.draw(st.booleans())
-    found = SOLVERS["graphrqi"](TrafficGraph.from_edges(range(d), edges), k, end, nonzero=nonzero)
+    found = SOLVERS["graphrqi"](TrafficGraph.from_edges(range(d), edges), k, end)
     assert found.certified
-    assert errors_against_lapack(found, k, nonzero).max() < 1e-8
+    assert errors_against_lapack(found, k).max() < 1e-8
 
 
 def test_repeated_eigenvalues_at_the_cut() -> None:
@@ -153,11 +146,10 @@ def test_repeated_eigenvalues_at_the_cut() -> None:
 @pytest.mark.parametrize("end", ENDS)
 def test_more_equal_eigenvalues_than_shifts_are_ever_tried(end: End) -> None:
     star = TrafficGraph.from_edges(range(1400), [(0, i) for i in range(1, 1400)])
-    found = SOLVERS["graphrqi"](star, 420, end, nonzero=True)
+    found = SOLVERS["graphrqi"](star, 421, end)
     assert found.certified
-    expected = np.ones(420)
-    if end == "largest":
-        expected[0] = 1400.0
+    expected = np.ones(421)
+    expected[0] = 1400.0 if end == "largest" else 0.0
     np.testing.assert_allclose(found.eigenvalues, expected, atol=1e-8)
 
 
@@ -166,20 +158,19 @@ def test_kernels_stay_within_their_arrays(tmp_path: Path) -> None:
     """Compiled once more with numba's check of every index."""
     program = """
 import numpy as np
-from experiments.benchmarks.graph_sequences import graph_sequence
+from experiments.benchmarks.spectrum import graph_sequence
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS
 
 star = TrafficGraph.from_edges(range(900), [(0, i) for i in range(1, 900)])
 for end in ("largest", "smallest"):
     assert SOLVERS["graphrqi"](star, 410, end).certified
-    for nonzero in (False, True):
-        for name, kind in (("road", "accumulated"), ("crossing", "instantaneous")):
-            for k, d in ((1, 70), (8, 300), (40, 500), (8, 1500)):
-                previous = None
-                for graph in graph_sequence(name, kind, d, 4):
-                    previous = SOLVERS["graphrqi"](graph, k, end, previous, nonzero=nonzero)
-                    assert previous.certified
+    for name, kind in (("road", "accumulated"), ("crossing", "instantaneous")):
+        for k, d in ((1, 70), (8, 300), (40, 500), (8, 1500)):
+            previous = None
+            for graph in graph_sequence(name, kind, d, 4):
+                previous = SOLVERS["graphrqi"](graph, k, end, previous)
+                assert previous.certified
 rng = np.random.default_rng(0)
 graph = TrafficGraph.empty(neighbors=3)
 for n in (0, 1, 2, 90, 40):
@@ -204,7 +195,7 @@ def test_the_previous_answer_may_be_of_other_vehicles() -> None:
     other = TrafficGraph.from_edges(after.ids[turned] + 40, after.edges + 40)
     found = SOLVERS["graphrqi"](other, 8, previous=previous)
     assert found.certified
-    assert errors_against_lapack(found, 8, False).max() < 1e-8
+    assert errors_against_lapack(found, 8).max() < 1e-8
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -223,7 +214,7 @@ def test_same_call_same_answer_to_the_bit(name: str) -> None:
 @pytest.mark.parametrize("end", ENDS)
 def test_a_missing_pair_is_never_certified(end: End) -> None:
     for graph in graph_sequence("road", "accumulated", 90, 10):
-        found = SOLVERS["eigh"](graph, 9, end, nonzero=True)
+        found = SOLVERS["eigh"](graph, 9, end)
         for left_out in range(8):
             kept = [i for i in range(9) if i != left_out]
             gap = abs(found.eigenvalues[left_out] - found.eigenvalues[8])
@@ -249,25 +240,6 @@ def test_the_order_of_an_answer_does_not_matter_to_its_certificate(end: End) -> 
             some = values[kept][::turn].copy(), vectors[:, kept][:, ::turn].copy()
             found = Spectrum(graph.ids, *some, np.zeros(5), False, graph, end)
             assert certify(found).certified is whole
-
-
-def test_a_null_vector_over_all_components_is_known_for_one() -> None:
-    """Spread over many, it is like none of their indicators; then its zero was counted twice."""
-    paths = [[(i * 8 + j, i * 8 + j + 1) for j in range(i + 1)] for i in range(7)]
-    edges = [edge for path in paths for edge in path]
-    graph = TrafficGraph.from_edges(sorted({end for edge in edges for end in edge}), edges)
-    full = SOLVERS["graphrqi"](graph, graph.ids.size, "smallest")
-    null = full.eigenvectors[:, :7].sum(axis=1) / np.sqrt(7)
-    values = np.concatenate([[0.0], full.eigenvalues[7:13]])
-    vectors = np.column_stack([null, full.eigenvectors[:, 7:13]])
-    missing = Spectrum(graph.ids, values, vectors, np.zeros(7), False, graph, "smallest")
-    assert not certify(missing).certified
-
-
-def test_the_truncated_decomposition_does_not_take_the_null_space_for_an_end() -> None:
-    graph = TrafficGraph.from_edges(range(5), [(0, 1), (2, 3)])
-    found = SOLVERS["truncated-svd"](graph, 2, "smallest", nonzero=True)
-    np.testing.assert_allclose(found.eigenvalues, 2.0)
 
 
 def test_most_right_answers_are_certified() -> None:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from experiments.benchmarks.graph_sequences import graph_sequence
+from experiments.benchmarks.spectrum import graph_sequence
 
 VECTORS = 8
 D = 100

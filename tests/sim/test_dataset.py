@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behaviors import BEHAVIORS, InputError, sample_profile
+from behaviors.profiles import PERCEPTION_FIELDS
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Frame, Tracks
 from sim.safety import conflicts
@@ -282,6 +283,18 @@ def test_every_episode_comes_back(made: Path) -> None:
     assert dataset.totals.column("episodes").to_pylist() == [
         len(dataset.episodes(split=split)) for split in dataset.totals.column("split").to_pylist()
     ]
+
+
+def test_a_dataset_without_columns_of_perception_opens_with_zeros(tmp_path: Path) -> None:
+    small(tmp_path / "data")
+    (path,) = (tmp_path / "data" / "agents").rglob("*.parquet")
+    rows = pq.read_table(path).drop_columns(list(PERCEPTION_FIELDS))
+    pq.write_table(rows, path)
+    dataset = open_dataset(tmp_path / "data")
+    agents = dataset.read(next(iter(dataset.episodes()))).agents
+    profiles = [one.profile for one in agents if one.profile is not None]
+    assert profiles
+    assert not any(getattr(one, name) for one in profiles for name in PERCEPTION_FIELDS)
 
 
 def test_filters_choose_episodes(made: Path) -> None:

@@ -9,16 +9,13 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior
-from behaviors.populations.draw import LOWEST_HEADWAY_S
+from behaviors.populations import LOWEST_HEADWAY_S
 from behaviors.profiles import FARTHEST_SPREADS, Profile
 from graphrqi.posterior import AGGRESSIVE
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.scenario import KIND_LIMITS, AgentSpec
-
-FloatArray = NDArray[np.float64]
 
 TRAF_MIX: Final = (53, 13, 52, 266, 2, 6)
 """Agents of each behaviour in the annotated TRAF videos, in the order of ``BEHAVIORS``."""
@@ -45,6 +42,10 @@ MIXES: Final = {
 
 ACTS: Final = ("cut_in_rate_per_min", "stop_rate_per_min", "wrong_way_rate_per_min")
 """Rates of deliberate acts, which differ between worlds."""
+
+
+_STREAM: Final = 8
+"""Number of a driver's random stream for its numbers in a world."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +102,6 @@ class Population:
             numbers[name] = getattr(agent.profile, name) * self.acts
         profile: Profile = dataclasses.replace(agent.profile, **numbers)
         return dataclasses.replace(agent, profile=profile)
-
-
-_STREAM: Final = 8
-"""Number of a driver's random stream for its numbers in a world."""
 
 
 def draw_population(rng: np.random.Generator) -> Population:

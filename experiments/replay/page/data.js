@@ -119,15 +119,15 @@ function mostLikely(belief) {
 }
 
 // Whether an answer is earned: the style or the behaviour is likely enough.
-function isTold(belief) {
+function isLabelled(belief) {
   if (!belief) return false;
   let aggressive = 0;
   belief.forEach((p, code) => { if (data.behaviors[code].style === "aggressive") aggressive += p; });
-  return Math.max(aggressive, 1 - aggressive) >= data.told.style;
+  return Math.max(aggressive, 1 - aggressive) >= data.labelled.style;
 }
 
 // The likeliest behaviour where an answer is earned, or -1.
-function answerTo(belief) { return isTold(belief) ? mostLikely(belief) : -1; }
+function answerTo(belief) { return isLabelled(belief) ? mostLikely(belief) : -1; }
 
 // The root of an agent's share of the largest |w|, and |w| itself; null if it is not there.
 function wOf(index, time) {

@@ -48,7 +48,7 @@ function drawAgent(ctx, panel, dpr, index, place, color) {
   const [x, y] = toScreen(panel, place.x, place.y);
   const turn = view.turned ? Math.PI / 2 - place.heading : -place.heading;
   const cos = Math.cos(turn), sin = Math.sin(turn);
-  // True size, but never so small that the colour cannot be told.
+  // True size, but never so small that the colour cannot be seen.
   const long = Math.max(agent.length * panel.scale, kind === "pedestrian" ? 5 : 6);
   const wide = Math.max(agent.width * panel.scale, kind === "pedestrian" ? 5 : 3.6);
   if (x < panel.left - long || x > panel.left + panel.width + long || y < panel.top - long || y > panel.top + panel.height + long) return;
@@ -161,13 +161,13 @@ function futurePoints(m, from, since) {
 }
 
 function drawFutures(ctx, panel, index, color, all) {
-  const told = futuresOf(index, player.time);
-  if (!told) return;
+  const made = futuresOf(index, player.time);
+  if (!made) return;
   // Of everyone, what is left of the likeliest; of one, all from the instant of prediction on.
-  const since = all ? player.time - told.time : 0;
-  const from = all ? player.present.get(index) : placeOf(index, told.time);
+  const since = all ? player.time - made.time : 0;
+  const from = all ? player.present.get(index) : placeOf(index, made.time);
   ctx.lineCap = "round"; ctx.lineJoin = "round";
-  const shown = all ? told.futures.slice(0, 1) : [...told.futures].reverse();
+  const shown = all ? made.futures.slice(0, 1) : [...made.futures].reverse();
   for (const m of shown) {
     const p = futures.probability[m] / 255, points = futurePoints(m, from, since);
     if (!all) {
@@ -179,8 +179,8 @@ function drawFutures(ctx, panel, index, color, all) {
   }
   ctx.globalAlpha = 1;
   if (all) return;
-  drawHappened(ctx, panel, index, told.time);
-  labelFutures(ctx, panel, told.futures, from || placeOf(index, player.time));
+  drawHappened(ctx, panel, index, made.time);
+  labelFutures(ctx, panel, made.futures, from || placeOf(index, player.time));
 }
 
 // What really happened from the same instant on.
@@ -200,8 +200,8 @@ function drawHappened(ctx, panel, index, time) {
 }
 
 // The probability at the end of each future, where there is room for it.
-function labelFutures(ctx, panel, told, from) {
-  for (const m of told) {
+function labelFutures(ctx, panel, made, from) {
+  for (const m of made) {
     const p = futures.probability[m] / 255;
     if (p < 0.05) continue;
     const at = 2 * ((m + 1) * futures.ahead.length - 1);

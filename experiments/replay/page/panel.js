@@ -78,8 +78,8 @@ function sayHowSure() {
   const known = drivers.map((index) => beliefOf(index, player.time)).filter((belief) => belief);
   const mean = known.reduce((sum, belief) => sum + Math.max(...belief), 0) / known.length;
   const sure = known.length ? `${Math.round(100 * mean)}\u00a0% sure on average` : "nothing believed yet";
-  const told = known.filter(isTold).length;
-  $("sure").textContent = `In sight now: ${sure}, ${drivers.length - told} of ${drivers.length} drivers unknown.`;
+  const labelled = known.filter(isLabelled).length;
+  $("sure").textContent = `In sight now: ${sure}, ${drivers.length - labelled} of ${drivers.length} drivers unknown.`;
 }
 
 function countAgents() {
@@ -168,8 +168,8 @@ function updateAgent() {
   agentPanel.swatch.style.background = place ? colorOf(index, place) : data.unknown;
   const rows = [];
   if (agent.truth >= 0) rows.push(["truth", swatch(data.behaviors[agent.truth].color), data.behaviors[agent.truth].name]);
-  const code = place ? mostLikely(belief) : -1, told = isTold(belief);
-  if (code >= 0 && !told) rows.push(["predicted", swatch(data.unknown), `unknown; nearest to ${data.behaviors[code].name}, ${Math.round(100 * belief[code])}\u00a0%`]);
+  const code = place ? mostLikely(belief) : -1, labelled = isLabelled(belief);
+  if (code >= 0 && !labelled) rows.push(["predicted", swatch(data.unknown), `unknown; nearest to ${data.behaviors[code].name}, ${Math.round(100 * belief[code])}\u00a0%`]);
   else if (code >= 0) rows.push(["predicted", swatch(data.behaviors[code].color), `${data.behaviors[code].name}, ${Math.round(100 * belief[code])} %`]);
   else rows.push(["predicted", !place ? "not in sight" : data.kinds[agent.kind] === "pedestrian" ? "does not drive" : "not yet known"]);
   if (place) {

@@ -285,8 +285,8 @@ async function start() {
   window.replay = {
     seek: (time) => seek(time - data.begin), select, setMode, setLayer, play,
     futures: (index) => {
-      const told = futuresOf(index, player.time);
-      return told && told.futures.map((m) => ({ time: data.begin + told.time, probability: futures.probability[m] / 255, places: futurePoints(m, null, 0) }));
+      const made = futuresOf(index, player.time);
+      return made && made.futures.map((m) => ({ time: data.begin + made.time, probability: futures.probability[m] / 255, places: futurePoints(m, null, 0) }));
     },
     // Milliseconds that drawing takes at a time, until every pixel is there.
     cost: (time) => {

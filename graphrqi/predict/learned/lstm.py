@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from graphrqi.arrays import FloatArray
-from graphrqi.predict.learned.features import AROUND, NEIGHBORS, PAST, PAST_S, PER_NEIGHBOR
+from graphrqi.predict.learned.inputs import AROUND, NEIGHBORS, PAST, PAST_S, PER_NEIGHBOR
 from graphrqi.predict.networks.futures import ANCHORS, KNOTS, MODES, PER_MODE
 from graphrqi.predict.networks.perceptron import Arrays, standardized
 

@@ -31,10 +31,9 @@ from graphrqi.predict.recorded.network import RecordedNetwork, trained_network
 from graphrqi.predict.recorded.predictor import predict_recorded
 from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.paths import limits_known
-from graphrqi.predict.scene.scene import Scene
+from graphrqi.predict.scene.scene import Scene, Unmapped
 
 Predictor = Callable[[Scene, Posterior], Prediction]
-
 
 TRAINED_LIMITS_MPS: Final = (11.0, 17.0)
 """Speed limits at which the networks predict drivers without a light, crossing or junction ahead,
@@ -46,24 +45,19 @@ STOP_S, STOP_M = 5.0, 20.0
 speed, plus this distance."""
 
 
-def on_trained_roads(predictor: Predictor) -> Predictor:
-    """A learned predictor that leaves recordings and unusual limits to the predictor for these.
-
-    The networks were trained where limits, lights and priority are known. Without these they would
-    predict that a vehicle waiting at a light, or parked, drives off.
-    """
-
-    @functools.wraps(predictor)
-    def predict(scene: Scene, posterior: Posterior) -> Prediction:
-        return _where_trained(predictor, scene, posterior, None)
-
-    return predict
-
-
 def _where_trained(
-    predictor: Predictor, scene: Scene, posterior: Posterior, network: RecordedNetwork | None
+    predictor: Predictor,
+    scene: Scene | Unmapped,
+    posterior: Posterior,
+    network: RecordedNetwork | None = None,
 ) -> Prediction:
-    """A network's futures of the agents it was trained for, the other predictor's for the rest."""
+    """A predictor's futures of the agents it was trained for, for the rest those for recordings.
+
+    Where limits, lights and priority are unknown, the networks would predict that a vehicle waiting
+    at a light, or parked, drives off.
+    """
+    if isinstance(scene, Unmapped):
+        return predict_recorded(scene.history, scene.steps, network)
     away = ~trained_for(scene)
     if not away.any():
         return predictor(scene, posterior)
@@ -113,19 +107,18 @@ def _shipped(name: str) -> FuturesNetwork:
     return load_futures_network(WEIGHTS / f"{name}.safetensors", read)
 
 
-def corrected_rollouts(scene: Scene, posterior: Posterior) -> Prediction:
+def _corrected(scene: Scene, posterior: Posterior) -> Prediction:
     """Rollouts of the believed behaviours, corrected by a network on every road."""
     inputs = predictor_inputs(scene, posterior.of(scene.ids), load_table())
     return spread_out(scene.history, _shipped("graphrqi-predict")(inputs), scene.steps)
 
 
-@on_trained_roads
-def graphrqi_predict(scene: Scene, posterior: Posterior) -> Prediction:
+def graphrqi_predict(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
     """Rollouts of the believed behaviours, corrected by a network: the best predictor here."""
-    return corrected_rollouts(scene, posterior)
+    return _where_trained(_corrected, scene, posterior)
 
 
-def with_weights(folder: Path) -> Predictor:
+def with_weights(folder: Path) -> Callable[[Scene | Unmapped, Posterior], Prediction]:
     """`graphrqi_predict` with weights for recordings that ``graphrqi train --predictor`` wrote.
 
     Args:
@@ -135,14 +128,14 @@ def with_weights(folder: Path) -> Predictor:
         InputError: if there are no such weights.
     """
     network = trained_network(folder)
-
-    def predict(scene: Scene, posterior: Posterior) -> Prediction:
-        return _where_trained(corrected_rollouts, scene, posterior, network)
-
-    return predict
+    return lambda scene, posterior: _where_trained(_corrected, scene, posterior, network)
 
 
-@on_trained_roads
+def _unlabelled(scene: Scene, posterior: Posterior) -> Prediction:
+    """A recurrent network that is given neither beliefs nor a driver model, on every road."""
+    return spread_out(scene.history, _shipped("lstm")(unlabelled_inputs(scene)), scene.steps)
+
+
 def lstm(scene: Scene, posterior: Posterior) -> Prediction:
     """A recurrent network that is given neither beliefs nor a driver model."""
-    return spread_out(scene.history, _shipped("lstm")(unlabelled_inputs(scene)), scene.steps)
+    return _where_trained(_unlabelled, scene, posterior)

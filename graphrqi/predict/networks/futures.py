@@ -114,7 +114,7 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
     n, modes, knots = futures.spread.shape
     speed, heading = history.speed[:, -1], history.heading[:, -1]
     time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
-    own = np.einsum("nkjc,jh->nkhc", futures.own, matrix, optimize=True)
+    own = np.ascontiguousarray((futures.own.swapaxes(2, 3) @ matrix).swapaxes(2, 3))
     own[..., 0] += (speed[:, None] * start)[:, None]
     walks = history.kind == PEDESTRIAN
     own[walks] = 0.0

@@ -165,22 +165,20 @@ def on_lanes(scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray) ->
 
 
 def in_own_frame(
-    scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray, every: int, step_s: float
+    scene: Scene, lane: IntArray, s: FloatArray, offset: FloatArray, time_s: FloatArray
 ) -> FloatArray:
-    """(n, J, 2) a rollout's positions in the drivers' frames, ahead and to the left, m.
+    """(..., n, J, 2) places on lanes in the drivers' frames, ahead and to the left, m.
 
     Args:
         scene: the present.
-        lane: (n, H) lanes.
-        s: (n, H) distances along, m.
-        offset: (n, H) distances to the left, m.
-        every: steps between positions.
-        step_s: time between steps, s.
+        lane: (..., n, J) lanes.
+        s: (..., n, J) distances along, m.
+        offset: (..., n, J) distances to the left, m.
+        time_s: (J,) when, s; agents without a path go straight on.
     """
-    xy = on_lanes(scene, lane, s, offset)[:, every - 1 :: every]
-    own = to_own_frame(xy, scene.xy, scene.heading)
-    time_s = np.arange(every, lane.shape[1] + 1, every) * step_s
-    straight = np.zeros_like(own)
+    xy = np.moveaxis(on_lanes(scene, lane, s, offset), -3, 0)
+    own = np.moveaxis(to_own_frame(xy, scene.xy, scene.heading), 0, -3)
+    straight = np.zeros(own.shape[-3:])
     straight[..., 0] = scene.speed[:, None] * time_s
     return np.where(scene.on_path[:, None, None], own, straight)
 

@@ -37,6 +37,28 @@ RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Unmapped:
+    """One instant without a map.
+
+    Attributes:
+        history: past tracks; the last column is the present.
+        steps: how many steps of `STEP_S` are predicted.
+        road: None.
+    """
+
+    history: Tracks
+    steps: int
+    road: None = None
+
+    @classmethod
+    def of(cls, history: Tracks, horizon_s: float) -> Unmapped:
+        """The end of a history, with the agents seen there; refuses one without any frame."""
+        if history.time_s.size == 0:
+            raise InputError("history: found no frame, expected at least 1")
+        return cls(_present_agents(history), round(horizon_s / STEP_S))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
     """One instant, ready to be predicted; rows are the agents of the history.
@@ -198,6 +220,13 @@ def since_break(history: Tracks) -> Tracks:
     return history.part(np.arange(history.ids.size), since)
 
 
+def _present_agents(history: Tracks) -> Tracks:
+    """The tracks of the agents that are seen in the last column."""
+    if history.valid[:, -1].all():
+        return history
+    return history.window(history.time_s.size, history.time_s.size)
+
+
 def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
     """The scene at the end of a history.
 
@@ -215,28 +244,13 @@ def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
     check_horizon(horizon_s)
     if history.time_s.size == 0:
         raise InputError("history: found no frame, expected at least 1")
-    history = since_break(history)
-    if not history.valid[:, -1].all():
-        history = history.window(history.time_s.size, history.time_s.size)
+    history = _present_agents(since_break(history))
     steps = round(horizon_s / STEP_S)
     graph, paths = LaneGraph.of(road), PathTable.of(road)
     states = agent_states(history, road)
     lane = states.lane
     paths.cover(lane)
     path = np.where(lane >= 0, paths.likeliest[np.maximum(lane, 0)], 0)
-    return Scene(
-        history=history,
-        road=road,
-        graph=graph,
-        paths=paths,
-        steps=steps,
-        on_path=lane >= 0,
-        lane=lane,
-        s=states.s,
-        offset=states.offset,
-        lateral_speed=states.lateral_speed,
-        accel=states.accel,
-        path=path,
-        stop_state=stop_states(history, road, paths, lane, states.s, path, steps),
-        states=states,
-    )
+    stops = stop_states(history, road, paths, lane, states.s, path, steps)
+    moving = states.s, states.offset, states.lateral_speed, states.accel
+    return Scene(history, road, graph, paths, steps, lane >= 0, lane, *moving, path, stops, states)

@@ -10,30 +10,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, answer
-from graphrqi.spectrum.spectrum import Floats, Spectrum
-from graphrqi.spectrum.subspaces import components, laplacian_scale
+from graphrqi.spectrum.spectrum import Spectrum
+from graphrqi.spectrum.subspaces import laplacian_scale
 
 MAX_WORK = 1e9
 """Multiplications of a factorisation above which none is tried (a few seconds)."""
-WITHOUT_NULL_SPACE, WITH_NULL_SPACE = 0.1, 0.9
-"""Cosines with the null space: below the first an answer leaves it out, above the second it holds a
-vector of it."""
 
 
 def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     """Count eigenvalues, and say whether a solver's answer is complete.
 
     Args:
-        spectrum: k pairs from any solver, the null space left out or not.
+        spectrum: k pairs from any solver.
         tol: residual up to which pairs count as converged, relative to max(1, lambda_max).
 
     Returns:
         The same pairs, certified if they are converged, orthonormal, and a count of the eigenvalues
         just beyond the last one finds no more than they are. Where more eigenvalues equal the last
         one, a count just before it will do. The answer stays uncertified if a rounding error in the
-        count could matter, or if its relation to the null space is unclear.
+        count could matter.
     """
     from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
     from graphrqi.spectrum.certified.prepared import prepare
@@ -57,12 +53,6 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     counts.shift[0] = last + away * steps
     factor = Factor(np.empty((matrix.entries.size, 8)), np.empty((d, 8)), np.empty((d, 8)))
     factor_and_solve(matrix, counts, 1e-15 * scale, 0, factor, np.zeros((d, 8)))
-    zeros = 0
-    if spectrum.end == "smallest":
-        cosine = _null_space_cosine(graph, vectors)
-        if WITHOUT_NULL_SPACE < cosine < WITH_NULL_SPACE:
-            return replace(measured, certified=False)
-        zeros = matrix.components if cosine <= WITHOUT_NULL_SPACE else 0
     complete = False
     for s, n, g in zip(counts.shift[0], counts.above[0], counts.growth[0], strict=True):
         error = 4.0 * 2.2e-16 * g
@@ -72,15 +62,8 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
             same = int((values > s).sum()) == int(n)
             beyond = s + error <= last + delta
         else:
-            same = int((values < s).sum()) == d - int(n) - zeros
+            same = int((values < s).sum()) == d - int(n)
             beyond = s - error >= last - delta
         complete = complete or (same and bool(beyond))
     pairs = Pairs(values, vectors, complete, spectrum.note, spectrum.carried)
     return answer(graph, pairs, spectrum.end, tol)
-
-
-def _null_space_cosine(graph: TrafficGraph, vectors: Floats) -> float:
-    """Cosine of the least angle between the null space and a span of orthonormal columns."""
-    label = components(graph)
-    along = np.stack([np.bincount(label, weights=column) for column in vectors.T])
-    return float(np.linalg.norm(along / np.sqrt(np.bincount(label)), 2))

@@ -52,19 +52,17 @@ class Prepared(NamedTuple):
     scale: float
 
 
-def prepare(graph: TrafficGraph, sign: float = 1.0, order: Ints | None = None) -> Prepared:
-    """Prepare a Laplacian, or its negative, for factorisations.
+def prepare(graph: TrafficGraph, sign: float = 1.0) -> Prepared:
+    """Prepare a Laplacian, or its negative, in reverse Cuthill-McKee order.
 
     Args:
         graph: its Laplacian is the matrix.
         sign: 1, or -1 for its negative.
-        order: elimination order; reverse Cuthill-McKee's if not given.
     """
-    if order is None:
-        from scipy.sparse.csgraph import reverse_cuthill_mckee
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-        order = reverse_cuthill_mckee(graph.laplacian, symmetric_mode=True)
-    return _prepare(graph.indptr, graph.indices, graph.values, sign, order.astype(np.int32))
+    order = reverse_cuthill_mckee(graph.laplacian, symmetric_mode=True).astype(np.int32)
+    return _prepare(graph.indptr, graph.indices, graph.values, sign, order)
 
 
 @compiled

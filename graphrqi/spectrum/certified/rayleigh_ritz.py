@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from graphrqi.spectrum.certified.eight import load, more, plus, spread, store, times
+from graphrqi.spectrum.certified.factorization import load, more, plus, spread, store, times
 from graphrqi.spectrum.certified.prepared import Bools, Floats, Ints, Prepared
 from sim.compiled import inner
 

@@ -2,8 +2,7 @@
 
 Rayleigh-quotient iterations for the k wanted pairs that share their factorisations:
 
-1. Reverse Cuthill-McKee order (kept from step to step while it serves), elimination tree, pattern
-   (almost no fill on traffic graphs).
+1. Reverse Cuthill-McKee order, elimination tree, pattern (almost no fill on traffic graphs).
 2. Rayleigh-Ritz in the span of the earlier eigenvectors, carried over by vehicle id.
 3. One kernel factorises L - s I at eight shifts s at once: the Rayleigh quotients of the
    unconverged vectors, and places where something has to be counted. Each factorisation is
@@ -31,6 +30,7 @@ References:
     (1994), A shifted block Lanczos algorithm, SIMAX 15.
 
 Examples:
+    >>> from graphrqi.graph import TrafficGraph
     >>> road = [(i, i + 1) for i in range(99)]
     >>> first = solve(TrafficGraph.from_edges(range(100), road), 3)
     >>> exact = 2 - 2 * np.cos(np.pi * np.arange(99, 96, -1) / 100)
@@ -44,19 +44,16 @@ Examples:
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import arpack
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
 from graphrqi.spectrum.certified.prepared import prepare
 from graphrqi.spectrum.certified.tracking import Goal, track
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.spectrum import Floats, Spectrum
-from graphrqi.spectrum.subspaces import carry_rows, null_space, pairs_by_component
+from graphrqi.spectrum.spectrum import Spectrum
+from graphrqi.spectrum.subspaces import carry_rows, null_space
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
@@ -68,33 +65,14 @@ MAX_SWEEPS_COLD = 150
 """Factorisations before falling back."""
 DENSE_UP_TO = 3000
 """Vehicles up to which the fallback is dense: 9e6 doubles."""
-STALE = 1.15
-"""Growth of the fill after which vertices are ordered again (measured)."""
-
-
-class Carried(NamedTuple):
-    """The start of the next step.
-
-    Attributes:
-        vectors: (d, m) all eigenvectors found, m >= k, without the null space.
-        order: (d,) elimination order to use again, or None to find a new one.
-        fill: entries of the factor to one of the matrix when that order was found.
-    """
-
-    vectors: Floats
-    order: NDArray[np.int32] | None = None
-    fill: float = 0.0
 
 
 @eigensolver()
 def solve(problem: Problem) -> Pairs:
     """Track the pairs from the earlier answer, and certify that none was missed."""
     d = problem.graph.ids.size
-    if d < DENSE_BELOW:
-        pairs = problem.dense()
-        return replace(pairs, carried=Carried(pairs.vectors))
-    if DENSE_SHARE * problem.asked >= d:
-        return _dense(problem)
+    if d < DENSE_BELOW or DENSE_SHARE * problem.asked >= d:
+        return problem.dense()
     previous = problem.previous
     if previous is not None and previous.end != problem.end:
         previous = None
@@ -107,31 +85,31 @@ def solve(problem: Problem) -> Pairs:
 
 
 def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
-    """The pairs by the tracker; None if it gives up."""
+    """The pairs by the tracker, which carries all vectors it finds; None if it gives up."""
     graph, tol = problem.graph, problem.tol
-    d = graph.ids.size
-    start = _start(graph, previous)
-    smallest = problem.end == "smallest"
-    matrix = prepare(graph, -1.0 if smallest else 1.0, start.order)
-    zeros, k = 0, problem.asked
-    if smallest and not problem.nonzero:
-        zeros = min(matrix.components, k)
-        k -= zeros
-    elif smallest or problem.nonzero:
-        k = min(k, d - matrix.components)
+    d, smallest = graph.ids.size, problem.end == "smallest"
+    start = np.empty((d, 0))
+    if previous is not None:
+        vectors = previous.carried
+        if not isinstance(vectors, np.ndarray):
+            vectors = previous.eigenvectors
+        start = carry_rows(previous, graph, vectors)
+    matrix = prepare(graph, -1.0 if smallest else 1.0)
+    zeros = min(matrix.components, problem.asked) if smallest else 0
+    k = problem.asked - zeros
     if DENSE_SHARE * k >= d - matrix.components:
-        return _dense(problem)
+        return problem.dense()
     if matrix.work > MAX_WORK:
         return None
-    null = null_space(graph)[:, :zeros] if zeros else np.empty((d, 0))
+    null = null_space(graph)[:, :zeros]
     if k == 0:
-        return Pairs(np.zeros(zeros), null, True, "", Carried(np.empty((d, 0))))
+        return Pairs(np.zeros(zeros), null, True, "", np.empty((d, 0)))
     low, high = -1.0, 2.0 * matrix.scale + 1.0  # Gershgorin: at most twice the largest degree
     if smallest:
         low, high = -high, 0.0
     sweeps = MAX_SWEEPS_COLD if previous is None else MAX_SWEEPS
     goal = Goal(int(k), smallest, matrix.scale, float(tol), low, high, sweeps)
-    certified, values, residuals, found = track(matrix, goal, start.vectors)
+    certified, values, residuals, found = track(matrix, goal, start)
     if not certified:
         return None
     values, residuals = np.abs(values[:k]), residuals[:k]
@@ -142,48 +120,15 @@ def _track(problem: Problem, previous: Spectrum | None) -> Pairs | None:
         residuals = np.linalg.norm(graph.laplacian @ found[:, :k] - found[:, :k] * values, axis=0)
         if residuals.max() > tol * matrix.scale or departure > 1e-5:
             return None
-    fill = (matrix.entries.size + 1.0) / (0.5 * (graph.indices.size - d) + 1.0)
-    first_fill = fill if start.order is None else start.fill
-    carried = Carried(found, matrix.order if fill <= STALE * first_fill else None, first_fill)
-    vectors = found[:, :k].copy()
-    if zeros:
-        values = np.concatenate((np.zeros(zeros), values))
-        residuals = np.concatenate((np.zeros(zeros), residuals))
-        vectors = np.hstack((null, vectors))
-    return Pairs(values, vectors, True, "", carried, residuals)
-
-
-def _start(graph: TrafficGraph, previous: Spectrum | None) -> Carried:
-    """The start from the earlier answer; vectors by row of this graph."""
-    if previous is None:
-        return Carried(np.empty((graph.ids.size, 0)))
-    found = previous.carried
-    if not isinstance(found, Carried):
-        found = Carried(previous.eigenvectors)
-    if previous.ids is not graph.ids and not np.array_equal(previous.ids, graph.ids):
-        found = Carried(carry_rows(previous, graph, found.vectors))
-    if not found.vectors.flags.writeable:  # another type would compile the kernel again
-        found = found._replace(vectors=found.vectors.copy())
-    return found
-
-
-def _dense(problem: Problem, note: str = "") -> Pairs:
-    """The pairs by dense solutions of the components."""
-    values, vectors, null = pairs_by_component(problem.graph)
-    if not problem.nonzero:
-        values = np.concatenate([np.zeros(null.shape[1]), values])
-        vectors = np.hstack([null, vectors])
-    if problem.end == "largest":
-        values, vectors = values[::-1], vectors[:, ::-1]
-    values, vectors = values[: problem.asked].copy(), vectors[:, : problem.asked].copy()
-    return Pairs(values, vectors, True, note, Carried(vectors))
+    values = np.concatenate((np.zeros(zeros), values))
+    residuals = np.concatenate((np.zeros(zeros), residuals))
+    return Pairs(values, np.hstack((null, found[:, :k])), True, "", found, residuals)
 
 
 def _fall_back(problem: Problem) -> Pairs:
     """The pairs where the tracker gave up."""
-    graph = problem.graph
-    if graph.ids.size <= DENSE_UP_TO:
-        return _dense(problem, "fell back on a dense solution")
-    found = arpack.solve(graph, problem.asked, problem.end, None, problem.tol, problem.nonzero)
-    vectors, certified = found.eigenvectors, certify(found, problem.tol).certified
-    return Pairs(found.eigenvalues, vectors, certified, "fell back on ARPACK", Carried(vectors))
+    if problem.graph.ids.size <= DENSE_UP_TO:
+        return problem.dense("fell back on a dense solution")
+    found = arpack.solve(problem.graph, problem.asked, problem.end, None, problem.tol)
+    certified = certify(found, problem.tol).certified
+    return Pairs(found.eigenvalues, found.eigenvectors, certified, "fell back on ARPACK")

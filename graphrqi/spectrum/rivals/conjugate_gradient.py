@@ -30,31 +30,34 @@ MAX_PRODUCTS = 200
 def solve(problem: Problem) -> Pairs:
     """Run block inverse iteration from the earlier vectors, converged or not."""
     graph, end = problem.graph, problem.end
-    smallest = end == "smallest"
-    null = null_space(graph) if smallest else problem.null
-    known = null[:, : 0 if problem.nonzero or not smallest else problem.num_pairs]
+    null = null_space(graph) if end == "smallest" else np.zeros((graph.ids.size, 0))
+    known = null[:, : problem.num_pairs]
     k = min(problem.num_pairs, graph.ids.size - null.shape[1]) - known.shape[1]
     values, vectors = np.zeros(0), np.zeros((graph.ids.size, 0))
     iterations = 0
     if k > 0:
-        outside = null if smallest else problem.null
-        block = problem.starting_block(k, outside)
-        values, vectors = rayleigh_ritz(graph, block, end)
-        shift = 0.0 if smallest else 2.0 * problem.scale * (1.0 + 1e-6)
+        block = problem.starting_block(k)
+        values, vectors = rayleigh_ritz(graph, np.linalg.qr(_outside(block, null))[0], end)
+        shift = 0.0 if end == "smallest" else 2.0 * problem.scale * (1.0 + 1e-6)
         for iterations in range(1, MAX_OUTER + 1):  # noqa: B007  (reported below)
             error = graph.laplacian @ vectors - vectors * values
             if np.linalg.norm(error, axis=0).max() <= problem.tol * problem.scale:
                 break
-            block = _solve_systems(graph, shift, vectors, outside)
+            block = _solve_systems(graph, shift, vectors, null)
             values, vectors = rayleigh_ritz(graph, np.linalg.qr(block)[0], end)
     values = np.concatenate([np.zeros(known.shape[1]), values])
     return Pairs(values, np.hstack([known, vectors]), note=f"{iterations} inverse iterations")
 
 
-def _solve_systems(graph: TrafficGraph, shift: float, right: Floats, outside: Floats) -> Floats:
+def _outside(block: Floats, null: Floats) -> Floats:
+    """Columns without their part in the null space."""
+    return block - null @ (null.T @ block)
+
+
+def _solve_systems(graph: TrafficGraph, shift: float, right: Floats, null: Floats) -> Floats:
     """Solve L Y = X, or (shift I - L) Y = X where shift > 0, by conjugate gradients.
 
-    To 1e-10 or as near as the limit of products allows, orthogonal to the columns ``outside``.
+    To 1e-10 or as near as the limit of products allows, orthogonal to the null space.
     """
     laplacian = graph.laplacian
     inverse_diagonal = 1.0 / np.maximum(np.abs(shift - graph.degree), 1e-3)[:, None]
@@ -69,11 +72,11 @@ def _solve_systems(graph: TrafficGraph, shift: float, right: Floats, outside: Fl
         step = np.where(curvature > 0.0, rz / np.where(curvature > 0.0, curvature, 1.0), 0.0)
         y += step * p
         r -= step * q
-        r -= outside @ (outside.T @ r)
+        r = _outside(r, null)
         if np.linalg.norm(r, axis=0).max() <= 1e-10:
             break
         z = inverse_diagonal * r
         fresh = np.einsum("ij,ij->j", r, z)
         p = z + np.where(rz > 0.0, fresh / np.where(rz > 0.0, rz, 1.0), 0.0) * p
         rz = fresh
-    return y - outside @ (outside.T @ y)
+    return _outside(y, null)

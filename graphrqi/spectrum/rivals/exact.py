@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between, rows_of
 from graphrqi.spectrum.spectrum import Floats
-from graphrqi.spectrum.subspaces import dense_pairs, pick, rayleigh_ritz
+from graphrqi.spectrum.subspaces import all_pairs
 
 MAX_ITERATIONS = 8
 """Rayleigh-quotient iterations per pair; they converge cubically."""
@@ -39,13 +39,8 @@ RESTART_EDGES = 2.0
 def solve(problem: Problem) -> Pairs:
     """Update all pairs of this solver's last answer to this graph; ``carried`` holds all."""
     pairs, note = _updated(problem)
-    kept = AllPairs(*dense_pairs(problem.graph)) if pairs is None else pairs
-    values, vectors = kept
-    if problem.nonzero:
-        null, end = problem.null, problem.end
-        outside, _ = np.linalg.qr(np.hstack([null, vectors[:, pick(-values, values.size, end)]]))
-        values, vectors = rayleigh_ritz(problem.graph, outside[:, null.shape[1] :], end)
-    return Pairs(*problem.chosen(values, vectors), complete=True, note=note, carried=kept)
+    kept = AllPairs(*all_pairs(problem.graph)) if pairs is None else pairs
+    return Pairs(*problem.chosen(*kept), complete=True, note=note, carried=kept)
 
 
 def _updated(problem: Problem) -> tuple[AllPairs | None, str]:

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.rivals.low_rank import carried_over, rank_needed, report, restart
+from graphrqi.spectrum.rivals.low_rank import carried_over, report, restart
 from graphrqi.spectrum.spectrum import Floats
 from graphrqi.spectrum.subspaces import pick
 
@@ -28,8 +28,7 @@ def solve(problem: Problem) -> Pairs:
     if before is None:
         return report(problem, restart(problem), "started from a dense solution")
     tracked, w, weights = before
-    rank = rank_needed(problem)
-    values, vectors = fold_in(tracked.values, tracked.vectors, w, weights, rank)
+    values, vectors = fold_in(tracked.values, tracked.vectors, w, weights, problem.num_pairs)
     return report(problem, replace(tracked, values=values, vectors=vectors), "")
 
 

@@ -34,7 +34,6 @@ def solve(problem: Problem) -> Pairs:
         values, vectors = lobpcg(
             problem.graph.laplacian,
             start,
-            Y=problem.null if problem.null.shape[1] else None,
             tol=problem.tol * problem.scale,
             maxiter=MAX_ITERATIONS,
             largest=problem.end == "largest",

@@ -1,9 +1,8 @@
 """Shared by the two low-rank tracking methods: the matrix they track and its changes.
 
 Both keep the k largest pairs of a matrix M. It is the Laplacian at the largest end, and s I - L at
-the smallest, where s bounds the spectrum. One more column per component is tracked where the null
-space is left out. Where vehicles departed, or the spectrum outgrew the old bound, they start from a
-dense solution.
+the smallest, where s bounds the spectrum. Where vehicles departed, or the spectrum outgrew the old
+bound, they start from a dense solution.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem
 from graphrqi.spectrum.rivals.changes import change_between, rows_of
 from graphrqi.spectrum.spectrum import Floats
-from graphrqi.spectrum.subspaces import carry_rows, dense_pairs, pick, rayleigh_ritz
+from graphrqi.spectrum.subspaces import all_pairs, carry_rows, pick
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,17 +33,12 @@ class Tracked:
     base_loss: float
 
 
-def rank_needed(problem: Problem) -> int:
-    """Columns to track so that the pairs asked for are among them, at most d."""
-    return problem.num_pairs + (problem.null.shape[1] if problem.end == "smallest" else 0)
-
-
 def restart(problem: Problem) -> Tracked:
     """Exact pairs of this graph to track from: the approximation with the smallest loss."""
-    values, vectors = dense_pairs(problem.graph)
+    values, vectors = all_pairs(problem.graph)
     bound = 4.0 * problem.scale if problem.end == "smallest" else 0.0
     shifted = bound - values if bound else values
-    kept = pick(shifted, rank_needed(problem), "largest")
+    kept = pick(shifted, problem.num_pairs, "largest")
     loss = float((shifted**2).sum() - (shifted[kept] ** 2).sum())
     return Tracked(shifted[kept], vectors[:, kept], bound, problem.graph, loss)
 
@@ -59,7 +53,7 @@ def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
     old = None if previous is None else previous.carried
     if previous is None or not isinstance(old, Tracked) or previous.end != problem.end:
         return None
-    if old.values.size < rank_needed(problem) or (old.bound and old.bound < 2.0 * problem.scale):
+    if old.values.size < problem.num_pairs or (old.bound and old.bound < 2.0 * problem.scale):
         return None
     if not np.isin(previous.ids, graph.ids).all():
         return None
@@ -75,12 +69,5 @@ def carried_over(problem: Problem) -> tuple[Tracked, Floats, Floats] | None:
 
 def report(problem: Problem, tracked: Tracked, note: str) -> Pairs:
     """The pairs asked for out of a tracked approximation, which is carried on."""
-    graph, end = problem.graph, problem.end
     values = tracked.bound - tracked.values if tracked.bound else tracked.values
-    vectors = tracked.vectors
-    if problem.nonzero and end == "smallest":
-        null = problem.null
-        outside = vectors - null @ (null.T @ vectors)
-        strongest = np.linalg.svd(outside, full_matrices=False)[0]
-        values, vectors = rayleigh_ritz(graph, strongest[:, : problem.num_pairs], end)
-    return Pairs(*problem.chosen(values, vectors), note=note, carried=tracked)
+    return Pairs(*problem.chosen(values, tracked.vectors), note=note, carried=tracked)

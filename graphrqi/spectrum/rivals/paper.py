@@ -24,7 +24,7 @@ from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between, rows_of
 from graphrqi.spectrum.spectrum import Floats
-from graphrqi.spectrum.subspaces import dense_pairs
+from graphrqi.spectrum.subspaces import all_pairs
 
 MAX_ITERATIONS = 5
 """Rayleigh-quotient iterations per pair and update (none is printed)."""
@@ -37,17 +37,15 @@ def solve(problem: Problem) -> Pairs:
     """Update all pairs of this solver's last answer by the printed formula.
 
     Without such an answer, or where vehicles departed, it starts from a dense solution, which
-    alone can be certified. Where the null space is to be left out, as many of the smallest values
-    are as there are components.
+    alone can be certified.
     """
     graph, previous = problem.graph, problem.previous
     old = all_pairs_before(previous, graph)
     if old is None or previous is None:
-        pairs, note = AllPairs(*dense_pairs(graph)), "solved anew"
+        pairs, note = AllPairs(*all_pairs(graph)), "solved anew"
     else:
         pairs, note = _follow(old, previous.graph, graph), ""
-    order = np.argsort(pairs.values, kind="stable")[problem.null.shape[1] :]
-    chosen = problem.chosen(pairs.values[order], pairs.vectors[:, order])
+    chosen = problem.chosen(*pairs)
     return Pairs(*chosen, complete=note != "", note=note, carried=pairs)
 
 

@@ -18,11 +18,5 @@ from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 @eigensolver()
 def solve(problem: Problem) -> Pairs:
     """Compute all pairs with ``numpy.linalg.svd`` and keep those asked for."""
-    null = problem.null
-    matrix = problem.graph.laplacian.toarray()
-    # the null space, if it is left out, is moved above every other eigenvalue
-    matrix += 4.0 * problem.scale * null @ null.T
-    vectors, values, _ = np.linalg.svd(matrix)
-    kept = values.size - null.shape[1]
-    values, vectors = values[::-1][:kept], vectors[:, ::-1][:, :kept]
+    vectors, values, _ = np.linalg.svd(problem.graph.laplacian.toarray())
     return Pairs(*problem.chosen(values, vectors), complete=True)

@@ -26,14 +26,12 @@ def solve(problem: Problem) -> Pairs:
     from scipy.sparse import eye_array
     from sklearn.decomposition import TruncatedSVD
 
-    graph, k, null = problem.graph, problem.num_pairs, problem.null
+    graph, k = problem.graph, problem.num_pairs
     matrix: Any = graph.laplacian
     if problem.end == "smallest":
         # a little above the spectrum: at its edge a wanted pair would be 0 as the null space is
         bound = 2.1 * problem.scale
         matrix = bound * eye_array(graph.ids.size, format="csr") - matrix
-        if problem.nonzero:
-            matrix = matrix.toarray() - bound * null @ null.T
     with np.errstate(invalid="ignore"):  # it also divides by the variance, 0 without edges
         model = TruncatedSVD(k, n_iter=POWER_ITERATIONS, random_state=0).fit(matrix)
     vectors, _ = np.linalg.qr(model.components_.T)

@@ -103,7 +103,7 @@ class Obedience(Controller[_RuleBreaker]):
         driver.decided.clear()
 
     def _overlooks(self, driver: _RuleBreaker) -> bool:
-        """Draw whether a driver does not see what it has to yield to."""
+        """Draw whether a driver does not see a light, or whom it has to yield to at a junction."""
         chance = driver.profile.overlook_probability
         return chance > 0 and bool(driver.rng.random() < chance)
 
@@ -113,8 +113,7 @@ class Obedience(Controller[_RuleBreaker]):
             over = ahead.on_red if driver.runs_red and ahead.signal else ahead.crossings
             for crossing in sorted((over & occupied) - driver.decided):
                 driver.decided.add(crossing)
-                refuses = driver.rng.random() >= profile.yield_probability
-                if self._overlooks(driver) or refuses:
+                if driver.rng.random() >= profile.yield_probability:
                     driver.refuses = True
         mode = ORDINARY_SPEED_MODE
         if driver.runs_red and ahead.signal:
