@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
-from experiments.score.answers import Answers, score_answers
+from experiments.score.answers import known_answers, score_answers
+from experiments.score.labels import note_unknown
 from experiments.score.predictions import EVERY_S, WARM_UP_S, score_episode, score_predictions
 from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import get_engine
@@ -105,7 +106,10 @@ def run_scenario(
     rows = [tidy_row(keys, name, value) for name, value in figures.items()]
     truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:
-        rows += score_answers(_last_answers(latest, truth), {**keys, "model": model})
+        classes = next((p.classes for p, _ in latest.values()), BEHAVIORS)
+        note_unknown(str(model), truth.values(), classes, "not scored")
+        answers = _last_answers(latest, truth, classes)
+        rows += score_answers(answers, {**keys, "model": model}, classes=classes)
     if predict and kept:
         errors = score_episode(Tracks.from_frames(kept, truth), beliefs, scenario.road, COMPARED)
         rows += score_predictions([errors], keys)
@@ -113,19 +117,18 @@ def run_scenario(
 
 
 def _last_answers(
-    latest: Mapping[int, tuple[Posterior, int]], truth: Mapping[int, Behavior | None]
-) -> Answers:
+    latest: Mapping[int, tuple[Posterior, int]], truth: Mapping[int, Behavior | None],
+    classes: Sequence[Behavior],
+) -> pd.DataFrame:  # fmt: skip
     """The last answer about every driver: its row of a posterior."""
     found = list(latest.values())
-    classes = found[0][0].classes if found else BEHAVIORS
     code = [classes.index(b) if (b := truth[agent]) in classes else -1 for agent in latest]
     probability = np.array([p.probability[row] for p, row in found]).reshape(-1, len(classes))
     none = np.zeros(len(found), dtype=np.int64)
-    return dataclasses.replace(
-        Answers.known(probability, np.array(code, dtype=np.int64), none, classes),
-        answered=np.array([p.labelled[row] for p, row in found], dtype=bool),
-        domain=np.array([p.domain for p, _ in found], dtype=np.float64),
-    )
+    answers = known_answers(probability, np.array(code, dtype=np.int64), none, classes)
+    labelled = np.array([p.labelled[row] for p, row in found], dtype=bool)
+    domain = np.array([p.domain for p, _ in found], dtype=np.float64)
+    return answers.assign(behavior=answers["behavior"].where(labelled), domain=domain)
 
 
 def _frames(

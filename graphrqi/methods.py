@@ -86,7 +86,9 @@ _METHODS: Final = (
 METHODS: Final[Registry[Method]] = Registry(
     "method",
     "graphrqi.methods",
-    {method.name: method for method in _METHODS},
+    {
+        **{method.name: method for method in _METHODS},
+    },
 )
 """The methods by name."""
 

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
@@ -36,7 +37,7 @@ from experiments.data.windows import gather, measured
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.rival import PlainRival, whole_track_samples, whole_tracks
-from experiments.score.answers import Answers, score_answers, scores_table
+from experiments.score.answers import known_answers, score_answers, scores_table
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import (
     TRAINING_EVERY_S,
@@ -248,11 +249,11 @@ def _majority_of(samples: Samples) -> int:
     return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
 
 
-def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> Answers:
+def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> pd.DataFrame:
     """The answers to samples, with the truth."""
     classifier = model.classifier if isinstance(model, Model) else model
     probability = classifier.posterior(samples.features.astype(np.float64))
-    return Answers.known(probability, samples.codes, samples.episode)
+    return known_answers(probability, samples.codes, samples.episode)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -263,9 +264,9 @@ class _Keys:
     scenario: str
     variation: str = ""
 
-    def rows(self, answers: Answers, majority: int, method: str, window_s: float) -> list[Row]:
+    def rows(self, answers: pd.DataFrame, majority: int, method: str, window_s: float) -> list[Row]:
         """Rows of a method's answers after an observation; none if no driver was asked about."""
-        if not answers.truth.size:
+        if not len(answers):
             return []
         whole = np.isinf(window_s)
         about = ", ".join(filter(None, ("whole track" if whole else "", self.variation)))
@@ -309,7 +310,7 @@ def _streamed_rows(
 ) -> list[Row]:  # fmt: skip
     """Rows of a stream's answers at each age, in each scenario."""
     samples, probability = data.streamed(model, disturbance)
-    answers = Answers.known(probability, samples.codes, samples.episode)
+    answers = known_answers(probability, samples.codes, samples.episode)
     rows: list[Row] = []
     for scenario in data.dataset.scenarios:
         chosen, keys = (
@@ -320,7 +321,7 @@ def _streamed_rows(
             here = chosen & (samples.window_s == age_s)
             if here.any():
                 majority = _majority_of(samples.where(here))
-                rows += keys.rows(answers.where(here), majority, model.method.name, age_s)
+                rows += keys.rows(answers[here], majority, model.method.name, age_s)
         whole = data.of(scenario, samples.where(np.isinf(samples.window_s)))
         if rival is not None and len(whole):
             rows += keys.rival(rival, data, whole, _majority_of(whole))

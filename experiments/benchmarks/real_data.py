@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -190,49 +190,45 @@ def _posterior(
     return posterior
 
 
-def _shares(videos: Sequence[Video], task: int) -> FloatArray:
-    codes = np.array(TASKS[task])[np.concatenate([v.codes for v in videos])]
-    return np.asarray(np.maximum(np.bincount(codes, minlength=task), 0.5) / codes.size)
+def _left_out(
+    videos: Sequence[Video], view: str, task: int, setting: int | None
+) -> tuple[NDArray[Any], ...]:
+    """Answers about each video by the others, with a setting or that which these choose.
 
-
-def _figure_of_merit(setting: int, training: Sequence[Video], view: str, task: int) -> float:
-    """How well a setting does, leaving each training video out in turn: AUC, or macro-F1."""
-    probability, truth, group = [], [], []
-    for number, video in enumerate(training):
-        others = [v for v in training if v is not video]
-        found = _posterior(setting, others, video, view, task)
-        probability.append(found if task == 2 else found / _shares(others, task))
-        truth.append(np.array(TASKS[task], dtype=np.int8)[video.codes])
-        group.append(np.full(video.codes.size, number))
-    p, y, g = np.concatenate(probability), np.concatenate(truth), np.concatenate(group)
-    if task == 2:
-        return auc_within(p[:, 0], y == 0, g)[0]
-    return float(macro_f1(confusion(y, p.argmax(axis=1), g, task).sum(axis=0)))
+    (n,) true classes, (n, C) posteriors, the same at even odds, (n,) majority classes and videos.
+    """
+    classes, folds = np.array(TASKS[task], dtype=np.int8), []
+    for number, video in enumerate(videos):
+        training = [other for other in videos if other is not video]
+        used = _chosen(training, view, task) if setting is None else setting
+        probability = _posterior(used, training, video, view, task)
+        known = classes[np.concatenate([v.codes for v in training])]
+        shares = np.maximum(np.bincount(known, minlength=task), 0.5) / known.size
+        even = probability if view == "majority" else probability / shares
+        n = video.codes.size
+        majority = np.full(n, shares.argmax(), dtype=np.int64)
+        folds.append((classes[video.codes], probability, even, majority, np.full(n, number)))
+    return tuple(np.concatenate(column) for column in zip(*folds, strict=True))
 
 
 def _chosen(training: Sequence[Video], view: str, task: int) -> int:
     """The setting that does best inside the training videos (the first when there is one video)."""
     if view == "majority" or len(training) < 2:
         return 0
-    merits = [_figure_of_merit(s, training, view, task) for s in range(len(SETTINGS))]
+    merits = []
+    for setting in range(len(SETTINGS)):
+        truth, probability, even, _, video = _left_out(training, view, task, setting)
+        if task == 2:
+            merits.append(auc_within(probability[:, 0], truth == 0, video)[0])
+        else:
+            counts = confusion(truth, even.argmax(axis=1), video, task)
+            merits.append(float(macro_f1(counts.sum(axis=0))))
     return int(np.nanargmax(merits)) if not np.isnan(merits).all() else 0
 
 
 def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
     """Rows of one view on one task, over all videos, each left out in turn."""
-    classes = np.array(TASKS[task], dtype=np.int8)
-    folds = []
-    for number, video in enumerate(videos):
-        training = [other for other in videos if other is not video]
-        probability = _posterior(_chosen(training, view, task), training, video, view, task)
-        shares = _shares(training, task)
-        even = probability if view == "majority" else probability / shares
-        n = video.codes.size
-        majority = np.full(n, shares.argmax(), dtype=np.int64)
-        folds.append((classes[video.codes], probability, even, majority, np.full(n, number)))
-    truth, probability, even, majority, video_of = (
-        np.concatenate(column) for column in zip(*folds, strict=True)
-    )
+    truth, probability, even, majority, video = _left_out(videos, view, task, None)
     counts = [
         confusion(truth, answer, np.arange(truth.size), task)
         for answer in (even.argmax(axis=1), probability.argmax(axis=1), majority)
@@ -244,7 +240,7 @@ def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
         "majority_weighted_accuracy": bootstrap(weighted_accuracy, counts[2]),
     }
     if task == 2:
-        values["auc"] = auc_within(probability[:, 0], truth == 0, video_of)
+        values["auc"] = auc_within(probability[:, 0], truth == 0, video)
     keys: dict[str, Cell] = {
         "dataset": "traf", "protocol": "leave-one-video-out", "method": view, "classes": task,
     }  # fmt: skip

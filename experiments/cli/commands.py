@@ -447,7 +447,7 @@ def evaluate(
     answers: Annotated[
         Path | None,
         file_option("Answers of your own model about the test split, to compare: columns episode, "
-                    "agent, time_s, label.", "--answers"),
+                    "agent, label, and time_s or p_impatient ... if known.", "--answers"),
     ] = None,
     traffic: TrafficKind = None,
     jobs: Jobs = None,
@@ -619,11 +619,11 @@ def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | No
         typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")
 
 
-@_command(ASK, "drive", "drive --policy planner --quick")
+@_command(ASK, "drive", "drive --policy planner-told --quick")
 def drive(
     policy: Annotated[
         list[str] | None,
-        option("planner, another of ours, or module:function of your own; repeat for several "
+        option("A policy of ours, such as planner-blind, or module:function; repeat for several "
                "(default: ours).", metavar="NAME"),
     ] = None,
     scenario: Annotated[

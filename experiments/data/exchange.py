@@ -21,16 +21,16 @@ from experiments.guard import guarded, guarded_call
 from sim.files import is_remote, temporary_folder, write_whole
 from sim.formats import (
     FORMATS,
-    first_file,
     formats_in,
     get_reader,
     get_writer,
     left_out_files,
     new_index,
     read_formats,
+    recording_files,
 )
+from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
-from sim.formats.common.motion import doubt_of_times
 from sim.formats.common.windows import NoWindowError
 from sim.formats.own_table import check_columns
 from sim.store.catalogue import is_dataset
@@ -134,7 +134,8 @@ def import_recordings(
                 recording = replace(recording, notes=(*recording.notes, wrong))
             elif wrong is not None:
                 place = source / recording.file if source.is_dir() else source
-                doubted.append(f"{place}: {wrong}, expected import --rate HZ")
+                able = "other --units, or " if key == "table" else ""
+                doubted.append(f"{place}: {wrong}, expected {able}import --rate HZ")
                 continue
             if given is not None:
                 found_labels = given.of(recording.tracks.names, recording.name, recording.file)
@@ -269,10 +270,12 @@ def _claim(out: Path, name: str, dataset: Dataset) -> None:
     known = marker.is_file() and marker.stat().st_size <= len(identity)
     if known and marker.read_text(encoding="utf-8", errors="replace") == identity:
         return
-    other = first_file(out, name)
-    if other is not None:
-        raise InputError(
-            f"{out}: found {other.relative_to(out)}, a {name} file that does not come from this "
-            "dataset, expected a folder without such files: readers would mix both"
-        )
-    write_whole(marker, identity.encode())
+    try:
+        other = recording_files(out, name)[0][0]
+    except InputError:  # there is none
+        write_whole(marker, identity.encode())
+        return
+    raise InputError(
+        f"{out}: found {other.relative_to(out)}, a {name} file that does not come from this "
+        "dataset, expected a folder without such files: readers would mix both"
+    )

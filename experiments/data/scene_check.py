@@ -7,7 +7,6 @@ metre) and dense traffic. All limits are our choice.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -15,7 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from experiments.data.units import image_scale, in_metres, size_ratio, unit_of
+from experiments.data.units import image_scale, in_metres
+from sim.formats.common.doubts import doubt_of_times, size_doubt
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
 from sim.store.schema import EpisodeEntry
@@ -27,10 +27,10 @@ DOUBTED: Final = "no_scene"
 """Option of episodes whose recording is not a plausible scene: the reason."""
 
 LOOK_S: Final = 0.5
-"""Time between looks at overlaps and speeds, s."""
+"""Time between looks at overlaps, s."""
 
 LOOKS, SIZED = 10, 3
-"""Fewest looks that say that a speed is wrong, and fewest vehicles that say that a unit is."""
+"""Fewest looks that say that times are wrong, and fewest vehicles that say that a size is."""
 
 CORE, LONGEST_CORE_M, LEAST_CORE_M = 0.5, 2.5, 0.25
 """Vehicles overlap where outlines of this share of their sizes do; longest core, less than a lane's
@@ -43,11 +43,8 @@ OVERLAPPING, OVERLAPPING_BOXES, OVERLAPPING_IDS = 0.02, 0.2, 6
 NEAREST_M: Final = 1.0
 """No scene, whatever the outlines, if half of the vehicles have another centre nearer than this."""
 
-MOVING_MPS, STILL_M = 3.0, 2.0
-"""Faster vehicles count for speeds, m/s; those that stay nearer than this never moved, m."""
-
-PACE, FAST_MPS = 1.3, 70.0
-"""Largest ratio of displacements to what stated speeds make them, and largest median speed, m/s."""
+STILL_M: Final = 2.0
+"""Vehicles that stay nearer than this never moved, m."""
 
 FASTEST_MPS, JUMP_M, JUMPING, JUMPING_IDS = 90.0, 5.0, 0.1, 3
 """Vehicles jump that go faster and farther than this, m/s and m; largest share of such ids, and the
@@ -102,10 +99,7 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
     nearest_m, hits, overlapping = _overlaps(tracks, looks)
     looked = max(int(np.isin(rows.index.step, looks).sum()), 1)
     share, jumps = hits / looked, int(_jumps(tracks).sum())
-    paces, speeds = _speeds(tracks, looks)
-    pace = float(np.median(paces)) if paces.size >= LOOKS else 0.0
-    far = math.exp(paces.mean()) if paces.size else math.nan
-    speed = float(np.median(speeds)) if speeds.size >= LOOKS else 0.0
+    times = doubt_of_times(tracks) if len(looks) >= LOOKS else None
     agent = rows.index.agent
     away = np.hypot(*(rows.xy - rows.xy[np.searchsorted(agent, agent)]).T)
     still = (count - np.unique(agent[away > STILL_M]).size) / count
@@ -114,17 +108,14 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
     many = near or (overlapping >= OVERLAPPING_IDS and share > most)
     superimposed = count >= OVERLAPPING_IDS and many
     jumping = jumps >= JUMPING_IDS and jumps > JUMPING * count
-    ratio = size_ratio(tracks.length[seen], tracks.width[seen], tracks.kind[seen])
-    unit = unit_of(ratio) if outlines and len(looks) >= LOOKS and count >= SIZED else None
+    size = size_doubt(tracks) if outlines and len(looks) >= LOOKS and count >= SIZED else None
     apart = float(np.median(nearest_m)) if nearest_m.size else math.nan
     jumped = f"{jumps} of {count} ids jump from place to place"
     doubts = {
         f"{share:.0%} of the vehicles lie within another one (median distance to the next centre "
         f"{apart:.1f} m): actors are superimposed": superimposed,
-        f"vehicles go {far:.2f} times as far as their stated speeds: "
-        "the frame step or a unit is wrong": abs(pace) > math.log(PACE),
-        f"vehicles are {ratio:.3g} times as large as usual: {unit} seem to be metres": unit,
-        f"the median speed is {speed:.0f} m/s: a unit or the clock is wrong": speed > FAST_MPS,
+        times or "times": times,
+        size or "sizes": size,
         jumped: jumping,
     }
     remarks = {
@@ -210,25 +201,3 @@ def _jumps(tracks: Tracks) -> BoolArray:
     moved = np.hypot(*(rows.xy[at + 1] - rows.xy[at]).T)
     far = FASTEST_MPS * np.diff(tracks.time_s)[step[at]] + JUMP_M
     return np.bincount(agent[at[moved > far]], minlength=tracks.ids.size) > 0
-
-
-def _speeds(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, FloatArray]:
-    """Logarithms of displacements over what stated speeds make them, and speeds, look by look."""
-    paces, speeds = [], []
-    rows = tracks.rows
-    for first, last in itertools.pairwise(looks):
-        then, before = rows.index.at(last), rows.index.at(first)
-        _, one, other = np.intersect1d(
-            rows.index.agent[before], rows.index.agent[then], return_indices=True
-        )
-        before, then = before[one], then[other]
-        passed_s = tracks.time_s[last] - tracks.time_s[first]
-        travelled = np.hypot(*(rows.xy[then] - rows.xy[before]).T)
-        stated = 0.5 * (rows.speed[before] + rows.speed[then]) * passed_s
-        moving = travelled * stated > (MOVING_MPS * passed_s) ** 2
-        if moving.any():
-            paces.append(float(np.median(np.log(travelled[moving] / stated[moving]))))
-        fast = travelled > MOVING_MPS * passed_s
-        if fast.any():
-            speeds.append(float(np.median(travelled[fast])) / passed_s)
-    return np.array(paces), np.array(speeds)

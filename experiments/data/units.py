@@ -1,4 +1,4 @@
-"""How long a unit of length of a recording is: metres per pixel, and metres that are none.
+"""How long a unit of length of a recording is: metres per pixel.
 
 A video's boxes have no scale. Two things bound it: road agents have known sizes, and they move at
 known speeds. Both give a scale with an uncertainty, and the estimate is their mean, weighted by how
@@ -6,9 +6,6 @@ certain each is. A camera shows near agents larger, so their sizes give the hori
 camera without roll then maps image positions to flat ground. How much it foreshortens the way
 ahead of it in the middle of the image is not known and is assumed. Where sizes show no horizon,
 the view is from above.
-
-Where a recording claims metres, vehicle sizes check it: feet or millimetres would make cars as
-large as lorries.
 """
 
 from __future__ import annotations
@@ -18,11 +15,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from sim.frames import AgentKind, FloatArray, Tracks
-from sim.scenario import DIMENSIONS_M
+from sim.frames import FloatArray, Tracks
 
 SIZE_M: Final = 2.2
 """Typical root of width times height of a road agent's box in an image, m (chosen between a car
@@ -65,19 +60,6 @@ SPAN_S: Final = 1.0
 
 SMOOTH_FRAMES: Final = 15
 """Length of the centred mean over positions; half a second of video."""
-
-FACTORS: Final = {
-    "feet": 1 / 0.3048, "centimetres": 100.0, "millimetres": 1000.0, "kilometres": 0.001,
-}  # fmt: skip
-"""Units that may be given as metres, and how much larger vehicles then look."""
-
-NEAR: Final = 1.25
-"""A size is off by such a factor if it is this near to it (kinds that are mixed up differ by more,
-but not by 3.3 nor by 100)."""
-
-_SIZES_M: Final = np.array(
-    [math.sqrt(DIMENSIONS_M[kind][0] * DIMENSIONS_M[kind][1]) for kind in AgentKind]
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,37 +205,3 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
         length=LENGTH_OF_SIZE * size,
         width=WIDTH_OF_SIZE * size,
     )
-
-
-def size_ratio(length: FloatArray, width: FloatArray, kind: NDArray[np.int8]) -> float:
-    """How much larger agents are than agents of their kinds.
-
-    Args:
-        length: (n,) m.
-        width: (n,) m.
-        kind: (n,) codes into ``sim.frames.KINDS``.
-
-    Returns:
-        The median ratio; NaN without agents.
-
-    Examples:
-        >>> round(size_ratio(np.array([14.5, 16.0]), np.array([5.9, 6.2]), np.zeros(2, np.int8)), 1)
-        3.3
-    """
-    if not length.size:
-        return math.nan
-    return float(np.median(np.sqrt(np.abs(length * width)) / _SIZES_M[kind]))
-
-
-def unit_of(ratio: float) -> str | None:
-    """The unit that is given as metres if agents are so much too large; None if none is.
-
-    Examples:
-        >>> unit_of(3.4), unit_of(1.2), unit_of(980.0)
-        ('feet', None, 'millimetres')
-    """
-    if not ratio > 0.0:
-        return None
-    near = {unit: abs(math.log(ratio / factor)) for unit, factor in FACTORS.items()}
-    unit = min(near, key=lambda name: near[name])
-    return unit if near[unit] < math.log(NEAR) else None

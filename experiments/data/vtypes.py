@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
@@ -57,10 +56,9 @@ def export_types(source: str, out: Path) -> list[Path]:
     if out.exists() and any(out.iterdir()):
         raise InputError(f"{out}: found something there, expected a new or empty folder")
     shares = _shares(source)
-    agents = list(_drivers(shares))
     with whole_folder(out) as folder:
-        (folder / "vtypes.add.xml").write_text("\n".join(_xml(agents, shares)) + "\n")
-        (folder / "drivers.csv").write_text(_table(agents, shares))
+        (folder / "vtypes.add.xml").write_text("\n".join(_xml(shares)) + "\n")
+        (folder / "drivers.csv").write_text(_table(shares))
     return [out / "vtypes.add.xml", out / "drivers.csv"]
 
 
@@ -78,46 +76,37 @@ def _shares(source: str) -> dict[Behavior, float]:
     return dict.fromkeys(known, 1.0 / len(known))
 
 
-def _drivers(shares: Mapping[Behavior, float]) -> Iterator[AgentSpec]:
-    """Drivers of cars, as many of each behaviour."""
+def _drivers(shares: Mapping[Behavior, float]) -> Iterator[tuple[str, Behavior, float, AgentSpec]]:
+    """Name, behaviour and share of drivers of cars, as many of each behaviour."""
     length, width, _ = DIMENSIONS_M[AgentKind.CAR]
-    for behavior in shares:
+    for behavior, share in shares.items():
         rng = np.random.default_rng(0)
-        for _ in range(DRIVERS_OF_EACH):
+        for number in range(DRIVERS_OF_EACH):
             profile = sample_profile(behavior.profile, rng)
-            yield AgentSpec(0, AgentKind.CAR, behavior, profile, (), 0.0, length, width)
+            agent = AgentSpec(0, AgentKind.CAR, behavior, profile, (), 0.0, length, width)
+            yield f"{behavior}_{number}", behavior, share / DRIVERS_OF_EACH, agent
 
 
-def _named(agents: list[AgentSpec]) -> Iterator[tuple[str, AgentSpec]]:
-    for number, agent in enumerate(agents):
-        yield f"{agent.behavior}_{number % DRIVERS_OF_EACH}", agent
-
-
-def _xml(agents: list[AgentSpec], shares: Mapping[Behavior, float]) -> Iterator[str]:
+def _xml(shares: Mapping[Behavior, float]) -> Iterator[str]:
     yield "<additional>"
     yield f"  <!-- not expressed by vTypes: {', '.join(NOT_IN_SUMO)} -->"
     for behavior in shares:
         said = ", ".join(f"{name} {getattr(behavior.profile, name):g}" for name in NOT_IN_SUMO)
         yield f"  <!-- {behavior}: {said} -->"
     yield '  <vTypeDistribution id="drivers">'
-    for name, agent in _named(agents):
-        assert agent.behavior is not None
-        yield "    " + type_element(agent, name, shares[agent.behavior] / DRIVERS_OF_EACH)
+    for name, _, share, agent in _drivers(shares):
+        yield "    " + type_element(agent, name, share)
     yield "  </vTypeDistribution>"
     yield "</additional>"
 
 
-def _table(agents: list[AgentSpec], shares: Mapping[Behavior, float]) -> str:
+def _table(shares: Mapping[Behavior, float]) -> str:
     left_out = [name for name in PROFILE_FIELDS if name not in IN_TABLE]
-    text = io.StringIO()
-    text.write(f"# not expressed by IDM, Krauss and MOBIL: {', '.join(left_out)}\n")
-    writer = csv.writer(text, lineterminator="\n")
-    head = ["driver", "behavior", "style", "share", *IN_TABLE.values(), "krauss_sigma"]
-    writer.writerow(head)
-    for name, agent in _named(agents):
-        behavior = agent.behavior
-        assert behavior is not None
-        numbers = [f"{getattr(agent.profile, one):.6g}" for one in IN_TABLE]
-        share = f"{shares[behavior] / DRIVERS_OF_EACH:.6g}"
-        writer.writerow([name, behavior, behavior.style, share, *numbers, IMPERFECTION])
-    return text.getvalue()
+    rows = [
+        {"driver": name, "behavior": str(behavior), "style": str(behavior.style), "share": share}
+        | {column: getattr(agent.profile, number) for number, column in IN_TABLE.items()}
+        | {"krauss_sigma": IMPERFECTION}
+        for name, behavior, share, agent in _drivers(shares)
+    ]
+    said = f"# not expressed by IDM, Krauss and MOBIL: {', '.join(left_out)}\n"
+    return said + str(pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from experiments.drive.crowds import Crowd, crowd_of
-from experiments.drive.policies import PLANNER, POLICIES, get_policy
+from experiments.drive.policies import POLICIES, get_policy
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
@@ -119,7 +119,7 @@ def drive(
     others = crowd_of(crowd, [*(config.get("behaviors") or ())])
     drawn = {"seed": seed, "mix": others.mix, "population": others.population}
     env = _Among(scenario, others, {**drawn, **config, **changes})
-    env.looks = policy not in {*POLICIES, PLANNER}  # ours see frames
+    env.looks = policy not in POLICIES  # ours see frames
     act = make(env)
     observation, _ = env.reset(seed=seed)
     begun = len(env.frames)

@@ -194,24 +194,21 @@ POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
 }
 """Our policies, with what each changes in an environment's configuration."""
 
-PLANNERS: Final = ("planner", BLIND, "planner-told", "planner-true")
+PLANNERS: Final = (BLIND, "planner-told", "planner-true")
 """Names of the planner, whatever it knows."""
-
-PLANNER: Final = "planner"
-"""Short for the planner with the classifier's beliefs."""
 
 
 def get_policy(name: str) -> tuple[Callable[..., Act], dict[str, Any]]:
     """A policy and its environment's configuration.
 
     Args:
-        name: a key of `POLICIES`, "planner", or "module:function" that can be imported from here.
+        name: a key of `POLICIES`, or "module:function" that can be imported from here.
 
     Raises:
         InputError: if there is none.
     """
     if ":" not in name:
-        return lookup(POLICIES, "planner-told" if name == PLANNER else name, "policy")
+        return lookup(POLICIES, name, "policy")
     make = own_function("policy", name)
     config = getattr(make, "config", {})
     if not isinstance(config, Mapping):

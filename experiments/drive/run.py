@@ -31,7 +31,7 @@ class LicenceTest:
     """Who is tested where, among whom and how often.
 
     Attributes:
-        policies: names, "planner", or "module:function" of one's own.
+        policies: names, or "module:function" of one's own.
         scenarios: keys of `ROADS`; those of `STRAYS` are not for our planners.
         crowds: as `crowd_of` takes them.
         episodes: of each policy in each scenario and crowd.

@@ -7,7 +7,6 @@ separate figure.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -32,99 +31,54 @@ from experiments.score.metrics import (
 )
 from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from graphrqi.posterior import aggressive_share
-from sim.frames import BoolArray, FloatArray, IntArray
+from sim.frames import FloatArray, IntArray
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
 
 
-@dataclass(frozen=True, slots=True)
-class Answers:
-    """Answers about some drivers, and their true labels.
+def joined_answers(tables: Sequence[pa.Table]) -> pd.DataFrame:
+    """Tables as of a labels file, of an episode each, as one, in which episodes are numbers."""
+    number = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
+    answers: pd.DataFrame = pa.concat_tables(tables).to_pandas().assign(episode=number)
+    return answers
 
-    Attributes:
-        episode: (n,) number of the episode.
-        probability: (n, k) of each class; the likeliest is the answer.
-        truth: (n,) codes into ``classes``, -1 where not known or none of them.
-        style: (n,) codes into ``STYLES``, -1 where not known.
-        answered: (n,) whether a behaviour is likely enough to be an answer.
-        domain: (n,) 0 in simulated traffic, 1 in other traffic.
-        classes: the behaviours that the model knows.
+
+def known_answers(
+    probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray,
+    classes: Sequence[Behavior] = BEHAVIORS,
+) -> pd.DataFrame:  # fmt: skip
+    """Answers (n, k) that are always given, with the columns of a labels file that scores need.
+
+    Episodes (n,) are numbers. True codes (n,) stand for the classes, and -1 for an unknown one.
     """
-
-    episode: IntArray
-    probability: FloatArray
-    truth: IntArray
-    style: IntArray
-    answered: BoolArray
-    domain: FloatArray
-    classes: tuple[Behavior, ...] = BEHAVIORS
-
-    @classmethod
-    def known(
-        cls, probability: FloatArray, truth: NDArray[np.integer[Any]], episode: IntArray,
-        classes: tuple[Behavior, ...] = BEHAVIORS,
-    ) -> Answers:  # fmt: skip
-        """Answers (n, k) that are always given, by true codes (n,) and episode numbers (n,)."""
-        n, codes = len(probability), truth.astype(np.int64)
-        style = np.where(codes >= 0, _styles_of(classes)[codes], -1)
-        everyone = np.ones(n, dtype=bool)
-        return cls(episode, probability, codes, style, everyone, np.zeros(n), classes)
-
-    @classmethod
-    def of_tables(
-        cls, tables: Sequence[pa.Table], classes: tuple[Behavior, ...] = BEHAVIORS
-    ) -> Answers:
-        """The answers of a model that knows some classes, by tables as of a labels file."""
-        table = pa.concat_tables(tables).to_pandas()
-        return cls(
-            episode=np.repeat(np.arange(len(tables)), [t.num_rows for t in tables]),
-            probability=table[[f"p_{b}" for b in classes]].to_numpy(np.float64),
-            truth=_codes(table["truth"], classes),
-            style=_codes(table["true_style"], STYLES),
-            answered=table["behavior"].notna().to_numpy(),
-            domain=table["domain"].to_numpy(np.float64),
-            classes=classes,
-        )
-
-    def where(self, chosen: BoolArray) -> Answers:
-        """The answers for which ``chosen`` (n,) holds."""
-        names = [field.name for field in fields(self) if field.name != "classes"]
-        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
-
-    def counts(self) -> FloatArray:
-        """(E, k, k) confusion matrices of behaviours."""
-        likeliest = self.probability.argmax(axis=1)
-        return confusion(self.truth, likeliest, self.episode, len(self.classes))
-
-    def style_counts(self) -> FloatArray:
-        """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
-        answer = (aggressive_share(self.probability, self.classes) < 0.5).astype(np.int64)
-        return confusion(self.style, answer, self.episode, len(STYLES))
-
-
-def _styles_of(classes: Sequence[Behavior]) -> IntArray:
-    return np.array([STYLES.index(b.style) for b in classes])
-
-
-def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
-    found = pd.Index([str(word) for word in known]).get_indexer(pd.Index(words))
-    return np.asarray(found, dtype=np.int64)
+    words, styles = (
+        np.array([*map(str, names), None], dtype=object)
+        for names in (classes, [one.style for one in classes])
+    )
+    answers = pd.DataFrame(probability, columns=[f"p_{b}" for b in classes])
+    return answers.assign(
+        episode=episode, domain=0.0, behavior=words[probability.argmax(axis=1)],
+        truth=words[truth], true_style=styles[truth],
+    )  # fmt: skip
 
 
 def score_answers(
-    answers: Answers,
+    answers: pd.DataFrame,
     keys: Mapping[str, Cell],
     majority: int | None = None,
     breakdown: bool = True,
+    classes: Sequence[Behavior] = BEHAVIORS,
 ) -> list[Row]:
     """All answers of one source.
 
     Args:
-        answers: one of every driver (or of every window of observation).
+        answers: one of every driver (or of every window of observation), as from `joined_answers`
+            or `known_answers`.
         keys: what was measured, for the rows.
         majority: code of the constant answer; None for the most frequent behaviour of the scored
             drivers.
         breakdown: whether rows by answer and by confidence are wanted.
+        classes: the behaviours that the model knows.
 
     Returns:
         Rows. All drivers: ``drivers``, ``episodes``, ``answered_share``, ``domain`` and
@@ -137,44 +91,68 @@ def score_answers(
         ``confidence`` the ``reliability``, a share of right answers. Intervals are by bootstrap
         over episodes.
     """
-    n, episode = answers.episode.size, answers.episode
+    n, episode = len(answers), answers["episode"].to_numpy()
     rows = [tidy_row(keys, "drivers", n, n=n)]
     if not n:
         return rows
     rows.append(tidy_row(keys, "episodes", np.unique(episode).size, n=n))
-    likeliest = np.where(answers.answered, answers.probability.argmax(axis=1), -1)
+    probability = _chances(answers, classes)
+    answer = np.where(answers["behavior"].notna(), probability.argmax(axis=1), -1)
     shares: list[tuple[str, dict[str, Cell], NDArray[Any]]] = [
-        ("answered_share", {}, answers.answered),
-        ("domain", {}, answers.domain),
-        ("confidence", {}, answers.probability.max(axis=1)),
+        ("answered_share", {}, answer >= 0),
+        ("domain", {}, answers["domain"].to_numpy(np.float64)),
+        ("confidence", {}, probability.max(axis=1)),
     ]
-    for code, behavior in enumerate(answers.classes if breakdown else ()):
-        shares.append(("named_share", {"behavior": str(behavior)}, likeliest == code))
+    for code, behavior in enumerate(classes if breakdown else ()):
+        shares.append(("named_share", {"behavior": str(behavior)}, answer == code))
     for name, more, part in shares:
         found = bootstrap(ratio, summed(episode, part, np.ones(n)))
         rows.append(tidy_row({**keys, **more}, name, *found, n))
-    known = answers.where(answers.truth >= 0)
-    if known.truth.size:
-        rows += _behavior_rows(known, keys, majority, breakdown)
-    known = answers.where(answers.style >= 0)
-    if known.style.size:
-        rows += _style_rows(known, keys, majority)
+    known = answers[_codes(answers["truth"], classes) >= 0]
+    if len(known):
+        rows += _behavior_rows(known, keys, majority, breakdown, classes)
+    known = answers[_codes(answers["true_style"], STYLES) >= 0]
+    if len(known):
+        rows += _style_rows(known, keys, majority, classes)
     return rows
 
 
+def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
+    found = pd.Index([str(word) for word in known]).get_indexer(pd.Index(words))
+    return np.asarray(found, dtype=np.int64)
+
+
+def _chances(answers: pd.DataFrame, classes: Sequence[Behavior]) -> FloatArray:
+    return np.asarray(answers[[f"p_{b}" for b in classes]], dtype=np.float64)
+
+
+def _counts(answers: pd.DataFrame, classes: Sequence[Behavior] = BEHAVIORS) -> FloatArray:
+    """(E, k, k) confusion matrices of behaviours."""
+    truth, likeliest = _codes(answers["truth"], classes), _chances(answers, classes).argmax(axis=1)
+    return confusion(truth, likeliest, answers["episode"].to_numpy(), len(classes))
+
+
+def _style_counts(answers: pd.DataFrame, classes: Sequence[Behavior] = BEHAVIORS) -> FloatArray:
+    """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
+    answer = (aggressive_share(_chances(answers, classes), classes) < 0.5).astype(np.int64)
+    truth = _codes(answers["true_style"], STYLES)
+    return confusion(truth, answer, answers["episode"].to_numpy(), len(STYLES))
+
+
 def _behavior_rows(
-    answers: Answers, keys: Mapping[str, Cell], majority: int | None, breakdown: bool
-) -> Iterator[Row]:
+    answers: pd.DataFrame, keys: Mapping[str, Cell], majority: int | None, breakdown: bool,
+    classes: Sequence[Behavior],
+) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose behaviour is known."""
-    truth, episode, counts = answers.truth, answers.episode, answers.counts()
-    constant = np.full(truth.size, np.bincount(truth).argmax() if majority is None else majority)
-    bins = reliability(truth, answers.probability, episode)
-    usual = confusion(truth, constant, episode, len(answers.classes))
-    hit = answers.answered & (answers.probability.argmax(axis=1) == truth)
-    right = summed(episode, hit, answers.answered)
+    truth, episode = _codes(answers["truth"], classes), answers["episode"].to_numpy()
+    counts, probability = _counts(answers, classes), _chances(answers, classes)
+    answered = answers["behavior"].notna().to_numpy()
+    usual = np.bincount(truth).argmax() if majority is None else majority
+    bins = reliability(truth, probability, episode)
+    right = summed(episode, answered & (probability.argmax(axis=1) == truth), answered)
     figures: list[tuple[str, Statistic, FloatArray]] = [
         ("weighted_accuracy", weighted_accuracy, counts),
-        ("majority_weighted_accuracy", weighted_accuracy, usual),
+        ("majority_weighted_accuracy", ratio, summed(episode, truth == usual, truth >= 0)),
         ("answered_accuracy", ratio, right),
         ("balanced_accuracy", balanced_accuracy, counts),
         ("macro_f1", macro_f1, counts),
@@ -185,12 +163,12 @@ def _behavior_rows(
         if n:
             yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
     total = counts.sum(axis=0)
-    for code, behavior in enumerate(answers.classes):
+    for code, behavior in enumerate(classes):
         own, row = int(total[code].sum()), {**keys, "behavior": str(behavior)}
         if own:
             found = bootstrap(lambda matrix, at=code: recalls(matrix)[..., at], counts)  # type: ignore[misc]
             yield tidy_row(row, "recall", *found, own)
-        for taken, other in zip(total[code], answers.classes if breakdown else (), strict=False):
+        for taken, other in zip(total[code], classes if breakdown else (), strict=False):
             yield tidy_row({**row, "answer": str(other)}, "confusion", float(taken), n=own)
     for number, (count, sure, _) in enumerate(bins.sum(axis=0) if breakdown else ()):
         if count:
@@ -199,50 +177,53 @@ def _behavior_rows(
             yield tidy_row(row, "reliability", *found, int(count))
 
 
-def _style_rows(answers: Answers, keys: Mapping[str, Cell], majority: int | None) -> Iterator[Row]:
+def _style_rows(
+    answers: pd.DataFrame, keys: Mapping[str, Cell], majority: int | None,
+    classes: Sequence[Behavior],
+) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose style is known, with or without their behaviour."""
-    truth, episode, n = answers.style, answers.episode, answers.style.size
+    truth, episode = _codes(answers["true_style"], STYLES), answers["episode"].to_numpy()
     aggressive, counts = (
-        aggressive_share(answers.probability, answers.classes),
-        answers.style_counts(),
+        aggressive_share(_chances(answers, classes), classes),
+        _style_counts(answers, classes),
     )
     usual = (
-        np.bincount(truth).argmax() if majority is None else _styles_of(answers.classes)[majority]
+        np.bincount(truth).argmax() if majority is None else STYLES.index(classes[majority].style)
     )
     bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
     figures: list[tuple[str, Statistic, FloatArray]] = [
         ("style_accuracy", weighted_accuracy, counts),
-        ("majority_style_accuracy", ratio, summed(episode, truth == usual, np.ones(n))),
+        ("majority_style_accuracy", ratio, summed(episode, truth == usual, truth >= 0)),
         ("style_balanced_accuracy", balanced_accuracy, counts),
         ("style_ece", calibration_error, bins),
     ]
     for name, statistic, per_episode in figures:
-        yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
-    yield tidy_row(keys, "style_auc", *auc_over_episodes(aggressive, truth == 0, episode), n)
+        yield tidy_row(keys, name, *bootstrap(statistic, per_episode), truth.size)
+    auc = auc_over_episodes(aggressive, truth == 0, episode)
+    yield tidy_row(keys, "style_auc", *auc, truth.size)
 
 
-def score_difference(ours: Answers, theirs: Answers, keys: Mapping[str, Cell]) -> list[Row]:
+def score_difference(
+    ours: pd.DataFrame, theirs: pd.DataFrame, keys: Mapping[str, Cell]
+) -> list[Row]:
     """How much better some answers are than others about the same drivers in the same order.
 
     Returns:
-        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, with intervals by a
-        paired bootstrap over episodes.
+        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, of drivers whose
+        behaviour is known, with intervals by a paired bootstrap over episodes.
     """
-    rows = []
-    for name, of, pair in (
-        ("macro_f1", macro_f1, (ours.counts(), theirs.counts())),
-        (
-            "style_balanced_accuracy",
-            balanced_accuracy,
-            (ours.style_counts(), theirs.style_counts()),
-        ),
+    known = _codes(ours["truth"], BEHAVIORS) >= 0
+    ours, theirs, rows = ours[known], theirs[known], []
+    for name, of, counted in (
+        ("macro_f1", macro_f1, _counts),
+        ("style_balanced_accuracy", balanced_accuracy, _style_counts),
     ):
 
         def difference(counts: FloatArray, of: Statistic = of) -> FloatArray:
             return np.asarray(of(counts[..., 0, :, :]) - of(counts[..., 1, :, :]))
 
-        found = bootstrap(difference, np.stack(pair, axis=1))
-        rows.append(tidy_row(keys, f"{name}_difference", *found, ours.truth.size))
+        found = bootstrap(difference, np.stack([counted(ours), counted(theirs)], axis=1))
+        rows.append(tidy_row(keys, f"{name}_difference", *found, len(ours)))
     return rows
 
 

@@ -16,7 +16,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.console.notices import LOGGER
 from experiments.guard import guarded_call
 from experiments.rival import PlainRival, whole_tracks
-from experiments.score.answers import Answers, is_scored, score_difference
+from experiments.score.answers import is_scored, joined_answers, score_difference
 from experiments.score.labels import ALL, Answered, answer_episodes, scored_answers
 from experiments.score.rows import Row
 from graphrqi.model_files import load_model
@@ -90,8 +90,7 @@ def evaluate(
     mine = _replaced(answered, given)
     rows += scored_answers(mine, answers.stem)
     for name, each in compared.items():
-        pair = [Answers.of_tables([one.table for one in those]) for those in (mine, each)]
-        own, other = (answer.where(pair[0].truth >= 0) for answer in pair)
+        own, other = (joined_answers([one.table for one in those]) for those in (mine, each))
         keys = {"model": answers.stem, "against": name, "scenario": ALL, "split": "test"}
         rows += score_difference(own, other, keys)
     return rows

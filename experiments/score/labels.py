@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from experiments.data.parallel import in_parallel
 from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
-from experiments.score.answers import STYLES, Answers, score_answers
+from experiments.score.answers import STYLES, joined_answers, score_answers
 from experiments.score.rows import Cell, Row, pivoted
 from experiments.score.tables import LABELS, joined_columns, table_file
 from graphrqi.methods import Model
@@ -189,6 +189,17 @@ def _answers(
     return episode.tracks.names, table if every_frame else _last_answers(table)
 
 
+def note_unknown(
+    model: str, truth: Iterable[str | None], classes: Iterable[Behavior], scored: str
+) -> None:
+    """Say in one line which drivers' behaviours a model does not know, and what to do."""
+    if strange := {*truth} - {None, *classes}:
+        LOGGER.warning(
+            "model %s does not know %s: %s; graphrqi train on such data makes a model that does",
+            model, ", ".join(sorted(map(str, strange))), scored,
+        )  # fmt: skip
+
+
 def scored_answers(
     answered: Sequence[Answered], model: str, classes: tuple[Behavior, ...] = BEHAVIORS
 ) -> list[Row]:
@@ -196,12 +207,8 @@ def scored_answers(
 
     Both are "all" over several of them.
     """
-    strange = {word for one in answered for word in one.table["truth"].to_pylist()}
-    if strange := strange - {None, *classes}:
-        LOGGER.warning(
-            "model %s does not know %s: scored by their style alone; graphrqi train on such data "
-            "makes a model that does", model, ", ".join(sorted(strange))
-        )  # fmt: skip
+    truth = {word for one in answered for word in one.table["truth"].to_pylist()}
+    note_unknown(model, truth, classes, "scored by their style alone")
     found = [one for one in answered if one.table.num_rows]
     scenarios = list(dict.fromkeys(one.place for one in found))
     splits = [split for split in get_args(Split) if any(one.entry.split == split for one in found)]
@@ -215,7 +222,7 @@ def scored_answers(
             ]
             if tables:
                 keys = {"model": model, "scenario": scenario, "split": split}
-                rows += score_answers(Answers.of_tables(tables, classes), keys)
+                rows += score_answers(joined_answers(tables), keys, classes=classes)
     return rows
 
 
@@ -242,7 +249,7 @@ def classify_dataset(
             "model": str(model), "episode": one.entry.id, "name": one.entry.name,
             "scenario": one.place, "split": one.entry.split,
         }  # fmt: skip
-        rows += score_answers(Answers.of_tables([one.table], known.classes), keys)
+        rows += score_answers(joined_answers([one.table]), keys, classes=known.classes)
     return [*rows, *scored_answers(answered, str(model), known.classes)]
 
 
@@ -259,7 +266,8 @@ def named_table(rows: Sequence[Row]) -> list[dict[str, Cell]]:
         value = float(row["value"] or 0.0)
         if row["metric"] == "drivers":
             return int(value)
-        return f"{1.0 - value if row['metric'] == 'answered_share' else value:.0%}"
+        share = 1.0 - value if row["metric"] == "answered_share" else value
+        return f"{100 * share:.0f} %"
 
     named = [row for row in rows if row.get("name") is not None]
     lines = pivoted(named, ("episode", "name", "split"), column, cell)
@@ -278,6 +286,6 @@ def domain_notice(rows: Sequence[Row]) -> str | None:
         return None
     return (
         "this traffic is not like the model's training traffic: "
-        f"{1.0 - total['answered_share']:.0%} of the drivers stay unknown; "
+        f"{100 * (1.0 - total['answered_share']):.0f} % of the drivers stay unknown; "
         "graphrqi train --from MODEL --labels FILE adapts the model"
     )

@@ -50,6 +50,12 @@ def adapt(
     """
     trained = dataclasses.replace(load_model(model), adaptation=None)
     check_model_folder(out)
+    if len(trained.classes) > len(BEHAVIORS):
+        found = ", ".join(trained.classes[len(BEHAVIORS) :])
+        raise InputError(
+            f"{model}: found a model that knows {found}, expected one of the six behaviours: "
+            "graphrqi train on such data makes one for them"
+        )
     given = guarded_call(labels, read_driver_labels, labels)
     datasets = [open_dataset(recordings)]
     answered = answer_episodes(trained, datasets, traffic="recorded", quiet=quiet)

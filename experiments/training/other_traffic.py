@@ -14,7 +14,7 @@ from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.worlds.sensor import seen_badly
-from experiments.score.answers import Answers, score_answers
+from experiments.score.answers import known_answers, score_answers
 from experiments.score.rows import Cell, Row
 from graphrqi.features.drivers import DriverObserver
 from graphrqi.features.observer import Observation
@@ -100,7 +100,7 @@ def _scores(learned: OtherTraffic, tracks: Samples) -> list[Row]:
             features = tracks.features[rows].astype(np.float64)
             answer[rows] = learned.among(features, "other", seen, float(time_s), place)
     keys: dict[str, Cell] = {"model": "networks", "scenario": RANDOM_WORLD, "split": "test"}
-    return score_answers(Answers.known(answer, tracks.codes, tracks.episode), keys)
+    return score_answers(known_answers(answer, tracks.codes, tracks.episode), keys)
 
 
 def _gathered(

@@ -27,7 +27,7 @@ from graphrqi.features.smoothed_quantities import (
 )
 from graphrqi.features.spectral import INVARIANT_NAMES, SPECTRAL, GraphSpectrum, spectral_means
 from graphrqi.features.statistics import Block, describe, describe_names, spread
-from graphrqi.graph import Sighting, TrafficGraph
+from graphrqi.graph import TrafficGraph, find_nearest
 
 Kind = Literal["raw", "plain", "smoothed"]
 
@@ -109,11 +109,13 @@ class DriverObserver(Observer):
         motion = self._motion.update(time_s, ids, xy, drives)
         if motion is None:
             return False
-        seen = Sighting.of(motion.ids, motion.xy)
-        self._near = self._near.extended(seen)
+        nearest = find_nearest(motion.ids, motion.xy, NEIGHBORS)
+        self._near = self._near.observe(motion.ids, motion.xy, nearest)
+        if self._spectrum is not None:
+            self._spectrum.observe(motion.ids, motion.xy, nearest)
         moment = self._look(time_s, motion)
         measured = [values(moment) for _, _, values in _TABLES[self._kind]]
-        further = self._further(moment, seen, time_s)
+        further = self._further(moment, motion.ids, time_s)
         drivers = motion.drives
         values, counts = (np.stack(part)[:, drivers] for part in zip(*measured, strict=True))
         sums, rows, step_s = self._evidence.advance(time_s, motion.ids[drivers])
@@ -148,7 +150,7 @@ class DriverObserver(Observer):
         return moment
 
     def _further(
-        self, moment: RawMoment | SmoothedMoment, seen: Sighting, time_s: float
+        self, moment: RawMoment | SmoothedMoment, ids: IntArray, time_s: float
     ) -> FloatArray:
         """(n, E) evidence beside the blocks: on the law of following, and on the spectrum."""
         parts = [np.zeros((moment.v.size, 0))]
@@ -157,23 +159,23 @@ class DriverObserver(Observer):
             held_up = (moment.held_up,) if isinstance(moment, RawMoment) else ()
             parts += [np.where(c[:, None], products, 0.0) for c in (moment.steady, *held_up)]
         if self._spectrum is not None:
-            self._spectrum.observe(seen)
-            parts.append(self._spectrum.moment(time_s, seen.ids))
+            parts.append(self._spectrum.moment(time_s, ids))
         return np.concatenate(parts, axis=1)
 
     @property
     def is_noisy(self) -> bool:
-        """Whether every moment so far showed noise; False before it can be known."""
-        return self._motion.is_noisy
+        """Whether every moment of smoothed motion showed noise; False before it can be known."""
+        return isinstance(self._motion, SmoothMotion) and self._motion.is_noisy
 
     @property
     def is_exact(self) -> bool:
-        """Whether a moment showed no noise, so that `is_noisy` stays False."""
-        return self._motion.is_exact
+        """Whether a moment of smoothed motion showed no noise, so that `is_noisy` stays False."""
+        return isinstance(self._motion, SmoothMotion) and self._motion.is_exact
 
     def scene(self) -> FloatArray:
-        """(S,) the numbers of the scene so far, named by ``SCENE_NAMES``; NaN where unknown."""
+        """(S,) numbers of a scene of smoothed motion, named by ``SCENE_NAMES``; NaN if unknown."""
         mean, deviation = self._usual.moments
+        assert isinstance(self._motion, SmoothMotion)
         noise_m = self._motion.noise_m
         noise = np.log(max(noise_m, LEAST_LEFT_OVER_M))
         left_over = [mean[list(COMPARED).index(name)] - noise for name in LEFT_OVER]

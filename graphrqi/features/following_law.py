@@ -117,13 +117,18 @@ def infer(sums: FloatArray) -> FloatArray:
         >>> infer(sums[None])[0, :2].round(1)
         array([2. , 1.2])
     """
-    gram, target = sums[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]], sums[:, 6:9]
     weight, prior = GAP_NOISE_M**-2, PRIOR_SD**-2
-    covariance = np.linalg.inv(weight * gram + np.diag(prior))
-    mean = np.einsum("nij,nj->ni", covariance, weight * target + PRIOR_MEAN * prior)
-    fitted = np.einsum("ni,nij,nj->n", mean, gram, mean)
-    error = sums[:, 9] - 2.0 * (mean * target).sum(axis=1) + fitted
+    a, b, c, d, e, f = weight * sums[:, :6].T + np.diag(prior)[np.triu_indices(3)][:, None]
+    minors = np.stack(
+        [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b]
+    )
+    minors /= a * minors[0] + b * minors[1] + c * minors[2]
+    symmetric = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
+    covariance, gram, target = minors[symmetric], sums.T[symmetric], sums[:, 6:9].T
+    mean = (covariance * (weight * target + (PRIOR_MEAN * prior)[:, None])).sum(axis=1)
+    fitted = (mean[:, None] * gram * mean).sum(axis=(0, 1))
+    error = sums[:, 9] - 2.0 * (mean * target).sum(axis=0) + fitted
     # Differences of long sums may leave a variance a rounding error below zero.
-    variance = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)
+    deviation = np.sqrt(np.maximum(minors[[0, 3, 5]], 0.0))
     residual = np.sqrt(np.maximum(error, 0.0) / np.maximum(sums[:, 10], 1.0))
-    return np.concatenate([mean, np.sqrt(variance), residual[:, None]], axis=1)
+    return np.ascontiguousarray(np.concatenate([mean, deviation, residual[None]]).T)

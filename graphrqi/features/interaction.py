@@ -75,14 +75,16 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
         Interaction of each vertex.
     """
     row, other = graph.pairs
-    n, facing, away = drives.size, motion.direction[row], motion.xy[other] - motion.xy[row]
+    n, facing = drives.size, motion.direction.take(row, axis=0)
+    away = motion.xy.take(other, axis=0) - motion.xy.take(row, axis=0)
     ahead, aside = along(facing, away), np.abs(leftward(facing, away))
-    walks = drives[row] & ~drives[other] & (aside < BESIDE_M)
-    walks &= (ahead > 0.0) & (ahead < PEDESTRIAN_AHEAD_M)
-    same_way = drives[row] & drives[other]
-    same_way &= along(facing, motion.direction[other]) > SAME_WAY
+    near = np.flatnonzero(drives[row] & (aside < BESIDE_M))
+    row, other, facing = row[near], other[near], facing.take(near, axis=0)
+    ahead, aside = ahead[near], aside[near]
+    walks = ~drives[other] & (ahead > 0.0) & (ahead < PEDESTRIAN_AHEAD_M)
+    same_way = drives[other] & (along(facing, motion.direction.take(other, axis=0)) > SAME_WAY)
     on_path = same_way & (aside < SAME_PATH_M)
-    beside = same_way & ~on_path & (aside < BESIDE_M) & (np.abs(ahead) < ABREAST_M)
+    beside = same_way & ~on_path & (np.abs(ahead) < ABREAST_M)
     found = []
     for there in (on_path & (ahead > 0.0), on_path & (ahead < 0.0), walks):
         found.append(_nearest(row[there], other[there], np.abs(ahead[there]), n))

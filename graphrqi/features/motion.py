@@ -95,15 +95,6 @@ class RawMotion:
     Memory is bounded: the last two seconds of the agents that were present in the last three.
     """
 
-    is_noisy: Final = False
-    """Noise is not looked for."""
-
-    is_exact: Final = False
-    """Exactness is not looked for, either."""
-
-    noise_m: Final = float("nan")
-    """Noise is not measured."""
-
     def __init__(self) -> None:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._times: list[float] = []
@@ -132,7 +123,9 @@ class RawMotion:
             first = min(int(np.searchsorted(times, time_s - span_s - 1e-6)), times.size - 1)
             if first == times.size - 1:
                 return np.full((rows.size, 2), np.nan), np.ones((rows.size, 1))
-            at = first + (~np.isnan(values[rows, first:-1, 0])).argmax(axis=1)
+            at = np.full(rows.size, first)
+            late = np.flatnonzero(np.isnan(values[rows, first, 0]))
+            at[late] += (~np.isnan(values[rows[late], first:-1, 0])).argmax(axis=1)
             return values[rows, -1] - values[rows, at], (time_s - times[at])[:, None]
 
         difference, elapsed_s = change(self._trail, SPAN_S)
@@ -161,7 +154,10 @@ class RawMotion:
         """Store the positions, forget old ones, and return the agents' rows."""
         known = self._ids[self._seen_s >= time_s - FORGET_S]
         merged, rows = merge(known, ids)
-        into, source = align(self._ids, merged)
+        into: IntArray | slice = slice(None)
+        source: IntArray | slice = slice(None)
+        if not merged.size == known.size == self._ids.size:
+            into, source = align(self._ids, merged)
         first = int(np.searchsorted(self._times, time_s - DIRECTION_SPAN_S - 1e-6))
         self._times = [*self._times[first:], time_s]
 

@@ -40,17 +40,18 @@ class FadingSums:
 
     Args:
         shape: of the sums.
+        memory_s: time constant, s.
     """
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.values = np.zeros(shape)
+    def __init__(self, shape: tuple[int, ...], memory_s: float = MEMORY_S) -> None:
+        self.values, self._memory_s = np.zeros(shape), memory_s
         self._time_s: float | None = None
 
     def fade(self, time_s: float) -> float:
         """Forget up to a time; returns the seconds since the last call, 0 at the first one."""
         step_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
-        self.values *= np.exp(-step_s / MEMORY_S)
+        self.values *= np.exp(-max(step_s, 0.0) / self._memory_s)
         return step_s
 
 

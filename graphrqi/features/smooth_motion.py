@@ -22,6 +22,7 @@ import numpy as np
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.motion import Motion, align, along, leftward
+from graphrqi.features.scene import FadingSums
 
 EVERY_S: Final = 0.4
 """Time between moments that are measured, s; half the shortest stretch that is smoothed."""
@@ -113,8 +114,7 @@ class SmoothMotion:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
         self._direction: FloatArray = np.empty((0, 2))
         self._measured_s = -np.inf
-        self._fitted_s = float("nan")
-        self._noise = self._weight = 0.0
+        self._noise = FadingSums((2,), NOISE_MEMORY_S)
         self._fits = 0
         self._least_noise_m = float("nan")
 
@@ -139,7 +139,8 @@ class SmoothMotion:
     @property
     def noise_m(self) -> float:
         """Standard deviation of the positions' errors so far, m; NaN before any estimate."""
-        return self._noise / self._weight if self._weight > 0.0 else float("nan")
+        noise, weight = self._noise.values.tolist()
+        return noise / weight if weight > 0.0 else float("nan")
 
     @property
     def is_noisy(self) -> bool:
@@ -157,8 +158,7 @@ class SmoothMotion:
 
     def _half_s(self) -> float:
         """Half the stretch that is fitted now, s."""
-        noise_m = self.noise_m if self._weight > 0.0 else 0.0
-        share = float(np.sqrt(min(noise_m / FULL_NOISE_M, 1.0)))
+        share = float(np.sqrt(min(np.nan_to_num(self.noise_m) / FULL_NOISE_M, 1.0)))
         half_s = LEAST_HALF_S + (MOST_HALF_S - LEAST_HALF_S) * share
         frame_s = (self._frames[-1][0] - self._frames[0][0]) / (len(self._frames) - 1)
         return min(max(half_s, LEAST_FRAMES * frame_s), MOST_HALF_S)
@@ -217,10 +217,7 @@ class SmoothMotion:
         speed = np.hypot(fitted[:, 1, 0], fitted[:, 1, 1])
         count = (~np.isnan(trail[..., 0])).sum(axis=1)
         told = (speed > LEAST_DIRECTION_MPS) & (count >= 5) & ~np.isnan(fitted[:, 2, 0])
-        step_s = 0.0 if np.isnan(self._fitted_s) else moment - self._fitted_s
-        self._fitted_s = moment
-        kept = float(np.exp(-max(step_s, 0.0) / NOISE_MEMORY_S))
-        self._noise, self._weight = kept * self._noise, kept * self._weight
+        self._noise.fade(moment)
         if not told.any():
             return
         left = left_over(trail[told], times, fitted[told])
@@ -228,8 +225,7 @@ class SmoothMotion:
         across = unit[:, None, 0] * left[..., 1] - unit[:, None, 1] * left[..., 0]
         residual = np.sqrt(np.nansum(across**2, axis=1) / (count[told] - 3))
         median = float(np.median(residual))
-        self._noise += residual.size * median
-        self._weight += residual.size
+        self._noise.values += residual.size * np.array([median, 1.0])
         self._fits += residual.size
         self._least_noise_m = float(np.fmin(self._least_noise_m, median))
 

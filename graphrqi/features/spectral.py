@@ -16,10 +16,11 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.observer import Observation, Observer
-from graphrqi.graph import Sighting, TrafficGraph
+from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
 
 NEIGHBORS: Final = 4
@@ -119,9 +120,11 @@ class GraphSpectrum:
         self._previous: Spectrum | None = None
         self._solved_s = -np.inf
 
-    def observe(self, seen: Sighting) -> None:
-        """Add the next positions to the graph."""
-        self._graph = self._graph.extended(seen)
+    def observe(
+        self, ids: IntArray, xy: FloatArray, nearest: NDArray[np.int32] | None = None
+    ) -> None:
+        """Add the next positions to the graph; see `TrafficGraph.observe`."""
+        self._graph = self._graph.observe(ids, xy, nearest)
 
     def solve(self, ids: IntArray) -> tuple[Spectrum, IntArray, FloatArray]:
         """The spectrum now, the rows of the given agents in it, and the degrees of all vertices."""
@@ -164,7 +167,7 @@ class EigenvectorObserver(Observer):
         self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
     ) -> FloatArray:
         """Extend the graph; there is no additive evidence."""
-        self._spectrum.observe(Sighting.of(ids, xy))
+        self._spectrum.observe(ids, xy)
         return np.zeros((ids.size, 0))
 
     def observation(self) -> Observation:
@@ -194,7 +197,7 @@ class SpectrumObserver(Observer):
         self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
     ) -> FloatArray:
         """(n, SPECTRAL) see `GraphSpectrum.moment`."""
-        self._spectrum.observe(Sighting.of(ids, xy))
+        self._spectrum.observe(ids, xy)
         return self._spectrum.moment(time_s, ids)
 
     def features(self, seconds: FloatArray, sums: FloatArray, instant: FloatArray) -> FloatArray:

@@ -68,7 +68,8 @@ def spread(
     from graphrqi.features.kernels import spread_on_nodes
 
     nodes, _, starts = _scale(blocks)
-    spread_on_nodes(values, counts & ~np.isnan(values), nodes, starts, step_s, rows, sums)
+    counts = np.ascontiguousarray(counts & ~np.isnan(values))  # other layouts compile once more
+    spread_on_nodes(np.ascontiguousarray(values), counts, nodes, starts, step_s, rows, sums)
 
 
 @cache

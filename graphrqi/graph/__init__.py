@@ -9,6 +9,6 @@ Examples:
            [ 0., -1.,  1.]])
 """
 
-from graphrqi.graph.traffic_graph import MAX_COORDINATE_M, Sighting, TrafficGraph
+from graphrqi.graph.traffic_graph import MAX_COORDINATE_M, TrafficGraph, find_nearest
 
-__all__ = ["MAX_COORDINATE_M", "Sighting", "TrafficGraph"]
+__all__ = ["MAX_COORDINATE_M", "TrafficGraph", "find_nearest"]

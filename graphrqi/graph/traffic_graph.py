@@ -8,7 +8,7 @@ not give a Laplacian, see docs/spectrum.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
@@ -22,79 +22,47 @@ if TYPE_CHECKING:
 
 Kind: TypeAlias = Literal["accumulated", "instantaneous"]
 
-
 MAX_COORDINATE_M = 1e9
 """Positions beyond this are refused: doubles there are 0.1 um apart."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """Vehicles at one moment; make one with `of`, which checks them.
+def find_nearest(ids: NDArray[np.int64], xy: NDArray[np.float64], k: int) -> NDArray[np.int32]:
+    """(n, k) rows of the nearest others of every vehicle, by distance, then by id.
 
-    The nearest neighbours are searched once; a later call for fewer of them returns the first ones.
-
-    Attributes:
-        ids: (n,) different ids.
-        xy: (n, 2) positions, m, read-only.
+    There are n - 1 columns where fewer exist.
 
     Examples:
-        >>> seen = Sighting.of([3, 1, 2], [[0.0, 0.0], [1.0, 0.0], [9.0, 0.0]])
-        >>> seen.nearest(1).tolist()
-        [[1], [0], [1]]
+        >>> find_nearest(np.array([3, 1, 2]), np.array([[0.0, 0], [1, 0], [9, 0]]), 1).ravel()
+        array([1, 0, 1], dtype=int32)
     """
+    from graphrqi.graph.kernels import nearest_neighbors
 
-    ids: NDArray[np.int64]
-    xy: NDArray[np.float64]
-    _searched: list[NDArray[np.int32]] = field(default_factory=list, init=False, repr=False)
+    return nearest_neighbors(ids, xy, max(min(k, ids.size - 1), 0))
 
-    @classmethod
-    def of(cls, ids: ArrayLike, xy: ArrayLike) -> Sighting:
-        """Check what was seen.
 
-        Args:
-            ids: (n,) different whole numbers.
-            xy: (n, 2) finite positions, m.
-
-        Raises:
-            InputError: for repeated ids, positions that are not finite, or wrong shapes.
-        """
-        new_ids = checked_ids(ids)
-        ordered = np.sort(new_ids)
-        twice = ordered[:-1][ordered[1:] == ordered[:-1]]
-        if twice.size:
-            raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
-        try:
-            positions = np.array(xy, dtype=np.float64, order="C")  # the caller may reuse its array
-        except (TypeError, ValueError) as error:
-            raise InputError(f"xy: found {xy!r:.60}, expected numbers ({error})") from error
-        if positions.size == 0 and new_ids.size == 0:
-            positions = np.empty((0, 2))
-        if positions.shape != (new_ids.size, 2):
-            raise InputError(f"xy: found shape {positions.shape}, expected ({new_ids.size}, 2)")
-        if not (np.abs(positions) <= MAX_COORDINATE_M).all():
-            row = int(np.flatnonzero(~(np.abs(positions) <= MAX_COORDINATE_M).all(axis=1))[0])
-            raise InputError(
-                f"xy: found {positions[row].tolist()} for vehicle {new_ids[row]}, "
-                f"expected finite metres below {MAX_COORDINATE_M:g}"
-            )
-        positions.flags.writeable = False
-        return cls(new_ids, positions)
-
-    def nearest(self, neighbors: int) -> NDArray[np.int32]:
-        """The nearest others of every vehicle, by distance, then by id.
-
-        Args:
-            neighbors: how many; n - 1 where fewer exist.
-
-        Returns:
-            (n, k) rows of the neighbours, nearest first.
-        """
-        from graphrqi.graph.kernels import nearest_neighbors
-
-        k = max(min(neighbors, self.ids.size - 1), 0)
-        if not self._searched or self._searched[-1].shape[1] < k:
-            self._searched.append(nearest_neighbors(self.ids, self.xy, k))
-        return np.ascontiguousarray(self._searched[-1][:, :k])
+def _checked(ids: ArrayLike, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Ids (n,) and positions (n, 2); `InputError` for repeated ids, gaps or wrong shapes."""
+    new_ids = checked_ids(ids)
+    ordered = np.sort(new_ids)
+    twice = ordered[:-1][ordered[1:] == ordered[:-1]]
+    if twice.size:
+        raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
+    try:
+        positions = np.asarray(xy, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"xy: found {xy!r:.60}, expected numbers ({error})") from error
+    if positions.size == 0 and new_ids.size == 0:
+        positions = np.empty((0, 2))
+    if positions.shape != (new_ids.size, 2):
+        raise InputError(f"xy: found shape {positions.shape}, expected ({new_ids.size}, 2)")
+    near = np.abs(positions) <= MAX_COORDINATE_M
+    if not near.all():
+        row = int(np.flatnonzero(~near.all(axis=1))[0])
+        raise InputError(
+            f"xy: found {positions[row].tolist()} for vehicle {new_ids[row]}, "
+            f"expected finite metres below {MAX_COORDINATE_M:g}"
+        )
+    return new_ids, positions
 
 
 def checked_ids(ids: ArrayLike, what: str = "ids") -> NDArray[np.int64]:
@@ -232,12 +200,15 @@ class TrafficGraph:
         none = np.empty(0, np.int64)
         return cls(none, *_laplacian(none, none, 0), 0, neighbors, reset, kind)
 
-    def observe(self, ids: ArrayLike, xy: ArrayLike) -> TrafficGraph:
+    def observe(
+        self, ids: ArrayLike, xy: ArrayLike, nearest: NDArray[np.int32] | None = None
+    ) -> TrafficGraph:
         """Return the next graph, after one look at all vehicles.
 
         Args:
             ids: (n,) different whole numbers.
             xy: (n, 2) finite positions, m.
+            nearest: (n, k) from `find_nearest`, if that is known already.
 
         Returns:
             The graph of these vehicles; in an accumulated graph also of those seen since the
@@ -249,36 +220,28 @@ class TrafficGraph:
             InputError: for repeated ids, positions that are not finite, or wrong shapes; if the
                 graph was made from edges.
         """
-        return self.extended(Sighting.of(ids, xy))
-
-    def extended(self, seen: Sighting) -> TrafficGraph:
-        """Return the next graph as `observe` does; several graphs may share one sighting.
-
-        Args:
-            seen: the vehicles, whose neighbours are searched once for all graphs.
-
-        Raises:
-            InputError: if the graph was made from edges.
-        """
         if not self.neighbors:
             raise InputError("graph: found one made from edges, expected TrafficGraph.empty(...)")
+        seen, positions = _checked(ids, xy)
+        if nearest is None:
+            nearest = find_nearest(seen, positions, self.neighbors)
+        nearest = nearest[:, : self.neighbors]
         keep = self.kind == "accumulated" and 0 < self.observations < self.reset
-        row_of, ids = np.arange(seen.ids.size), seen.ids
+        row_of, rows = np.arange(seen.size), seen
         if keep:
-            row_of, ids = self.rows_of(seen.ids), self.ids  # one array for the same vehicles
+            row_of, rows = self.rows_of(seen), self.ids  # one array for the same vehicles
             unseen = row_of < 0
             if unseen.any():
                 row_of[unseen] = np.arange(unseen.sum()) + self.ids.size
-                ids = np.concatenate([self.ids, seen.ids[unseen]])
-        elif np.array_equal(self.ids, ids):
-            ids = self.ids
-        nearest = seen.nearest(self.neighbors)
+                rows = np.concatenate([self.ids, seen[unseen]])
+        elif np.array_equal(self.ids, seen):
+            rows = self.ids
         ends = np.repeat(row_of, nearest.shape[1]), row_of[nearest.ravel()]
         joined = [ends, ends[::-1], *([self.pairs] if keep else [])]
         line, column = (np.concatenate(part) for part in zip(*joined, strict=True))
         count = self.observations + 1 if keep else 1
         rule = self.neighbors, self.reset, self.kind
-        return TrafficGraph(ids, *_laplacian(line, column, ids.size), count, *rule)
+        return TrafficGraph(rows, *_laplacian(line, column, rows.size), count, *rule)
 
     def rows_of(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Rows (n,) of vehicles ``ids`` (n,), -1 for those that are not in the graph."""

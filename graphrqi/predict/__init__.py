@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -52,8 +53,8 @@ def chosen_predictor(name: str) -> Predictor:
             the working folder.
 
     Raises:
-        InputError: if the name is unknown; in a call, if the user's function does not return a
-            `Prediction`.
+        InputError: if the name is unknown; in a call, if the user's function fails or does not
+            return a `Prediction`.
     """
     from graphrqi.predict.prediction import Prediction
 
@@ -62,7 +63,14 @@ def chosen_predictor(name: str) -> Predictor:
     function = own_function("predictor", name)
 
     def checked(scene: Scene, posterior: Posterior) -> Prediction:
-        prediction = function(scene, posterior)
+        try:
+            prediction = function(scene, posterior)
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            raise InputError(
+                f"predictor: found {type(error).__name__} in {name!r}, {where.filename} line "
+                f"{where.lineno}: {error}; expected a Prediction"
+            ) from error
         if not isinstance(prediction, Prediction):
             raise InputError(
                 f"predictor: found {type(prediction).__name__} from {name!r}, expected a Prediction"

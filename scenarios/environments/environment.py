@@ -22,6 +22,7 @@ from behaviors.labels import BEHAVIORS
 from scenarios import get_scenario
 from scenarios.environments.config import TrafficConfig, makes_one, read_config
 from scenarios.environments.observation import (
+    exchange_sides,
     observable_agents,
     observation_space,
     observe_agents,
@@ -30,6 +31,7 @@ from scenarios.environments.observation import (
 )
 from sim.episode.buffer import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
+from sim.highway import ego as ego_vehicles
 from sim.highway.ego import (
     EgoEnv,
     Observation,
@@ -288,6 +290,12 @@ class TrafficEnv(EgoEnv):
         self._enter(ego, lane, room, speed)
         self.events = []
 
+    def define_spaces(self) -> None:
+        """Make the configured spaces; on roads with left-hand traffic, sides are exchanged."""
+        super().define_spaces()
+        if self.scenario.road.left_hand:
+            ego_vehicles.exchange_sides(self.action_type)
+
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
         """All agents but the ego vehicles, in an episode whose traffic has this seed."""
         return sample_agents(self.scenario, seed)
@@ -526,6 +534,8 @@ class TrafficEnv(EgoEnv):
         }
         if self.config["observation"] == "graph":
             found |= observe_graph(vehicle, others, observed)
+        if self.scenario.road.left_hand:
+            exchange_sides(found)
         return found
 
     def _behaviors(self, others: list[Any]) -> FloatArray | None:

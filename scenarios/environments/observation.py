@@ -171,5 +171,15 @@ def observe_graph(ego: Any, others: list[Any], observed: int) -> Observation:
     return {"mask": mask, "adjacency": adjacency}
 
 
+def exchange_sides(found: Observation) -> None:
+    """Exchange left and right in an observation of traffic that is driven in its mirror."""
+    ego, agents = found["ego"], found["agents"]
+    for name in ("offset", "heading"):
+        ego[EGO_FEATURES.index(name)] *= -1.0
+    left, right = (EGO_FEATURES.index(f"lanes_{side}") for side in ("left", "right"))
+    ego[[left, right]] = ego[[right, left]]
+    agents[:, [AGENT_FEATURES.index(name) for name in ("y", "vy", "sin_heading")]] *= -1.0
+
+
 def _unit(values: FloatArray) -> NDArray[np.float32]:
     return np.clip(values, -1.0, 1.0).astype(np.float32)

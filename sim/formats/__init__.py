@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from behaviors.errors import InputError
 from behaviors.registry import Registry, loaded
@@ -24,15 +24,6 @@ if TYPE_CHECKING:
     from sim.formats.common.recording import Recording
     from sim.frames import Tracks
     from sim.road import Road
-
-    class Index(Protocol):
-        """An index of the files that were written to a folder."""
-
-        def add(self, files: Sequence[Path], name: str, tracks: Tracks, road: Road | None) -> None:
-            """Take note of an episode's files."""
-
-        def write(self, folder: Path) -> list[Path]:
-            """Write the index into the folder of the files."""
 
     Reader = Callable[..., Iterator[Recording]]
     Writer = Callable[[Path, str, Tracks, Road | None], list[Path]]
@@ -278,19 +269,10 @@ def get_writer(name: str) -> Writer:
     return cast("Writer", loaded(source))
 
 
-def new_index(name: str) -> Index | None:
-    """An empty index for files of a format; None if the format needs none."""
+def new_index(name: str) -> Any:
+    """An empty index for files of a format, such as `scenarionet.Index`; None if it needs none."""
     source = FORMATS[name].index
-    return None if source is None else cast("Callable[[], Index]", loaded(source))()
-
-
-def first_file(folder: Path, name: str) -> Path | None:
-    """A file of a format in a folder; None where there is none."""
-    entry = FORMATS[name]
-    for file in _files(folder, entry.files):
-        if entry.reader is None or entry.own_names or entry.recognises(file):
-            return file
-    return None
+    return None if source is None else loaded(source)()
 
 
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
@@ -23,10 +22,8 @@ from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
 from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
 from sim.formats.common.tables import read_table
-from sim.frames import Tracks
+from sim.frames import FloatArray, Tracks
 from sim.input_files import beside, plain_name, stem
-
-FloatArray = NDArray[np.float64]
 
 FRAME_RATE_HZ: Final = 10.0
 """Frames per second that are assumed (Argoverse's tracking data has 10)."""

@@ -17,16 +17,13 @@ from typing import Final
 
 import numpy as np
 import pandas
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
 from sim.formats.common.tables import read_text
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.input_files import opened, plain_name, stem
-
-FloatArray = NDArray[np.float64]
 
 PERIOD_S: Final = 0.1
 """Time between two frames, s."""

@@ -28,12 +28,10 @@ from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.driving_scene import STATES, DrivingScene, SceneAgent, recording_of
 from sim.formats.common.recording import Recording
-from sim.frames import KINDS, AgentKind, Signal, Tracks
+from sim.frames import KINDS, AgentKind, FloatArray, Signal, Tracks
 from sim.input_files import read_bytes, stem
 from sim.road import Road
 from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane
-
-FloatArray = NDArray[np.float64]
 
 # --- reading ------------------------------------------------------------------------------------
 
@@ -309,38 +307,30 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
     Returns:
         The dictionary; numbers are 0 where an agent is not valid.
     """
-    t = tracks.time_s.size
-    rows = tracks.rows
+    heading, speed, valid = tracks.heading, tracks.speed, tracks.valid
+    velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=2)
+    heights = np.zeros((*valid.shape, 1))
+    series = {
+        "position": np.concatenate([tracks.xy, heights], axis=2),
+        "heading": heading,
+        "velocity": velocity,
+        "length": tracks.length[:, None],
+        "width": tracks.width[:, None],
+        "height": np.full((1, 1), HEIGHT_M),
+    }
     agents: dict[str, Any] = {}
     for i, label in enumerate(tracks.names):
-        at = rows.index.rows(i)
-        valid = np.zeros(t, dtype=bool)
-        valid[rows.index.step[at]] = True
-
-        def seen(
-            values: NDArray[np.float64] | float, valid: NDArray[np.bool_] = valid
-        ) -> NDArray[np.float32]:
-            filled = np.zeros((t, *np.shape(values)[1:]), dtype=np.float32)
-            filled[valid] = values
-            return filled
-
-        heading, speed = rows.heading[at], rows.speed[at]
-        velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=1)
         code = -1 if tracks.behavior is None else int(tracks.behavior[i])
-        size = {
-            "length": seen(tracks.length[i]),
-            "width": seen(tracks.width[i]),
-            "height": seen(HEIGHT_M),
-        }
+        state: dict[str, Any] = {}
+        for field, values in series.items():
+            own = values[i % len(values)]
+            seen = valid[i].reshape(-1, *[1] * (own.ndim - 1))
+            state[field] = np.where(seen, own, 0.0).astype(np.float32)
+            if field == "velocity":
+                state["valid"] = valid[i].copy()
         agents[label] = {
             "type": TYPES[KINDS[tracks.kind[i]]],
-            "state": {
-                "position": seen(_flat(rows.xy[at])),
-                "heading": seen(heading),
-                "velocity": seen(velocity),
-                "valid": valid,
-                **size,
-            },
+            "state": state,
             "metadata": {
                 "track_length": int(tracks.time_s.size),
                 "type": TYPES[KINDS[tracks.kind[i]]],
@@ -350,7 +340,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
         }
     summary = {key: _object_summary(key, agent) for key, agent in agents.items()}
     features = {} if road is None else _map_features(road)
-    longest = int(np.argmax(np.diff(rows.index.first))) if len(tracks.names) else 0
+    longest = int(np.argmax(valid.sum(axis=1))) if len(tracks.names) else 0
     return {
         "id": name,
         "version": VERSION,
@@ -418,27 +408,12 @@ class Index:
         self._summary: dict[str, dict[str, Any]] = {}
 
     def add(self, files: Sequence[Path], name: str, tracks: Tracks, road: Road | None) -> None:
-        """Take note of an episode's file.
-
-        Args:
-            files: what `write` gave.
-            name: the episode's id.
-            tracks: the episode.
-            road: where it happened, if known.
-        """
+        """Take note of an episode's files, given what `write` was given."""
         found = description(name, tracks, road)["metadata"]
-        for file in files:
-            self._summary[file.name] = {**found, "ts": found["ts"].tolist()}
+        self._summary |= {file.name: {**found, "ts": found["ts"].tolist()} for file in files}
 
     def write(self, folder: Path) -> list[Path]:
-        """Write both files.
-
-        Args:
-            folder: that of the episodes' files.
-
-        Returns:
-            The files written.
-        """
+        """Write both files into the folder of the episodes' files."""
         paths = [folder / SUMMARY, folder / MAPPING]
         mapping = dict.fromkeys(self._summary, "")  # "": in the same folder
         for path, content in zip(paths, (self._summary, mapping), strict=True):

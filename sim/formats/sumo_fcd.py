@@ -188,8 +188,9 @@ def _steps_of_table(path: Path) -> Iterator[Step]:
     table = read_table(path, numbers, [CLOCK, *words], [*numbers, *words], [*numbers, *words])
     code, texts = table.codes(CLOCK)
     times_s = np.array([seconds_of(f"{path}: column {CLOCK}", text) for text in texts])[code]
+    columns = table.columns.astype(object).where(table.columns.notna(), None)
     for now_s in np.unique(times_s).tolist():
-        rows = table.part(np.flatnonzero(times_s == now_s)).columns.to_pylist()
+        rows = columns[times_s == now_s].to_dict("records")
         yield now_s, [agent for row in rows for tag in tags if (agent := _in_row(row, tag))]
 
 

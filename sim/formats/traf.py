@@ -195,13 +195,7 @@ class Sheet:
 
 
 def read_sheet(path: Path) -> Sheet:
-    """Read one annotator's sheet.
-
-    Args:
-        path: ``<letter><video>.xlsx``.
-
-    Returns:
-        What it says.
+    """Read one annotator's sheet, ``<letter><video>.xlsx``.
 
     Raises:
         InputError: naming file and row, if the sheet is broken.
@@ -212,20 +206,18 @@ def read_sheet(path: Path) -> Sheet:
     if name is None or not path.is_file():
         raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")
     with broken_as_one_line(path, "an .xlsx sheet"):
-        table = pandas.read_excel(path, header=None, engine="openpyxl")
+        table = pandas.read_excel(path, header=None, engine="openpyxl").dropna(how="all")
     traits: dict[int, tuple[Trait, ...]] = {}
-    for number, row in enumerate(table.itertuples(index=False), 1):
-        cells = ["" if pandas.isna(cell) else str(cell).strip() for cell in row]
-        if not any(cells):
-            continue
+    for number, cells in zip(table.index + 1, table.to_numpy(object).tolist(), strict=True):
         where = f"{path}: row {number}"
         agent = _whole(where, "A", cells)
+        count = 0 if len(cells) < 4 or pandas.isna(cells[3]) else _whole(where, "D", cells)
         if agent in traits:
             raise InputError(f"{where}: found agent {agent} a second time, expected it once")
-        count = _whole(where, "D", cells) if len(cells) > 3 and cells[3] else 0
-        most = max(len(cells) - 4, 0)
-        if not 0 <= count <= most:
-            raise InputError(f"{where}, column D: found {count} traits, expected 0 to {most}")
+        if not 0 <= count <= max(len(cells) - 4, 0):
+            raise InputError(
+                f"{where}, column D: found {count} traits, expected 0 to {max(len(cells) - 4, 0)}"
+            )
         codes = [_whole(where, chr(ord("E") + i), cells) for i in range(count)]
         unknown = [code for code in codes if code not in TRAIT_CODES]
         if unknown:
@@ -234,9 +226,9 @@ def read_sheet(path: Path) -> Sheet:
     return Sheet(name[1], int(name[2]), {agent: noted for agent, noted in traits.items() if noted})
 
 
-def _whole(where: str, column: str, cells: list[str]) -> int:
+def _whole(where: str, column: str, cells: list[object]) -> int:
     """A cell of a row as a whole number."""
-    text = cells[ord(column) - ord("A")]
+    text = str(cells[ord(column) - ord("A")]).strip()
     if not re.fullmatch(r"-?[0-9]{1,9}(\.0+)?", text):
         raise InputError(f"{where}, column {column}: found {text!r:.60}, expected a number")
     return int(float(text))
@@ -259,24 +251,11 @@ def video_number(path: Path) -> int | None:
 
 
 def sheets_beside(path: Path) -> tuple[Sheet, ...]:
-    """The sheets that lie beside a video's tracks.
-
-    Args:
-        path: its tracks, ``..._gt.txt``.
-
-    Returns:
-        All annotators' sheets on it in the tracks' folder, or else in a folder ``annotations``
-        there or beside that folder; empty if there are none.
-
-    Raises:
-        InputError: if a sheet is broken.
-    """
-    number = video_number(path)
-    folder = path.resolve().parent
-    if number is None:
-        return ()
+    """The sheets of a video: beside its tracks, or in a folder ``annotations`` there or nearby."""
+    number, folder = video_number(path), path.resolve().parent
     places = (folder, folder / "annotations", folder.parent / "annotations")
-    return next((found for place in places if (found := sheets_of(place, number))), ())
+    every = () if number is None else (sheets_of(place, number) for place in places)
+    return next((found for found in every if found), ())
 
 
 def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:

@@ -51,6 +51,17 @@ class StockDriver(ActionType):  # type: ignore[misc]
         """Do nothing: the vehicle decides."""
 
 
+def exchange_sides(actions: ActionType) -> None:
+    """Let actions steer to their other side, as vehicles in a mirror do."""
+    if isinstance(actions, DiscreteMetaAction):
+        other = {"LANE_LEFT": "LANE_RIGHT", "LANE_RIGHT": "LANE_LEFT"}
+        actions.actions = {key: other.get(name, name) for key, name in actions.actions.items()}
+        actions.actions_indexes = {name: key for key, name in actions.actions.items()}
+    elif isinstance(actions, ContinuousAction):
+        low, high = actions.steering_range
+        actions.steering_range = (-low, -high)
+
+
 ACTIONS: Final[dict[str, type[ActionType]]] = {
     "DiscreteMetaAction": DiscreteMetaAction,
     "DiscreteAction": DiscreteAction,

@@ -46,10 +46,11 @@ than this."""
 
 @functools.lru_cache(maxsize=8)
 def network_of(road: Road) -> HighwayNetwork:
-    """The highway-env network of a road, built on first use and kept; nothing changes it."""
-    if road.left_hand:
-        raise InputError(f"road {road.name:.60}: found left-hand traffic, expected its mirror")
-    return build_network(road)
+    """The highway-env network of a road, built on first use and kept; nothing changes it.
+
+    highway-env drives on the right: a road with left-hand traffic is driven in its mirror.
+    """
+    return build_network(road.mirrored if road.left_hand else road)
 
 
 def run(
@@ -73,10 +74,10 @@ def run(
         raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
     if len({a.id for a in agents}) != len(agents):
         raise InputError("agents: found an id twice, expected unique ids")
-    left_hand = scenario.road.left_hand
-    road = TrafficRoad(network_of(scenario.road.mirrored if left_hand else scenario.road))
-    frames = _frames(scenario, road, Demand(road, agents, seed, law))
-    return map(_mirrored, frames) if left_hand else frames
+    road = TrafficRoad(network_of(scenario.road))
+    demand = Demand(road, agents, seed, law)
+    frames = _frames(scenario, road, demand)
+    return map(_mirrored, frames) if scenario.road.left_hand else frames
 
 
 def run_krauss(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:

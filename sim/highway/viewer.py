@@ -81,6 +81,8 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         surface.move_display_window_to(self.window_position())
         _draw_road(surface, self._shapes, self.env.road.signals)
         _draw_traffic(surface, self.env.road, self.env.vehicle)
+        if self.env.scenario.road.left_hand:
+            surface.blit(pygame.transform.flip(surface, False, True), (0, 0))
         self._legend(surface)
         if not self.offscreen:
             self.screen.blit(surface, (0, 0))

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim.frames import FloatArray, IntArray
+
 IndexArray = NDArray[np.int32]
 
 MOST_CELLS_PER_BOX: Final = 64

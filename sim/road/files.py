@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -44,38 +42,23 @@ def read_road_file(
             from sim.road.maps import lanelet2
 
             return lanelet2.read_map(path, name, origin)
-        return _reader(path)(path, name)
+        if path.name.endswith(".road.json"):
+            from sim.road.maps.stored import read_stored
 
+            return read_stored(path, name)
+        if path.suffix == MAP_SUFFIX:
+            from sim.road.maps import argoverse2
 
-def _reader(path: Path) -> Callable[[Path, str | None], Road]:
-    if path.name.endswith(".road.json"):
-        from sim.road.maps.stored import read_stored
-
-        return read_stored
-    if path.suffix == MAP_SUFFIX:
-        return _argoverse2
-    if path.name.endswith((".xml", ".xml.gz")) and _is_commonroad(path):
-        from sim.road.maps.commonroad import read_map
-
-        return read_map
-    from sim.road.net import read_road
-
-    return read_road
-
-
-def _argoverse2(path: Path, name: str | None) -> Road:
-    from sim.road.maps.argoverse2 import read_map
-
-    road = read_map(path, name)
-    if road is None:
-        raise InputError(f"{path}: found no lane segment, expected at least one")
-    return road
-
-
-def _is_commonroad(path: Path) -> bool:
-    """Whether an XML file's root element is CommonRoad's."""
-    try:
+            road = argoverse2.read_map(path, name)
+            if road is None:
+                raise InputError(f"{path}: found no lane segment, expected at least one")
+            return road
         with opened(path) as file:
-            return b"<commonRoad" in file.read(ROOT_BYTES)
-    except (OSError, EOFError, InputError, zlib.error):
-        return False  # its reader reports the error
+            commonroad = b"<commonRoad" in file.read(ROOT_BYTES)
+        if commonroad:
+            from sim.road.maps.commonroad import read_map
+
+            return read_map(path, name)
+        from sim.road.net import read_road
+
+        return read_road(path, name)

@@ -13,16 +13,12 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.frames import BoolArray, FloatArray, IntArray
 from sim.geometry import LEAST_PIECE_M, Pieces, meeting, pieces_of
 from sim.road import LanePosition, Road
 from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 DIRECTIONS: Final = ("straight", "right", "left", "turnaround")
 """Directions at the end of a lane, by preference where nothing else is known; their order is the

@@ -8,16 +8,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.compiled import in_place
+from sim.frames import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from sim.road.lane_graph import LaneGraph
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LOOK_AHEAD_M = 200.0
 """Leaders, signals and crossings farther than this are not seen (14 s at 14 m/s)."""

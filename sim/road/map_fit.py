@@ -14,11 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import PEDESTRIAN, Tracks
+from sim.frames import PEDESTRIAN, FloatArray, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
-
-FloatArray = NDArray[np.float64]
 
 MOVING_MPS: Final = 1.0
 """Slower agents do not count: parked cars stand beside lanes, m/s."""

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import re
-import xml.sax
-import zlib
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
-from xml.sax.saxutils import unescape
 
 import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import Signal
-from sim.geometry import distances_along
-from sim.input_files import read_bytes
+from sim.input_files import broken_as_one_line, read_bytes, read_once
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
+from sim.road.maps.lanelets import check_lines
 from sim.xml_tree import refuse_declarations
 
 _DIRECTIONS: Final = {
@@ -59,23 +54,8 @@ HEAD_BYTES: Final = 65536
 MAX_NET_BYTES: Final = 2**28
 """Largest net that is read, unpacked (256 MiB; a district of a city has some 20)."""
 
-MAX_COORDINATE_M: Final = 1e9
 MAX_WIDTH_M: Final = 1000.0
-MAX_LENGTH_M: Final = 1e7
-"""Largest coordinate, width and length of all lanes together (as of other maps)."""
-
-_NO_NUMBER: Final = re.compile(
-    rb"""\s(?:shape|speed|length|width)\s*=\s*(?:"[^"]*[_\x80-\xff][^"]*"|'[^']*[_\x80-\xff][^']*')"""
-)
-"""Spellings of numbers that sumolib, as Python does, accepts and other programs reject:
-``1_0``."""
-
-_BROKEN: Final = (
-    xml.sax.SAXException, ArithmeticError, AssertionError, AttributeError, EOFError, LookupError,
-    OSError, RuntimeError, TypeError, ValueError, zlib.error,
-)  # fmt: skip
-"""Exceptions of sumolib on a broken net."""
-
+"""Widest lane, m."""
 
 _LEFT_HAND: Final = re.compile(rb"""<net\b[^>]*?\blefthand\s*=\s*["'](?:true|1)["']""")
 _OFFSET: Final = re.compile(
@@ -106,7 +86,8 @@ def signal_code(letter: str) -> int:
     return _STATES[letter].code
 
 
-def read_road(path: str | Path, name: str | None = None) -> Road:
+@read_once
+def read_road(path: Path, name: str | None = None) -> Road:
     """Read a SUMO net.
 
     Args:
@@ -119,64 +100,13 @@ def read_road(path: str | Path, name: str | None = None) -> Road:
     Raises:
         InputError: if the file is missing or is not a SUMO net with at least one drivable lane.
     """
-    source = Path(path)
-    if not source.is_file():
-        raise InputError(f"{source}: found no file, expected a SUMO net (.net.xml)")
-    stat = source.stat()
-    return _read(source.absolute(), name, stat.st_mtime_ns, stat.st_size)
-
-
-@functools.lru_cache(maxsize=16)
-def _read(source: Path, name: str | None, changed_ns: int, size: int) -> Road:
-    """The road in a net's file: read once as long as the file stays as it is."""
-    data = read_bytes(source, MAX_NET_BYTES)
-    refuse_declarations(source, data)
-    odd = _NO_NUMBER.search(data)
-    if odd is not None:
-        told = odd[0][:60].decode("utf-8", "replace").strip()
-        raise InputError(f"{source}: found {told!r}, expected numbers")
-    try:
-        road = _road(source, name)
-    except InputError as error:
-        raise InputError(f"{source}: {error}") from None
-    except _BROKEN as error:
-        reason = " ".join(str(error).split())
-        if isinstance(error, AttributeError | LookupError | TypeError) or not reason:
-            reason = "a part is missing, or is of another kind"
-        raise InputError(
-            f"{source}: found a broken file, expected a SUMO net ({reason:.200})"
-        ) from None
-    if _LEFT_HAND.search(data[:HEAD_BYTES]):
-        road = dataclasses.replace(road, left_hand=True)
-    _check_ids(source, data.replace(b"\0", b""), road)
-    _check(source, road)
-    return road
-
-
-_ID: Final = re.compile(rb"""<(edge|lane)\b[^>]*?\sid\s*=\s*(?:"([^"]*)"|'([^']*)')""")
-"""An edge's or a lane's id."""
-
-
-def _check_ids(source: Path, data: bytes, road: Road) -> None:
-    """Refuse lanes whose ids are not those of their edges, as SUMO calls them."""
-    told: dict[str, list[str]] = {}
-    edge = ""
-    for kind, plain, other in _ID.findall(data):
-        name = unescape((plain or other).decode("utf-8", "replace"), {"&quot;": '"', "&apos;": "'"})
-        if kind == b"edge":
-            edge = name
-        else:
-            told.setdefault(edge, []).append(name)
-    for lane in road.lanes:
-        here = told.get(lane.edge, [])
-        if lane.id not in here[lane.index : lane.index + 1]:
-            raise InputError(
-                f"{source}: edge {lane.edge!r:.60}: found the lanes {', '.join(here)[:80]!r}, "
-                f"expected {lane.id!r:.60} as number {lane.index}"
-            )
-    twice = Counter(name for names in told.values() for name in names)
-    if twice and (most := twice.most_common(1)[0])[1] > 1:
-        raise InputError(f"{source}: found lane {most[0]!r:.60} {most[1]} times, expected it once")
+    with broken_as_one_line(path, "a SUMO net (.net.xml)"):
+        data = read_bytes(path, MAX_NET_BYTES)
+        refuse_declarations(path, data)
+        road = _road(path, name)
+        _check(road)
+        left_hand = _LEFT_HAND.search(data[:HEAD_BYTES]) is not None
+        return dataclasses.replace(road, left_hand=left_hand)
 
 
 def _road(source: Path, name: str | None) -> Road:
@@ -204,36 +134,26 @@ def _road(source: Path, name: str | None) -> Road:
     )
 
 
-def _check(source: Path, road: Road) -> None:
+def _check(road: Road) -> None:
     """Refuse a net whose numbers or references make no road."""
-
-    def require(holds: bool, what: str, found: object, expected: str) -> None:
-        if not holds:
-            raise InputError(f"{source}: {what}: found {found}, expected {expected}")
-
-    lanes = {lane.id for lane in road.lanes}
-    require(len(lanes) == len(road.lanes), "lanes", "an id twice", "each id once")
-    total_m = 0.0
     parts: tuple[Lane | Crossing, ...] = (*road.lanes, *road.crossings)
+    check_lines(road.source, [part.centerline for part in parts])
     for part in parts:
-        what = f"{'crossing' if isinstance(part, Crossing) else 'lane'} {part.id!r:.60}"
-        line, width = part.centerline, part.width_m
-        require(len(line) >= 2, what, f"{len(line)} points", "2 or more")
-        near = bool((np.abs(line) <= MAX_COORDINATE_M).all())
-        require(near, what, "a point that is not finite or too far away", "metres")
-        require(0 < width <= MAX_WIDTH_M, what, f"width {width}", f"up to {MAX_WIDTH_M:g} m")
-        total_m += float(distances_along(line)[-1])
-    require(total_m <= MAX_LENGTH_M, "lanes", f"{total_m:.3g} m", f"at most {MAX_LENGTH_M:g}")
-    for lane in road.lanes:
-        limit = lane.speed_limit_mps
-        require(0 <= limit < np.inf, f"lane {lane.id!r:.60}", f"speed {limit}", "m/s")
-    for link in road.connections:
-        for lane_id in (link.from_lane, *link.via, link.to_lane):
-            require(lane_id in lanes, "connection", f"lane {lane_id!r:.60}", "a lane of the net")
+        limit = getattr(part, "speed_limit_mps", 0.0)
+        if not (0 < part.width_m <= MAX_WIDTH_M and 0 <= limit < np.inf):
+            raise InputError(
+                f"{part.id!r:.60}: found width {part.width_m} m and speed {limit} m/s, expected "
+                f"up to {MAX_WIDTH_M:g} m and a limit"
+            )
+    if len(road.lane_index) < len(road.lanes):
+        raise InputError("lanes: found an id twice, expected each once")
+    named = {i for link in road.connections for i in (link.from_lane, *link.via, link.to_lane)}
+    if not named <= road.lane_index.keys():
+        raise InputError(f"connection: found lane {min(named - {*road.lane_index})!r:.60} nowhere")
     for plan in road.signal_plans:
-        durations = np.array([*plan.duration_s, plan.offset_s])
-        fits = np.isfinite(durations).all() and (durations[:-1] >= 0).all() and sum(durations[:-1])
-        require(bool(fits), f"signals {plan.id!r:.60}", "broken durations", "seconds")
+        lasts = np.array(plan.duration_s)
+        if not (np.isfinite([*lasts, plan.offset_s]).all() and (lasts >= 0).all() and lasts.sum()):
+            raise InputError(f"signals {plan.id!r:.60}: found broken durations, expected seconds")
 
 
 def _edges(net: Any) -> list[Any]:

@@ -14,13 +14,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.display import counted
-from sim.frames import Signal
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim.frames import FloatArray, IntArray, Signal
 
 MARGIN_M: Final = 10.0
 """White round a picture, m."""

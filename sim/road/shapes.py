@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
+from sim.frames import FloatArray
 from sim.geometry import distances_along, offset_line, points_at
 from sim.road import Lane, Road
-
-FloatArray = NDArray[np.float64]
 
 DASH_M: Final = (3.0, 6.0)
 """Length of a dash and of the gap after it, m (common on urban roads)."""
@@ -87,20 +86,8 @@ def band(line: FloatArray, width_m: float) -> FloatArray:
 
 
 def hull(points: FloatArray) -> FloatArray:
-    """The convex hull of points (n, 2), counter-clockwise (Andrew's monotone chain)."""
-    ordered = sorted({(round(float(x), 3), round(float(y), 3)) for x, y in points})
-    chains: list[list[tuple[float, float]]] = []
-    for sequence in (ordered, ordered[::-1]):
-        found: list[tuple[float, float]] = []
-        for x, y in sequence:
-            while len(found) >= 2:
-                (x0, y0), (x1, y1) = found[-2:]
-                if (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) > 0:
-                    break
-                found.pop()
-            found.append((x, y))
-        chains.append(found[:-1])
-    return np.array(chains[0] + chains[1])
+    """The convex hull of points (n, 2), counter-clockwise."""
+    return points[ConvexHull(points, qhull_options="QJ").vertices]
 
 
 def zebra_bars(line: FloatArray, width_m: float) -> list[FloatArray]:

@@ -11,7 +11,7 @@ from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
 from scenarios import SCENARIOS
 from sim.episode.annotate import annotate, annotate_recording
-from sim.formats.common.motion import doubt_of_times
+from sim.formats.common.doubts import doubt_of_times
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
 

@@ -18,7 +18,7 @@ from experiments.benchmarks.classification import (
 )
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.answers import Answers, score_answers
+from experiments.score.answers import known_answers, score_answers
 from graphrqi.methods import METHODS
 from sim.store.dataset import open_dataset
 
@@ -50,7 +50,7 @@ def data(recordings, tmp_path, monkeypatch) -> Data:
 
 def test_the_majority_of_the_training_stands_beside_every_score():
     codes, episode = np.array([0, 0, 0, 1] * 10), np.repeat(np.arange(4), 10)
-    rows = score_answers(Answers.known(np.eye(6)[codes], codes, episode), {}, majority=1)
+    rows = score_answers(known_answers(np.eye(6)[codes], codes, episode), {}, majority=1)
     value = {r["metric"]: r["value"] for r in rows}
     assert value["weighted_accuracy"] == 1.0
     assert value["majority_weighted_accuracy"] == 0.25

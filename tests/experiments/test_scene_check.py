@@ -89,7 +89,7 @@ def test_actors_on_top_of_each_other_are_superimposed():
 def test_a_wrong_frame_step_is_found_out(factor):
     tracks = road()
     found = check_scene(dataclasses.replace(tracks, time_s=factor * tracks.time_s))
-    assert f"vehicles go {1.0 / factor:.2f} times as far" in found.doubts[0]
+    assert f"agents that go {1.0 / factor:.2f} times as far" in found.doubts[0]
 
 
 def test_ids_that_name_one_after_another_jump():

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from experiments.data.scene_check import check_scene
 from experiments.data.units import image_scale, in_metres
 from sim.frames import Tracks
 
@@ -82,15 +79,3 @@ def test_unseen_agents_and_gaps_stay_unknown():
     assert np.isnan(found.xy[0]).all()
     assert np.isnan(found.speed[1, 50:90]).all()
     assert np.isfinite(found.xy[1:][valid[1:]]).all()
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(1 / 0.3048, "feet"), (1000.0, "millimetres")])
-def test_other_units_given_as_metres_are_named(factor, unit):
-    true = in_metres(street(), image_scale(street()))
-    cars = dataclasses.replace(true, length=np.full(30, 4.6), width=np.full(30, 1.8))
-    wrong = cars.with_dense(
-        xy=factor * cars.xy, speed=factor * cars.speed,
-        length=factor * cars.length, width=factor * cars.width,
-    )  # fmt: skip
-    found = check_scene(wrong)
-    assert any(f"{unit} seem to be metres" in said for said in found.doubts)

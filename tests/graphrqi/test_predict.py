@@ -242,9 +242,9 @@ def test_aggressive_belief_predicts_farther_than_timid_on_a_free_road(straight):
     past = history([place], [heading], [8.0], accel=1.0)
     ends = [
         predict(past, believing([0], b), straight, predictor="car-following").xy[0, 0, -1, 0]
-        for b in (Behavior.THREATENING, Behavior.CAREFUL, Behavior.TIMID)
+        for b in (Behavior.IMPATIENT, Behavior.RECKLESS, Behavior.CAREFUL, Behavior.TIMID)
     ]
-    assert ends[0] > ends[1] > ends[2]
+    assert min(ends[:2]) > ends[2] > ends[3]
 
 
 def test_blind_does_not_listen(straight):

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from scenarios import SCENARIOS
+from scenarios import ENVIRONMENTS, SCENARIOS
+from scenarios.environments.config import TrafficConfig
+from scenarios.environments.environment import TrafficEnv
+from scenarios.environments.observation import exchange_sides
+from scenarios.networks.build import find_program
 from scenarios.own.flows import EdgeGraph
 from scenarios.own.survey import survey
 from sim.engines import get_engine
+from sim.frames import PEDESTRIAN
 from sim.road import Connection, Lane, Road
 from sim.road.maps.sources import FREE_MPS, drives_left, limit_of, prepared
-from sim.scenario import sample_agents
+from sim.road.net import read_road
+from sim.scenario import Scenario, sample_agents
 
 
 @pytest.mark.parametrize(
@@ -144,16 +153,71 @@ def test_opendrives_rule_is_driven(tmp_path: Path, rule: str) -> None:
         assert on_the_left == road.left_hand
 
 
-def test_left_hand_traffic_is_the_mirror_of_right_hand_traffic() -> None:
-    right = SCENARIOS["four_way_intersection"](duration_s=6.0, flow="dense")
-    left = dataclasses.replace(right, road=right.road.mirrored)
-    assert left.road.left_hand
+def mirrored_net(net: Path, folder: Path) -> Road:
+    """A SUMO net in a mirror along the x axis, with traffic on the left, as netconvert makes it."""
+    netconvert = find_program("netconvert")
+    subprocess.run([netconvert, "-s", net, "--plain-output-prefix", folder / "p"], check=True)
+    for file in folder.glob("p.*.xml"):
+        places = re.compile(r'(?<=\by=")[-0-9.]+|(?<=[0-9],)[-0-9.]+(?=[ "])')
+        file.write_text(places.sub(lambda y: f"{-float(y[0]):.2f}", file.read_text()))
+    kinds = {"node": "nod", "edge": "edg", "connection": "con", "tllogic": "tll"}
+    files = [part for kind, end in kinds.items() for part in (f"--{kind}-files", f"p.{end}.xml")]
+    options = ("--lefthand", "--offset.disable-normalization", "--no-turnarounds")
+    corners = ("--junctions.corner-detail", "5", "--junctions.limit-turn-speed", "5.5")
+    command = [netconvert, *files, *options, *corners, "-o", "left.net.xml"]
+    subprocess.run(command, cwd=folder, check=True)
+    return read_road(folder / "left.net.xml")
+
+
+@pytest.mark.parametrize("engine", ["highway", "sumo"])
+@pytest.mark.parametrize("name", ["four_way_intersection", "roundabout", "priority_intersection"])
+def test_left_hand_traffic_is_the_mirror_of_right_hand_traffic(
+    tmp_path: Path, name: str, engine: str
+) -> None:
+    right = SCENARIOS[name](duration_s=20.0, flow="dense")
+    road = right.road.mirrored if engine == "highway" else mirrored_net(right.road.source, tmp_path)
+    assert road.left_hand
+    left = dataclasses.replace(right, road=road)
     agents = sample_agents(right, seed=1)
-    drive = get_engine("highway")
-    for one, other in zip(drive(right, agents, 1), drive(left, agents, 1), strict=True):
+    drive = get_engine(engine)
+    frames = [list(drive(scenario, agents, 1)) for scenario in (right, left)]
+    for one, other in zip(*frames, strict=True):
         assert np.array_equal(one.ids, other.ids)
-        assert np.array_equal(one.xy, other.xy * [1.0, -1.0])
+        away = np.abs(one.xy - other.xy * [1.0, -1.0]).max(axis=1, initial=0)
+        walks = one.kind == PEDESTRIAN  # SUMO's keep to the right of their sidewalk in any traffic
+        assert (away <= np.where(walks & (engine == "sumo"), 2.0, 1e-9)).all()
         assert np.abs(np.exp(1j * one.heading) - np.exp(-1j * other.heading)).max(initial=0) < 1e-9
+
+
+class LeftHandEnv(TrafficEnv):
+    def _scenario_of(self, checked: TrafficConfig) -> Scenario:
+        made = super()._scenario_of(checked)
+        return dataclasses.replace(made, road=made.road.mirrored)
+
+
+@pytest.mark.parametrize(
+    ("kind", "actions", "mirrored"),
+    [
+        ("DiscreteMetaAction", [0, 3, 2], [2, 3, 0]),
+        ("ContinuousAction", [[0.3, 0.02], [0.3, -0.03]], [[0.3, -0.02], [0.3, 0.03]]),
+        ("DiscreteAction", [4, 3], [4, 5]),
+    ],
+)
+def test_an_ego_vehicle_in_left_hand_traffic_sees_and_steers_in_a_mirror(
+    kind: str, actions: list[Any], mirrored: list[Any]
+) -> None:
+    config = {"action": {"type": kind}, "warmup_s": 5.0}
+    row = ENVIRONMENTS["graphrqi/Motorway-v0"]
+    right, left = TrafficEnv(config, **row), LeftHandEnv(config, **row)
+    right.reset(seed=3)
+    left.reset(seed=3)
+    for action, other in zip(actions, mirrored, strict=True):
+        one, two = right.step(action), left.step(other)
+        assert one[1] == pytest.approx(two[1])
+        assert two[0]["ego"][1] == pytest.approx(-one[0]["ego"][1], abs=1e-6)
+        exchange_sides(two[0])
+        for key, seen in one[0].items():
+            np.testing.assert_allclose(seen, two[0][key], atol=1e-6)
 
 
 @pytest.mark.parametrize(("inner_m", "inside"), [(300.0, False), (3000.0, True), (9000.0, True)])

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import feather
 
+from sim.formats.waymo.messages import masked_checksum
 from sim.frames import FloatArray
 
 
@@ -111,11 +112,16 @@ def waymo_message() -> bytes:
     return data
 
 
+def tfrecord(data: bytes) -> bytes:
+    """A record as it is in a file."""
+    size = len(data).to_bytes(8, "little")
+    sums = [masked_checksum(part).to_bytes(4, "little") for part in (size, data)]
+    return b"".join([size, sums[0], data, sums[1]])
+
+
 def waymo_record() -> bytes:
     """The same as a TFRecord file."""
-    from sim.formats.waymo.messages import write_record
-
-    return write_record(waymo_message())
+    return tfrecord(waymo_message())
 
 
 def scenarionet_scene() -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -17,6 +18,7 @@ from behaviors.errors import InputError
 from sim.formats import formats_in, read_recordings
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind
+from tests.sim.scenes import tfrecord
 
 
 def one(path: Path, **options: object) -> Recording:
@@ -431,12 +433,10 @@ def test_other_tables_say_their_columns(tmp_path: Path, columns: list[str]) -> N
 
 @pytest.mark.parametrize("name", [b"state/current/x", b"roadgraph_samples/xyz", b"image/encoded"])
 def test_features_of_tf_examples(tmp_path: Path, name: bytes) -> None:
-    from sim.formats.waymo.messages import write_record
-
     entry = b"\n" + bytes([len(name)]) + name + b"\x12\x04\x12\x02\n\x00"
     feature = b"\n" + bytes([len(entry)]) + entry
     path = tmp_path / "a.tfrecord"
-    path.write_bytes(write_record(b"\n" + bytes([len(feature)]) + feature))
+    path.write_bytes(tfrecord(b"\n" + bytes([len(feature)]) + feature))
     with pytest.raises(InputError, match=r"tf\.Example"):
         list(read_recordings(path))
 
@@ -479,3 +479,32 @@ def test_own_columns_that_are_wrong(
 ) -> None:
     with pytest.raises(InputError):
         one(put(tmp_path, own()), columns=columns, units=units)
+
+
+TABLE = "id,t,x,y\n1,0.0,1.5,2\n1,0.1,2.5,2\n1,0.2,3.5,2\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("# camera 3\n" + TABLE, "found the columns '# camera 3', expected a column t"),
+        (TABLE.replace("\n1,0.0", "\n-,s,m,m\n1,0.0"), "column t, row 2: found 's'"),
+        (TABLE.replace("3.5", '"1,003.5"'), "found '1,003.5', expected a number"),
+        (TABLE.replace("0.1", "2024-05-01T12:00:00.1"), "column t, row 3: found '2024-05-01T12"),
+        (TABLE.removeprefix("id,t,x,y\n"), "found the columns '1, 0.0, 1.5, 2'"),
+        ("PK\3\4\0\0" + TABLE, "found no text, expected a table as CSV"),
+        (TABLE.replace("3.5", '"3.5'), "line 4: found a quotation mark that is not closed"),
+        (TABLE.replace("\n", "\n\n"), ""),
+        (TABLE.replace("\n", ",\n"), ""),
+        (TABLE.replace("id,t,x,y", " ID ,T, X,y"), ""),
+    ],
+)
+def test_own_tables_as_people_write_them(tmp_path: Path, text: str, word: str) -> None:
+    path = tmp_path / "own.csv"
+    path.write_text(text)
+    columns = {key: key for key in ("id", "t", "x", "y")}
+    if word:
+        with pytest.raises(InputError, match=re.escape(word)):
+            one(path, columns=columns)
+    else:
+        assert one(path, columns=columns).tracks.rows.speed == pytest.approx(10.0)

@@ -9,11 +9,9 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
-from sim.formats import read_recordings, recognise, recording_files
+from sim.formats import read_recordings, recording_files
 from sim.frames import KINDS, AgentKind
 from tests.sim.test_formats import (
-    AV1,
-    HIGHD,
     IND,
     INTERACTION,
     NGSIM_CSV,
@@ -44,26 +42,6 @@ def test_types_beside_sumo_recordings_are_not_left_out(tmp_path: Path) -> None:
     files, others = recording_files(tmp_path, "sumo-fcd")
     assert [file.name for file in files] == ["a.xml"]
     assert others == []
-
-
-@pytest.mark.parametrize(
-    ("name", "file", "content"),
-    [
-        ("ngsim", "a.csv", NGSIM_CSV),
-        ("highd", "00_tracks.csv", HIGHD),
-        ("interaction", "vehicle_tracks_000.csv", INTERACTION),
-        ("argoverse1", "1.csv", AV1),
-        ("ind", "00_tracks.csv", IND),
-    ],
-)
-def test_a_byte_order_mark_changes_nothing(
-    tmp_path: Path, name: str, file: str, content: str
-) -> None:
-    path = tmp_path / file
-    path.write_bytes(b"\xef\xbb\xbf" + content.encode())
-    assert recognise(path) == name
-    assert recording_files(tmp_path, name)[0] == [path]
-    assert len(list(read_recordings(path))) == 1
 
 
 def test_ngsim_is_told_by_its_content_not_by_its_name(tmp_path: Path) -> None:

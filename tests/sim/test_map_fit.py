@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
 from scenarios import SCENARIOS
 from sim.formats import get_writer, read_recordings
-from sim.formats.common.motion import doubt_of_times
+from sim.formats.common.doubts import doubt_of_times
 from sim.frames import Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
@@ -96,6 +97,19 @@ def test_a_shifted_map_is_refused_until_the_shift_is_given(road: Road, tmp_path:
     assert stored is not None
     assert map_fit(stored, dataset.read(entry).tracks).share > 0.99
     assert stored.lanes[0].centerline == pytest.approx(shifted(road, SHIFT_M).lanes[0].centerline)
+
+
+@pytest.mark.parametrize("offset", [(-389000.0, -5819000.0), (0.0, -400.0), (1200.5, 80.25)])
+def test_a_net_is_shifted_by_its_own_offset(
+    road: Road, tmp_path: Path, offset: tuple[float, float]
+) -> None:
+    net = tmp_path / "town.net.xml"
+    said = 'netOffset="{},{}"'.format(*offset)
+    net.write_text(re.sub(r'netOffset="[^"]*"', said, road.source.read_text(), count=1))
+    tracks = traffic(road)
+    file = exported(tmp_path / "in", tracks.with_dense(xy=tracks.xy - np.array(offset)))
+    (entry,) = import_recordings(file, tmp_path / "out", net=net, quiet=True).episodes
+    assert any("as its own offset says" in str(note) for note in entry.options["notes"])
 
 
 def test_a_wrong_rate_is_refused_until_the_rate_is_given(road: Road, tmp_path: Path) -> None:

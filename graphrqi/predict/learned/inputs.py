@@ -16,13 +16,13 @@ from graphrqi.arrays import FloatArray
 from graphrqi.predict.extrapolation import inertial_distance
 from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.prediction import STEP_S
+from graphrqi.predict.rollout.car_following import Rollout
 from graphrqi.predict.rollout.driver_table import (
     DriverTable,
     expected_parameters,
     parameters_of_each,
 )
 from graphrqi.predict.rollout.rollout import (
-    Rollout,
     in_own_frame,
     on_lane_beside,
     roll,

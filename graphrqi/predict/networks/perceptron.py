@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,26 +108,16 @@ def standardized(
     return np.clip((features - mean) / scale, -most, most).astype(np.float32)
 
 
-class RawNetwork(Protocol):
-    """Features in, raw numbers out."""
-
-    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(n, MODES PER_MODE) raw numbers of features (n, F)."""
-
-    def arrays(self) -> Arrays:
-        """The arrays of a file."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FuturesNetwork:
     """A trained network that gives futures.
 
     Attributes:
-        network: gives the raw numbers.
+        network: gives (n, MODES PER_MODE) raw numbers of features (n, F); its ``arrays`` are saved.
         spread_scale: see `graphrqi.predict.networks.futures.decode`.
     """
 
-    network: RawNetwork
+    network: Any
     spread_scale: float
 
     def __call__(self, data: PredictorInputs) -> Futures:
@@ -140,7 +130,7 @@ class FuturesNetwork:
         save_weights(path, KIND, about, self.network.arrays())
 
 
-def load_futures_network(path: Path, read: Callable[[Arrays], RawNetwork]) -> FuturesNetwork:
+def load_futures_network(path: Path, read: Callable[[Arrays], Any]) -> FuturesNetwork:
     """A network from a file, whose arrays ``read`` understands.
 
     Raises:

@@ -40,8 +40,12 @@ FILTER_FADE_S: Final = 2.0
 ACCEL_FADE_S: Final = 2.5
 """Time in which the base's acceleration falls to 1/e, s."""
 
-STOP_S: Final = 0.7
+STOP_S: Final = 1.0
 """Time in which what is left of the speed of a standing vehicle falls to 1/e, s."""
+
+STANDING_S, CREEP_MPS = 1.0, 0.1
+"""A standing vehicle is at its mean place of this time, s. Its speed counts by how it compares with
+its uncertainty, usual speeds being this, m/s."""
 
 YAW_SHARE, YAW_FADE_S = 0.4, 1.0
 """This share of the yaw rate counts, and falls to 1/e in this time, s."""
@@ -70,6 +74,9 @@ of slower motion)."""
 
 STANDS_MPS, STANDS_M = 0.3, 0.3
 """Vehicles stand that are slower than this, and within a second moved less, beyond noise."""
+
+UNSURE: Final = 2.0
+"""Speeds may be larger by this many of their standard deviations."""
 
 LOOKED_BACK_S: Final = (1.0, 1.5, 2.0, 2.5)
 """Moments of the past, s ago, from which the speed a second later is compared."""
@@ -141,11 +148,17 @@ class Motion:
         unsure = np.sqrt(spread.reshape(n, 2)[:, 0])
         second = np.maximum(valid.argmax(axis=1), np.searchsorted(ago, -1.0 - 1e-6))
         moved = np.linalg.norm(seen.xy[np.arange(n), second], axis=1)
-        stands = drives & (speed < STANDS_MPS + unsure) & (moved < STANDS_M + 3.0 * noise_m)
+        stands = drives & (speed < STANDS_MPS + UNSURE * unsure)
+        stands &= moved < STANDS_M + 3.0 * noise_m
         accel = np.where(stands, 0.0, accel)
+        speed = np.where(stands, speed / (1.0 + (unsure / CREEP_MPS) ** 2), speed)
         lasts = _lasting_share(ago, rate[:, 0], valid & drives[:, None], states[:, 0])
         shaken = (noise_m - LEAST_NOISE_M)[:, None]
-        off = np.clip(now[:, :, 0], -shaken, shaken)
+        lately = valid & (ago >= -STANDING_S - 1e-6)
+        weight = lately / lately.sum(axis=1)[:, None]
+        mean = np.einsum("nat,nt->na", place, weight)
+        mean[:, 0] -= speed * (weight @ ago)
+        off = np.clip(np.where(stands[:, None], mean, now[:, :, 0]), -shaken, shaken)
         most = MOST_ACCEL_MPS2
         return cls(
             xy=history.xy[:, -1] + np.einsum("na,nac->nc", off, axes),

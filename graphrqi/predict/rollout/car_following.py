@@ -113,16 +113,17 @@ def _limit_by_stops(
     return target
 
 
-class Simulated(NamedTuple):
-    """M futures of n drivers at each of the steps.
+class Rollout(NamedTuple):
+    """One future of every driver on a path, or M; rows of other agents are not valid.
 
     Attributes:
-        lane: (M, n, steps) lanes.
-        s: (M, n, steps) distances along them, m.
-        offset: (M, n, steps) distances to the left of their centre lines, m.
-        speed: (M, n, steps) m/s.
-        travelled: (M, n, steps) distances since the present, m.
-        asked: (M, n) the law's accelerations at present, m/s2.
+        lane: (..., n, H) lane at each step.
+        s: (..., n, H) distance along it, m.
+        offset: (..., n, H) distance to the left of its centre line, m.
+        speed: (..., n, H) m/s.
+        travelled: (..., n, H) distance since the present, m.
+        asked: (..., n) the law's acceleration at present, m/s2.
+        step_s: time between steps, s.
     """
 
     lane: IntArray
@@ -131,13 +132,19 @@ class Simulated(NamedTuple):
     speed: FloatArray
     travelled: FloatArray
     asked: FloatArray
+    step_s: float
+
+    def of(self, variant: int) -> Rollout:
+        """One of M futures."""
+        lane, s, offset, speed, travelled, asked = (each[variant] for each in self[:6])
+        return Rollout(lane, s, offset, speed, travelled, asked, self.step_s)
 
 
 def simulate(
     present: Present, path: IntArray, lateral: FloatArray, following: FloatArray,
     ignores: BoolArray, stop_state: CodeArray, paths: Any, others: Others,
     steps: tuple[int, float, float, float],
-) -> Simulated:  # fmt: skip
+) -> Rollout:  # fmt: skip
     """Simulate n drivers in M variants.
 
     Args:
@@ -154,12 +161,12 @@ def simulate(
             residual acceleration, s.
 
     Returns:
-        The futures.
+        The M futures.
     """
     m, n = path.shape
     s, offset, speed, travelled = np.zeros((4, m, n, steps[0]))
     lane, asked = np.zeros((m, n, steps[0]), np.int64), np.zeros((m, n))
-    out = Simulated(lane, s, offset, speed, travelled, asked)
+    out = Rollout(lane, s, offset, speed, travelled, asked, steps[1])
     _simulate(
         present, path, lateral, following, ignores, stop_state, paths, others, steps,
         np.flatnonzero(present.on_path), np.full(paths.lane_length.size, -1),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from graphrqi.predict.rollout.car_following import (
     UNKNOWN_ACCELERATION,
     Others,
     Present,
-    Simulated,
+    Rollout,
     simulate,
 )
 from graphrqi.predict.rollout.driver_table import DriverParameters
@@ -24,29 +23,6 @@ CHANGE_S = 3.0
 """Duration of a lane change, s (3 to 6 s are observed)."""
 
 _MOVE_TOGETHER = Others(np.empty((0, 0), dtype=np.int64), np.empty((0, 0)), np.empty((0, 0)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rollout:
-    """One future of every driver on a path, or M; rows of other agents are not valid.
-
-    Attributes:
-        lane: (..., n, H) lane at each step.
-        s: (..., n, H) distance along it, m.
-        offset: (..., n, H) distance to the left of its centre line, m.
-        speed: (..., n, H) m/s.
-        travelled: (..., n, H) distance since the present, m.
-        asked: (..., n) the law's acceleration at present, m/s2.
-        step_s: time between steps, s.
-    """
-
-    lane: IntArray
-    s: FloatArray
-    offset: FloatArray
-    speed: FloatArray
-    travelled: FloatArray
-    asked: FloatArray
-    step_s: float = STEP_S
 
 
 def roll(
@@ -79,8 +55,7 @@ def roll(
         drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
         _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    only = Simulated(*(column[0] for column in found))
-    return Rollout(*only, step_s=step_s)
+    return found.of(0)
 
 
 def roll_each(
@@ -109,12 +84,11 @@ def roll_each(
         for name in ("path", "offset", "lateral_speed")
     )
     count, step_s = others.s.shape[1], others.step_s
-    found = simulate(
+    return simulate(
         _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
         scene.stop_state, scene.paths.columns, Others(others.lane, others.s, others.speed),
         (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-    return Rollout(*found, step_s=step_s)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
@@ -188,7 +162,8 @@ def steady(scene: Scene) -> Rollout:
     travelled = scene.speed[:, None] * scene.time_s[None]
     lane, s = scene.paths.along(scene.path, scene.s[:, None] + travelled)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
-    return Rollout(lane, s, scene.offsets(), speed, travelled, np.zeros(scene.ids.size))
+    asked = np.zeros(scene.ids.size)
+    return Rollout(lane, s, scene.offsets(), speed, travelled, asked, STEP_S)
 
 
 def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:

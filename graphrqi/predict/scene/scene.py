@@ -134,20 +134,17 @@ class Scene:
         left = np.maximum(np.abs(self.offset)[:, None] - speed[:, None] * self.time_s[None], 0.0)
         return np.asarray(np.sign(self.offset)[:, None] * left)
 
-    def straight_on(
-        self, who: BoolArray | slice = slice(None), time_s: FloatArray | None = None
-    ) -> FloatArray:
-        """(n, H, 2) everyone, or some, at constant velocity, at the predicted or other times, m."""
+    def straight_on(self, who: BoolArray, time_s: FloatArray) -> FloatArray:
+        """(m, H, 2) some agents at constant velocity at times (H,), m."""
         heading = self.heading[who]
         facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        distance = self.speed[who, None] * (self.time_s if time_s is None else time_s)
+        distance = self.speed[who, None] * time_s
         return np.asarray(self.xy[who, None] + distance[..., None] * facing[:, None])
 
-    def predicted(self, xy: FloatArray, probability: FloatArray | None = None) -> Prediction:
+    def predicted(self, xy: FloatArray) -> Prediction:
         """A `Prediction` of these agents; ``xy`` (n, H, 2) for one future or (n, K, H, 2)."""
         futures = xy[:, None] if xy.ndim == 3 else xy
-        if probability is None:
-            probability = np.full(futures.shape[:2], 1.0 / futures.shape[1])
+        probability = np.full(futures.shape[:2], 1.0 / futures.shape[1])
         return Prediction(self.ids, self.time_s, futures, probability)
 
     def replaced(self, **changed: IntArray | FloatArray) -> Scene:

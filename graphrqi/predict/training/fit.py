@@ -30,7 +30,7 @@ from graphrqi.predict.networks.futures import (
     PredictorInputs,
     decode,
 )
-from graphrqi.predict.networks.perceptron import FuturesNetwork, Layers, Perceptron, RawNetwork
+from graphrqi.predict.networks.perceptron import FuturesNetwork, Layers, Perceptron
 from graphrqi.predict.networks.perceptron import standardized as standardized_features
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ def _trained(
     return module, mean, scale
 
 
-def _scaled(network: RawNetwork, validation: Examples) -> FuturesNetwork:
+def _scaled(network: Perceptron | TrajectoryLstm, validation: Examples) -> FuturesNetwork:
     """The network with the spreads' scale that is right on validation examples."""
     data = PredictorInputs(validation.features.astype(float), validation.anchors.astype(float))
     futures = FuturesNetwork(network, 1.0)(data)

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
 from graphrqi.spectrum.rivals.changes import AllPairs, all_pairs_before, change_between, rows_of
@@ -86,18 +87,9 @@ def update(old: AllPairs, d: int, ends: NDArray[np.int64], signs: Floats, goal: 
         active = active[norms[active] > goal]
         if not active.size:
             break
-    accepted = np.zeros((d, 0))
-    for j in np.flatnonzero(norms <= goal):  # Gram-Schmidt, twice
-        v = x[:, j] - accepted @ (accepted.T @ x[:, j])
-        length = float(np.linalg.norm(v))
-        if length >= DEPENDENT:
-            v /= length
-            v -= accepted @ (accepted.T @ v)
-            accepted = np.column_stack([accepted, v / np.linalg.norm(v)])
-    m = accepted.shape[1]
     everything = np.diag(spread) + (w * signs) @ w.T
-    frame, _ = np.linalg.qr(accepted, mode="complete")
-    frame[:, :m] = accepted
+    frame, corner, _ = qr(x[:, norms <= goal], pivoting=True)
+    m = int((np.abs(np.diag(corner)) >= DEPENDENT).sum())
     if m < d:  # what no iteration reached: Rayleigh-Ritz in the orthogonal complement
         rest = frame[:, m:]
         frame[:, m:] = rest @ np.linalg.eigh(rest.T @ everything @ rest)[1]

@@ -23,11 +23,9 @@ from scipy.spatial.transform import Rotation
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, Rows, first_sizes, left_out, recorded
 from sim.formats.common.tables import Table, read_table
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.input_files import beside
 from sim.road.maps.argoverse2 import read_map
-
-FloatArray = NDArray[np.float64]
 
 POSES: Final = "city_SE3_egovehicle.feather"
 """The name of the file of the recording car's poses, beside that of the boxes."""

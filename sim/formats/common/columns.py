@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from sim.formats.common.motion import MOVING_MPS
 from sim.formats.common.recording import Rows, first_sizes
 from sim.formats.common.tables import Table, read_table
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.units import in_si
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import PEDESTRIAN, AgentKind, Tracks
+from sim.frames import PEDESTRIAN, AgentKind, FloatArray, Tracks
 from sim.scenario import DIMENSIONS_M
-
-FloatArray = NDArray[np.float64]
+from sim.units import FACTORS
 
 STEPS_S: Final = (0.002, 20.0)
 """Times between two positions of an agent that recordings have, s."""
@@ -87,6 +86,20 @@ metres, make it known."""
 RIDING_MPS, RIDING_ROWS = 3.0, 3
 """A pedestrian who is inside a vehicle at such a speed, at so many times, rides in it."""
 
+TOLERATED: Final = 1.25
+"""Displacement over speed times time may be off by this factor (noise, and speeds that are
+filtered, stay below; the next usual rate is at least 1.25 away)."""
+
+COMPARED_MPS, LEAST_COMPARED, LEAST_COMPARED_M = 2.0, 20, 20.0
+"""Only faster agents are compared, m/s (noise hides what slower ones do); steps and metres of
+motion below which times are not compared with it."""
+
+BREAK_STEPS: Final = 3.0
+"""A time between two frames is a break if it is more than this many times the usual one."""
+
+UNIT_NEAR: Final = 0.03
+"""How near, relatively, to a unit's factor a ratio of speeds is in that unit."""
+
 UNEXPLAINED: Final = 0.3
 """Headings that no cause explains are doubted below this mean cosine."""
 
@@ -96,36 +109,22 @@ TURN_RAD: Final = 2.1 * np.pi
 VEHICLES: Final = (AgentKind.CAR.code, AgentKind.BUS.code, AgentKind.TRUCK.code)
 
 
-@dataclass(frozen=True)
-class Stated:
-    """What a file states of the rows of tracks.
-
-    Attributes:
-        heading: (m,) rad as read; NaN where it is taken from the motion.
-        speed: (m,) m/s as read; NaN where it is taken from the motion.
-        sizes: whether the file has sizes.
-    """
-
-    heading: FloatArray
-    speed: FloatArray
-    sizes: bool
-
-
-def doubts_of(tracks: Tracks, stated: Stated) -> list[str]:
+def doubts_of(tracks: Tracks, heading: FloatArray, *, sizes: bool) -> list[str]:
     """What contradicts itself in a recording, a sentence each.
 
     Args:
         tracks: in metres, as the format's units say.
-        stated: what of them the file states.
+        heading: (m,) rad as the file states it; NaN where it is taken from the motion.
+        sizes: whether the file has sizes.
 
     Returns:
         The doubts; [] where everything fits.
     """
     steps = _Steps.of(tracks)
     found = [*_times(steps), *_places(tracks, steps)]
-    if stated.sizes:
+    if sizes:
         found += _sizes(tracks)
-    return found + _headings(tracks, steps, stated.heading)
+    return found + _headings(tracks, steps, heading)
 
 
 @dataclass(frozen=True)
@@ -184,20 +183,21 @@ def _places(tracks: Tracks, steps: _Steps) -> list[str]:
     return []
 
 
-def _sizes(tracks: Tracks) -> list[str]:
-    """Sizes that no vehicles have, and sides that are exchanged."""
-    found = []
-    usual = np.array([DIMENSIONS_M[kind][:2] for kind in AgentKind])
-    codes = [kind.code for kind in AgentKind]
-    table = usual[np.argsort(codes)][tracks.kind]
+def size_doubt(tracks: Tracks) -> str | None:
+    """The size of vehicles with its likeliest cause, if no vehicles have it; None if it fits."""
+    usual = np.array([DIMENSIONS_M[kind][:2] for kind in AgentKind])[tracks.kind].prod(axis=1)
     some = np.isin(tracks.kind, VEHICLES)
     some = some if some.any() else np.ones(some.size, dtype=bool)
-    over = np.sqrt(tracks.length * tracks.width / table.prod(axis=1))[some]
-    ratio = float(np.median(over))
-    for by, cause in SIZES.items():
-        if 1 / NEAR < ratio / by < NEAR:
-            length = float(np.median(tracks.length[some]))
-            found.append(f"found vehicles that are {length:.3g} m long, as if {cause}")
+    ratio = float(np.median(np.sqrt(tracks.length * tracks.width / usual)[some]))
+    cause = next((text for by, text in SIZES.items() if 1 / NEAR < ratio / by < NEAR), None)
+    length = float(np.median(tracks.length[some]))
+    return cause and f"found vehicles that are {length:.3g} m long, as if {cause}"
+
+
+def _sizes(tracks: Tracks) -> list[str]:
+    """Sizes that no vehicles have, and sides that are exchanged."""
+    size = size_doubt(tracks)
+    found = [size] if size else []
     wider = int(np.sum((tracks.kind != PEDESTRIAN) & (tracks.width > WIDER * tracks.length)))
     if wider:
         found.append(
@@ -256,3 +256,40 @@ def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
         inside[row] = bool(within.any())
     riding = np.bincount(agent[inside & (rows.speed > RIDING_MPS)], minlength=len(tracks.names))
     return inside & (riding >= RIDING_ROWS)[agent]
+
+
+def doubt_of_times(tracks: Tracks) -> str | None:
+    """What contradicts the times of a recording, with the likeliest cause; None where they fit.
+
+    Args:
+        tracks: as read; speeds that readers took from the motion fit by themselves.
+    """
+    ratio = _displacement_over_speed(tracks)
+    if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
+        return None
+    for unit in ("km/h", "mph", "ft/s"):
+        if abs(ratio / FACTORS[unit] - 1) < UNIT_NEAR:
+            return f"found speeds {1 / ratio:.3g} times what the motion shows, as in {unit}"
+    step_s = tracks.step_s
+    return (
+        f"found agents that go {ratio:.2f} times as far as their speeds say, at a step of "
+        f"{step_s:.3g} s, as if it were {step_s * ratio:.3g} s"
+    )
+
+
+def _displacement_over_speed(tracks: Tracks) -> float:
+    """The median over agents of how far they go, over speed times time; NaN if too little moves."""
+    if tracks.time_s.size < 2:
+        return float("nan")
+    steps, speed, n = _Steps.of(tracks), tracks.rows.speed, len(tracks.names)
+    before, after = speed[steps.row], speed[steps.row + 1]
+    stated = (before + after) / 2 * steps.time_s
+    # nobody knows how an agent went that was lost during a break
+    used = (stated > 0) & (steps.time_s <= BREAK_STEPS * tracks.step_s)
+    used &= np.minimum(before, after) > COMPARED_MPS
+    who, way = steps.agent[used], steps.way[used]
+    gone, said = np.bincount(who, way, n), np.bincount(who, stated[used], n)
+    if who.size < LEAST_COMPARED or gone.sum() < LEAST_COMPARED_M:
+        return float("nan")
+    enough = (said > 0) & (gone > 0) & (np.bincount(who, minlength=n) >= 3)
+    return float(np.median(gone[enough] / said[enough])) if enough.any() else float("nan")

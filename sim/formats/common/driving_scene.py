@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, Rows, recorded
-from sim.frames import AgentKind, Signal
+from sim.frames import AgentKind, FloatArray, Signal
 from sim.road.maps.waymo import WaymoLane, waymo_road
-
-FloatArray = NDArray[np.float64]
 
 STATES: Final = (
     Signal.OFF, Signal.RED, Signal.YELLOW, Signal.GREEN, Signal.RED, Signal.YELLOW, Signal.GREEN,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -117,13 +117,7 @@ class DriverLabels:
 
 
 def read_driver_labels(path: Path) -> DriverLabels:
-    """Read a file of labels.
-
-    Args:
-        path: a CSV file in UTF-8, see the module.
-
-    Returns:
-        The labels.
+    """Read a file of labels, as the module says.
 
     Raises:
         InputError: if the file is not such a table; the message names the line.
@@ -132,12 +126,21 @@ def read_driver_labels(path: Path) -> DriverLabels:
     with broken_as_one_line(path, "a CSV file of labels in UTF-8"), opened(path) as file:
         text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
         table = csv.DictReader(text, strict=True, skipinitialspace=True)
-        columns = _columns(path, table.fieldnames or ())
+        given = [raw.strip().lower().replace("behaviour", "behavior") for raw in
+                 table.fieldnames or ()]  # fmt: skip
+        labels = set(LABELS) & set(given)
+        known = sorted(given) == sorted({"name", *labels, *({"recording"} & set(given))})
+        if not known or labels not in _LABELLED:
+            raise InputError(
+                f"{path}: found the columns {', '.join(table.fieldnames or ())!r:.200}, expected "
+                "name and label (or behavior, or style), and at most recording"
+            )
+        table.fieldnames = given
         for row in table:
             where = f"{path}: line {table.line_num}"
             if None in row:
                 raise InputError(f"{where}: found more cells than columns")
-            cells = {column: (row[raw] or "").strip() for column, raw in columns.items()}
+            cells = {column: (cell or "").strip() for column, cell in row.items()}
             place, name = cells.get("recording") or None, cells["name"]
             if not name:
                 raise InputError(f"{where}: name: found none, expected the driver's")
@@ -147,20 +150,6 @@ def read_driver_labels(path: Path) -> DriverLabels:
     if not found:
         raise InputError(f"{path}: found no label, expected at least one")
     return DriverLabels(path, found)
-
-
-def _columns(path: Path, header: Iterable[str]) -> dict[str, str]:
-    """The file's own heading of each known column."""
-    given = list(header)
-    columns = {raw.strip().lower().replace("behaviour", "behavior"): raw for raw in given}
-    labels = set(LABELS) & set(columns)
-    known = set(columns) <= {"name", "recording", *labels} and len(columns) == len(given)
-    if "name" not in columns or not known or labels not in _LABELLED:
-        raise InputError(
-            f"{path}: found the columns {', '.join(given)!r:.200}, expected name and label (or "
-            "behavior, or style), and at most recording"
-        )
-    return columns
 
 
 _LABELLED: Final = ({"label"}, {"behavior"}, {"style"}, {"behavior", "style"})

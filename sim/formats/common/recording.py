@@ -13,19 +13,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import Style
 from behaviors.row_index import RowIndex
-from sim.formats.common.doubts import Stated, doubts_of, inside_vehicles
+from sim.formats.common.doubts import doubts_of, inside_vehicles
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
-from sim.frames import MAX_MAGNITUDE, AgentKind, TrackRows, Tracks
+from sim.frames import MAX_MAGNITUDE, AgentKind, FloatArray, TrackRows, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
-
-FloatArray = NDArray[np.float64]
 
 MAX_SIDE: Final = 1000.0
 """Longest agent, m (longer than any train, and than any box in an image, pixels)."""
@@ -192,10 +191,11 @@ def recorded(
         InputError: if there are no rows, or more are broken or repeated than may be left out.
     """
     doubts: list[str] = []
-    rows, sizes = _sound(path, rows, doubts)
-    tracks, stated = _sorted(path, rows, sizes, doubts)
+    kinds = [AgentKind.CAR] * len(rows.names) if rows.kinds is None else rows.kinds
+    sizes = _sizes(path, rows, kinds, doubts)
+    tracks, stated = _tracks(path, rows, _sound(path, rows, doubts), kinds, sizes, doubts)
     if rows.in_metres:
-        doubts += doubts_of(tracks, stated)
+        doubts += doubts_of(tracks, stated, sizes=rows.sizes is not None)
         inside = inside_vehicles(tracks)
         if inside.any():
             riders = np.unique(tracks.rows.index.agent[inside]).size
@@ -206,12 +206,13 @@ def recorded(
     )
 
 
-def _sound(path: Path, rows: Rows, doubts: list[str]) -> tuple[Rows, FloatArray]:
-    """Rows without those that no recording can have, and (n, 2) the size of each agent, m."""
+def _sizes(path: Path, rows: Rows, kinds: Sequence[AgentKind], doubts: list[str]) -> FloatArray:
+    """(n, 2) the size of each agent, m: as stated where an agent can have it, else as usual."""
     n = len(rows.names)
-    kinds = [AgentKind.CAR] * n if rows.kinds is None else rows.kinds
     usual = np.array([default_size(kind) for kind in kinds]).reshape(-1, 2)
-    sizes = usual if rows.sizes is None else np.where(np.isnan(rows.sizes), 0.0, rows.sizes)
+    if rows.sizes is None:
+        return usual
+    sizes = np.nan_to_num(rows.sizes, nan=0.0)
     odd = ~((sizes >= 0) & (sizes <= MAX_SIDE)).all(axis=1)
     if odd.any():
         who = int(np.flatnonzero(odd)[0])
@@ -219,127 +220,100 @@ def _sound(path: Path, rows: Rows, doubts: list[str]) -> tuple[Rows, FloatArray]
         if odd.sum() > MAX_BROKEN * n:
             raise InputError(f"{path}: length and width of {rows.names[who]:.60}: {found}")
         doubts.append(f"{odd.sum()} of {n} agents have the size usual for their kind: {found}")
-    sizes = np.where((odd | (sizes == 0).any(axis=1))[:, None], usual, sizes)
+    return np.where((odd | (sizes == 0).any(axis=1))[:, None], usual, sizes)
 
-    columns = {"time_s": rows.time_s, "x": rows.xy[:, 0], "y": rows.xy[:, 1]}
-    columns |= {k: v for k in ("heading", "speed") if (v := getattr(rows, k)) is not None}
-    lost = np.isnan(rows.xy).any(axis=1) | np.isnan(rows.time_s)
-    beyond = np.zeros(rows.agent.size, dtype=bool)
-    found = ""
-    for what, values in columns.items():
-        bad = np.abs(values) > MAX_MAGNITUDE
-        if bad.any() and not found:
-            row = int(np.flatnonzero(bad)[0])
-            found = (
-                f"{what} of {rows.names[rows.agent[row]]:.60}: found {values[row]:g}, expected a "
-                f"number up to {MAX_MAGNITUDE:g}"
-            )
-        beyond |= bad
-    broken = np.bincount(rows.agent[beyond], minlength=n) > 0
-    if not rows.agent.size or lost.all():
+
+def _sound(path: Path, rows: Rows, doubts: list[str]) -> pandas.DataFrame:
+    """The rows without those that no recording can have."""
+    columns = {"agent": rows.agent, "time_s": rows.time_s, "x": rows.xy[:, 0], "y": rows.xy[:, 1]}
+    table = pandas.DataFrame(columns | {"heading": rows.heading, "speed": rows.speed})
+    lost = table[["time_s", "x", "y"]].isna().any(axis=1)
+    if lost.all():
         raise InputError(f"{path}: found no rows, expected at least one")
-    if broken.sum() > MAX_BROKEN * n:
-        cause = ", as if nanoseconds had been taken for seconds" if "time_s" in found else ""
-        raise InputError(f"{path}: {found}{cause}")
-    if broken.any():
-        doubts.append(f"{broken.sum()} of {n} agents are left out: {found}")
-    kept = ~lost & ~broken[rows.agent]
-    if not kept.any():
-        raise InputError(f"{path}: {found or 'found no position, expected some'}")
+    numbers = table.iloc[:, 1:].astype(float)
+    beyond = numbers.abs() > MAX_MAGNITUDE
+    n, who = len(rows.names), table["agent"][beyond.any(axis=1)].unique()
+    if who.size:
+        what = beyond.columns[beyond.any()][0]
+        row = beyond[what].idxmax()
+        found = (
+            f"{what} of {rows.names[table['agent'][row]]:.60}: found {numbers[what][row]:g}, "
+            f"expected a number up to {MAX_MAGNITUDE:g}"
+        )
+        if who.size > MAX_BROKEN * n or table["agent"][~lost].isin(who).all():
+            cause = ", as if nanoseconds had been taken for seconds" if what == "time_s" else ""
+            raise InputError(f"{path}: {found}{cause}")
+        doubts.append(f"{who.size} of {n} agents are left out: {found}")
     if lost.any():
         doubts.append(f"{lost.sum()} of {lost.size} rows are left out: they have no position")
-    if kept.all():
-        return rows, sizes
-    given = {k: v[kept] for k in ("heading", "speed") if (v := getattr(rows, k)) is not None}
-    rows = replace(
-        rows, agent=rows.agent[kept], time_s=rows.time_s[kept], xy=rows.xy[kept], **given
-    )
-    return rows, sizes
+    numbers.insert(0, "agent", table["agent"])
+    return numbers[~lost & ~table["agent"].isin(who)]
 
 
-def _sorted(path: Path, rows: Rows, sizes: FloatArray, doubts: list[str]) -> tuple[Tracks, Stated]:
-    """Rows by agent and time, and what of them the file states."""
-    time_s = np.unique(np.append(rows.time_s, rows.empty_s))
-    present = np.unique(rows.agent)
-    names = [rows.names[i] for i in present]
-    order = np.array(sorted(range(present.size), key=lambda i: _natural(names[i])))
-    rank = np.full(len(rows.names), -1)
-    rank[present[order]] = np.arange(present.size)
-    n, t = present.size, time_s.size
-    if n == rows.agent.size > MOST_SEEN_ONCE and t > 1:
+def _tracks(
+    path: Path, rows: Rows, table: pandas.DataFrame, kinds: Sequence[AgentKind],
+    sizes: FloatArray, doubts: list[str],
+) -> tuple[Tracks, FloatArray]:  # fmt: skip
+    """The rows by agent and time, and the headings that the file states, rad."""
+    present = sorted(table["agent"].unique().tolist(), key=lambda i: _natural(rows.names[i]))
+    time_s = np.unique(np.append(table["time_s"], rows.empty_s))
+    n, t = len(present), time_s.size
+    if n == len(table) > MOST_SEEN_ONCE and t > 1:
         raise InputError(
             f"{path}: found {n} agents that are seen once each, expected several times of an agent "
             "(is the column of ids that of row numbers?)"
         )
-    cell = rank[rows.agent] * t + np.searchsorted(time_s, rows.time_s)
-    sorting = np.argsort(cell, kind="stable")
-    heading, speed = (
-        np.full(cell.size, np.nan) if values is None else values[sorting]
-        for values in (rows.heading, rows.speed)
-    )
-    cell, xy = cell[sorting], rows.xy[sorting]
-    again = np.flatnonzero(cell[1:] == cell[:-1]) + 1
-    if again.size:
-        values = np.column_stack([xy, heading, speed])
-        same = ((values[again] == values[again - 1]) | np.isnan(values[again])).all(axis=1)
-        other = int((~same).sum())
-        if other > MAX_REPEATED * cell.size:
-            twice = int(cell[again[np.flatnonzero(~same)[0]]])
-            name = names[order[twice // t]]
-            raise InputError(
-                f"{path}: found agent {name} twice at time {time_s[twice % t]:g} s with other "
-                "numbers, expected it once"
-            )
-        if same.any():
-            doubts.append(f"{same.sum()} rows are left out that are there twice, exactly the same")
-        if other:
-            doubts.append(f"{other} rows left out that have an agent twice at one time")
-        once = np.delete(np.arange(cell.size), again)
-        cell, sorting, xy = cell[once], sorting[once], xy[once]
-        heading, speed = heading[once], speed[once]
-    agent, step = np.divmod(cell, t)
-    stated = Stated(heading, speed, rows.sizes is not None)
+    rank = np.full(len(rows.names), -1)
+    rank[present] = np.arange(n)
+    table = table.assign(
+        agent=rank[table["agent"]], step=np.searchsorted(time_s, table["time_s"])
+    ).sort_values(["agent", "step"], kind="stable")
+    again = table.duplicated(["agent", "step"])
+    same = table.duplicated()
+    if (again & ~same).sum() > MAX_REPEATED * len(table):
+        one = table[again & ~same].iloc[0]
+        raise InputError(
+            f"{path}: found agent {rows.names[present[int(one['agent'])]]} twice at time "
+            f"{one['time_s']:g} s with other numbers, expected it once"
+        )
+    if same.any():
+        doubts.append(f"{same.sum()} rows are left out that are there twice, exactly the same")
+    if (again & ~same).any():
+        doubts.append(f"{(again & ~same).sum()} rows left out that have an agent twice at one time")
+    table = table[~again]
+    agent, step = table["agent"].to_numpy(), table["step"].to_numpy()
+    xy, heading, speed = (table[c].to_numpy() for c in (["x", "y"], "heading", "speed"))
+    stated = heading
     if np.isnan(heading).any() or np.isnan(speed).any():
-        moved = row_motion(agent, xy, rows.time_s[sorting], rows.rest_heading)
+        moved = row_motion(agent, xy, time_s[step], rows.rest_heading)
         heading = np.where(np.isnan(heading), moved[0], heading)
         speed = np.where(np.isnan(speed), moved[1], speed)
     turned = (heading > np.pi) | (heading <= -np.pi)  # angles in range keep their last digit
     heading = np.where(turned, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
-    sizes, chosen = sizes[present][order], present[order]
     if rows.ahead_lengths:
-        ahead_m = rows.ahead_lengths * sizes[agent, 0]
+        ahead_m = rows.ahead_lengths * sizes[present][agent, 0]
         xy = xy - ahead_m[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    kinds = [AgentKind.CAR] * len(rows.names) if rows.kinds is None else rows.kinds
     tracks = Tracks(
         rows=TrackRows(RowIndex.of_rows(agent, step, n, t), xy, heading, speed),
         ids=np.arange(n),
-        names=tuple(names[i] for i in order),
-        kind=np.array([kinds[i].code for i in chosen], dtype=np.int8),
-        length=sizes[:, 0],
-        width=sizes[:, 1],
+        names=tuple(rows.names[i] for i in present),
+        kind=np.array([kinds[i].code for i in present], dtype=np.int8),
+        length=sizes[present, 0],
+        width=sizes[present, 1],
         time_s=time_s,
         signals=np.empty((0, t), dtype=np.int8),
-        behavior=None if rows.behavior is None else rows.behavior[chosen],
+        behavior=None if rows.behavior is None else rows.behavior[present],
     )
     return tracks, stated
 
 
 def _without(tracks: Tracks, dropped: NDArray[np.bool_]) -> Tracks:
     """The tracks without some rows, and without agents that have no others."""
-    seen = tracks.rows
+    index, n, t = tracks.rows.index, len(tracks.names), tracks.time_s.size
     kept = np.flatnonzero(~dropped)
-    agents, agent = np.unique(seen.index.agent[kept], return_inverse=True)
-    index = RowIndex.of_rows(agent, seen.index.step[kept], agents.size, tracks.time_s.size)
-    return replace(
-        tracks,
-        rows=seen.taken(kept, index),
-        ids=np.arange(agents.size),
-        names=tuple(tracks.names[i] for i in agents),
-        kind=tracks.kind[agents],
-        length=tracks.length[agents],
-        width=tracks.width[agents],
-        behavior=None if tracks.behavior is None else tracks.behavior[agents],
-    )
+    index = RowIndex.of_rows(index.agent[kept], index.step[kept], n, t)
+    fewer = replace(tracks, rows=tracks.rows.taken(kept, index))
+    return fewer.part(np.unique(index.agent), slice(None))
 
 
 def _natural(name: str) -> tuple[int, int, str]:

@@ -11,9 +11,10 @@ import zlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.feather
@@ -21,17 +22,12 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.input_files import broken_as_one_line, opened, read_bytes
 from sim.units import in_si
 
-FloatArray = NDArray[np.float64]
-
 HEAD_BYTES: Final = 65536
 """Beginning of a file by which its format and its dialect are recognised."""
-
-CHUNK_BYTES: Final = 2**22
-"""How much of a file is looked at at once."""
 
 PARQUET, FEATHER = b"PAR1", (b"ARROW1", b"FEA1")
 """How such tables begin."""
@@ -83,17 +79,8 @@ def _encoding(head: bytes) -> str:
     return "utf-8"
 
 
-@dataclass(frozen=True)
-class Dialect:
-    """How a CSV file is written.
-
-    Attributes:
-        encoding: of its text.
-        delimiter: between fields.
-        decimal: the sign before decimals.
-        skipped: lines before the first row, the header among them.
-        header: names of the columns, in lower case.
-    """
+class _Dialect(NamedTuple):
+    """How a CSV file is written; names of columns are in lower case."""
 
     encoding: str
     delimiter: str
@@ -102,15 +89,13 @@ class Dialect:
     header: tuple[str, ...]
 
 
-def dialect_of(path: Path) -> Dialect:
-    """How a CSV file is written, told from its beginning.
-
-    Raises:
-        InputError: if its first line has no end.
-    """
+def _dialect_of(path: Path) -> _Dialect:
+    """How a CSV file is written, told from its beginning."""
     with opened(path) as file:
         encoding = _encoding(file.read(HEAD_BYTES))
     text = head_of(path).decode("utf-8" if encoding.startswith("utf-16") else encoding, "ignore")
+    if "\0" in text:
+        raise InputError(f"{path}: found no text, expected a table as CSV, Parquet or Feather")
     stated = _SEPARATOR_LINE.match(text)
     lines = text[stated.end() if stated else 0 :].splitlines()
     first = lines[0] if lines else ""
@@ -121,9 +106,8 @@ def dialect_of(path: Path) -> Dialect:
     commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
     points = any(_DECIMAL_POINT.fullmatch(field) for field in fields)
     header = tuple(name.strip().strip('"').strip().lower() for name in first.split(delimiter))
-    return Dialect(
-        encoding, delimiter, "," if commas and not points else ".", 2 if stated else 1, header
-    )
+    decimal = "," if commas and not points else "."
+    return _Dialect(encoding, delimiter, decimal, 2 if stated else 1, header)
 
 
 def column_names(path: Path, head: bytes | None = None) -> tuple[str, ...]:
@@ -134,17 +118,14 @@ def column_names(path: Path, head: bytes | None = None) -> tuple[str, ...]:
         head: its beginning, if it is known.
     """
     head = head_of(path) if head is None else head
-    if not head:
-        return ()
     try:
-        if head.startswith(PARQUET):
-            with opened(path) as file:
-                names = pyarrow.parquet.ParquetFile(file).schema_arrow.names
-        elif head.startswith(FEATHER[0]):
-            with opened(path) as file:
+        with opened(path) as file:
+            if head.startswith(PARQUET):
+                names = pyarrow.parquet.read_schema(file).names
+            elif head.startswith(FEATHER[0]):
                 names = pa.ipc.open_file(file).schema.names
-        else:
-            return () if b"\0" in head[:4096] else dialect_of(path).header
+            else:
+                return _dialect_of(path).header if head else ()
         return tuple(name.lower() for name in names)
     except (pa.ArrowException, OSError, EOFError, zlib.error, InputError, ValueError):
         return ()  # whoever reads it says why
@@ -156,19 +137,21 @@ class Table:
 
     Attributes:
         path: the file.
-        columns: one column per name: numbers, or dictionaries of strings.
+        columns: numbers and texts.
+        empty: columns that may have empty fields.
     """
 
     path: Path
-    columns: pa.Table
+    columns: pandas.DataFrame
+    empty: frozenset[str] = frozenset()
 
     def __contains__(self, name: str) -> bool:
         """Whether the file has the column."""
-        return name in self.columns.column_names
+        return name in self.columns
 
     def __len__(self) -> int:
         """How many rows there are."""
-        return int(self.columns.num_rows)
+        return len(self.columns)
 
     def numbers(self, name: str, unit: str = "") -> FloatArray:
         """(m,) a column of finite numbers in SI units.
@@ -194,23 +177,20 @@ class Table:
         """
         if name not in self:
             return np.full(len(self), np.nan)
-        return self._finite(name, unit, 0.5)
+        return self._finite(name, unit, 1.0 if name in self.empty else 0.5)
 
     def stacked(self, *names: str, unit: str = "") -> FloatArray:
         """(m, len(names)) columns as `measured` has them, side by side."""
         return np.stack([self.measured(name, unit) for name in names], axis=1)
 
     def _finite(self, name: str, unit: str, share: float) -> FloatArray:
-        column = self.columns.column(name)
-        values = column.to_numpy().astype(np.float64)
+        values = self.columns[name].to_numpy(np.float64, copy=True)
         bad = np.flatnonzero(~np.isfinite(values))
-        allowed = (self.columns.schema.field(name).metadata or {}).get(b"empty") and share > 0
-        if bad.size > share * values.size and not allowed:
-            row = int(bad[0])
-            found = "an empty field" if not column[row].is_valid else f"{values[row]}"
+        if bad.size > share * values.size:
+            found = values[bad[0]]
             raise InputError(
-                f"{self.path}: column {name}, row {row + 2}: found {found}, expected a finite "
-                "number"
+                f"{self.path}: column {name}, row {bad[0] + 2}: found "
+                f"{'an empty field' if np.isnan(found) else found}, expected a finite number"
             )
         values[bad] = np.nan
         return in_si(values, unit)
@@ -221,8 +201,9 @@ class Table:
         Raises:
             InputError: if it has others.
         """
-        column = self.columns.column(name)
-        values = column.to_numpy() if column.null_count == 0 else self.numbers(name)
+        values = self.columns[name].to_numpy()
+        if values.dtype.kind not in "iu":
+            values = self.numbers(name)
         bad = np.flatnonzero(values != np.rint(values))
         if bad.size or not (np.abs(values) < 2**63).all():
             found = values[bad[0]] if bad.size else "one of more than 63 bits"
@@ -231,22 +212,18 @@ class Table:
 
     def words(self, name: str) -> list[Any]:
         """The texts of a column; None where it is empty."""
-        found: list[Any] = self.columns.column(name).to_pylist()
-        return found
+        code, words = self.codes(name)
+        return [words[k] if k >= 0 else None for k in code.tolist()]
 
     def codes(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
         """(m,) the place of each text among the different ones of a column (-1: empty), and those.
 
         The different texts are in the order in which they first occur.
         """
-        column = self.columns.column(name)
-        if not pa.types.is_dictionary(column.type):  # numbers as names
-            column = column.cast(pa.string()).dictionary_encode()
-        column = column.unify_dictionaries().combine_chunks()
-        different = column.dictionary.dictionary_encode()  # a file's own may have a text twice
-        places = np.append(different.indices.to_numpy(), -1)
-        codes = places[column.indices.fill_null(-1).to_numpy()]
-        return codes.astype(np.int64), different.dictionary.to_pylist()
+        code, words = pandas.factorize(self.columns[name])
+        if getattr(words, "dtype", None) == np.float64:  # numbers as names
+            return code.astype(np.int64), [f"{word:.17g}" for word in words]
+        return code.astype(np.int64), [str(word) for word in words]
 
     def names(self, *columns: str) -> tuple[NDArray[np.int64], tuple[str, ...]]:
         """(m,) index of each row's agent, and the agents' names, from columns that identify them.
@@ -261,7 +238,7 @@ class Table:
         several = set(first[counts > 1].tolist())
         labels = []
         for codes in unique.T.tolist():
-            words = [str(words[code]) for code, (_, words) in zip(codes, coded, strict=True)]
+            words = [words[code] for code, (_, words) in zip(codes, coded, strict=True)]
             labels.append("-".join(words) if codes[0] in several else words[0])
         return agent.ravel().astype(np.int64), tuple(labels)
 
@@ -296,7 +273,7 @@ class Table:
             InputError: naming the first word that is not known.
         """
         lower = {word.lower(): kind for word, kind in known.items()}
-        words = [str(word).strip() for word in self.only(name, agent)]
+        words = [word.strip() for word in self.only(name, agent)]
         wrong = next((word for word in words if word.lower() not in lower), None)
         if wrong is not None:
             raise InputError(
@@ -308,12 +285,11 @@ class Table:
     def among(self, name: str, known: Collection[str]) -> tuple[NDArray[np.int64], list[str]]:
         """(k,) the rows in which a column has one of some words, and the other words there."""
         codes, words = self.codes(name)
-        rows = np.flatnonzero(np.isin(words, list(known))[codes])
-        return rows, sorted({words[code] for code in np.unique(codes)} - set(known))
+        return np.flatnonzero(np.isin(words, list(known))[codes]), sorted({*words} - {*known})
 
     def part(self, rows: NDArray[np.int64]) -> Table:
         """Some of the rows, by their indices."""
-        return Table(self.path, self.columns.take(pa.array(rows)))
+        return Table(self.path, self.columns.iloc[rows], self.empty)
 
     def by_word(self, name: str) -> list[tuple[str, Table]]:
         """The rows of each word of a column; all, under no word, where the file lacks it."""
@@ -325,8 +301,7 @@ class Table:
 
 def joined(one: Table, other: Table) -> Table:
     """Rows of two tables; fields of columns that one of them lacks are empty."""
-    both = pa.concat_tables([one.columns, other.columns], promote_options="default")
-    return Table(one.path, both)
+    return Table(one.path, pandas.concat([one.columns, other.columns]), one.empty)
 
 
 def read_table(
@@ -350,66 +325,74 @@ def read_table(
     Raises:
         InputError: naming the file and the column or row that is wrong.
     """
-    head = head_of(path)
+    head, wanted = head_of(path), [*numbers, *words]
     if head.startswith((PARQUET, *FEATHER)):
         with broken_as_one_line(path, "a table"):
-            table = _stored(path, head, numbers, words, optional)
+            table = _stored(path, head, wanted, words, optional)
     else:
-        table = _read_csv(path, numbers, words, optional)
+        table = _read_csv(path, wanted, words, optional)
     if not table.num_rows:
         raise InputError(f"{path}: found no rows, expected at least one")
-    for name in set(words) & set(table.column_names) - set(empty):
-        if table.column(name).null_count:
+    for name in table.column_names:
+        column = table.column(name)
+        if name in words and name not in empty and column.null_count:
             raise InputError(f"{path}: column {name}: found an empty field, expected a value")
-    marked = [
-        pa.field(f.name, f.type, metadata={"empty": "yes"}) if f.name in empty else f
-        for f in table.schema
-    ]
-    return Table(path, table.cast(pa.schema(marked)))
+        if name not in words and pa.types.is_integer(column.type) and column.null_count:
+            table = table.set_column(
+                table.column_names.index(name), name, column.cast(pa.float64())
+            )
+    with broken_as_one_line(path, "a table"):
+        return Table(path, table.to_pandas(), frozenset(empty))
 
 
 def _stored(
-    path: Path, head: bytes, numbers: Sequence[str], words: Sequence[str], optional: Sequence[str]
+    path: Path, head: bytes, wanted: list[str], words: Sequence[str], optional: Sequence[str]
 ) -> pa.Table:
-    """Columns of a Parquet or Feather file as numbers and dictionaries of texts."""
+    """Columns of a Parquet or Feather file."""
     if head.startswith(PARQUET):
         with opened(path) as file:
             # texts stay dictionaries: a small file can repeat a long text for millions of rows
-            names = pyarrow.parquet.ParquetFile(file).schema_arrow.names
+            names = pyarrow.parquet.read_schema(file).names
+            kept = _each_once(path, [name.lower() for name in names], wanted, optional)
             texts = [name for name in names if name.lower() in words]
             stored = pyarrow.parquet.ParquetFile(file, read_dictionary=texts)
-            kept = [name for name in names if name.lower() in (*numbers, *words)]
-            _each_once(path, [n.lower() for n in names], [*numbers, *words], optional)
-            table = stored.read(kept, use_threads=False)
+            table = stored.read([n for n in names if n.lower() in kept], use_threads=False)
     else:
         source = pa.BufferReader(read_bytes(path))
         table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
-    lower = table.rename_columns([name.lower() for name in table.column_names])
-    wanted = _each_once(path, lower.column_names, [*numbers, *words], optional)
-    columns = {}
-    for name in wanted:
-        column = lower.column(name)
-        if name in words:
-            if not pa.types.is_dictionary(column.type):
-                column = column.cast(pa.string()).dictionary_encode()
-            column = column.cast(pa.dictionary(column.type.index_type, pa.string()))
-        elif not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
-            raise InputError(f"{path}: column {name}: found {column.type!s:.60}, expected numbers")
-        columns[name] = column
-    return pa.table(columns)
+    table = table.rename_columns([name.lower() for name in table.column_names])
+    table = table.select(_each_once(path, table.column_names, wanted, optional))
+    for at, name in enumerate(table.column_names):
+        kind = table.schema.field(name).type
+        if name in words and not pa.types.is_integer(kind):  # some writers have texts as bytes
+            if pa.types.is_dictionary(kind):
+                text = table.column(name).cast(pa.dictionary(kind.index_type, pa.string()))
+            else:
+                text = table.column(name).cast(pa.string())
+            table = table.set_column(at, name, text)
+        elif name not in words and not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+            raise InputError(f"{path}: column {name}: found {kind!s:.60}, expected numbers")
+    return table
 
 
 def _read_csv(
-    path: Path, numbers: Sequence[str], words: Sequence[str], optional: Sequence[str]
+    path: Path, wanted: list[str], words: Sequence[str], optional: Sequence[str]
 ) -> pa.Table:
     """Columns of a CSV file as numbers and dictionaries of texts."""
-    dialect = dialect_of(path)
-    types = dict.fromkeys(numbers, pa.float64())
-    types |= dict.fromkeys(words, pa.dictionary(pa.int32(), pa.string()))
-    wanted = _each_once(path, dialect.header, list(types), optional)
+    dialect = _dialect_of(path)
+    text = pa.dictionary(pa.int32(), pa.string())
+    types = {name: text if name in words else pa.float64() for name in wanted}
+    kept = _each_once(path, dialect.header, wanted, optional)
     # columns that are not read may have any name, even the same name twice
-    names = [name if name in wanted else f"#{i}" for i, name in enumerate(dialect.header)]
-    _check_quotes(path, dialect.encoding)
+    names = [name if name in kept else f"#{i}" for i, name in enumerate(dialect.header)]
+    if not dialect.encoding.startswith("utf-16"):  # else lines would be read as one field
+        with opened(path) as file:
+            odd = next((k for k, line in enumerate(file, 1) if line.count(b'"') % 2), None)
+        if odd is not None:
+            raise InputError(
+                f"{path}: line {odd}: found a quotation mark that is not closed, expected pairs "
+                "around fields"
+            )
     try:
         with opened(path) as file:
             return pyarrow.csv.read_csv(
@@ -420,7 +403,7 @@ def _read_csv(
                 ),
                 pyarrow.csv.ParseOptions(delimiter=dialect.delimiter),
                 pyarrow.csv.ConvertOptions(
-                    column_types=types, include_columns=wanted, null_values=EMPTY,
+                    column_types=types, include_columns=kept, null_values=EMPTY,
                     decimal_point=dialect.decimal,
                 ),
             )  # fmt: skip
@@ -431,22 +414,6 @@ def _read_csv(
             row = f", row {bad[2]}" if bad[2] else ""
             said = f"column {names[int(bad[1])]}{row}: found {bad[3]:.60}, expected a number"
         raise InputError(f"{path}: {said:.300}") from None
-
-
-def _check_quotes(path: Path, encoding: str) -> None:
-    """Refuse a quotation mark that is not closed in its line: lines would be read as one field."""
-    if encoding.startswith("utf-16"):
-        return
-    with opened(path) as file:
-        if not any(b'"' in chunk for chunk in iter(lambda: file.read(CHUNK_BYTES), b"")):
-            return
-        file.seek(0)
-        for number, line in enumerate(file, 1):
-            if line.count(b'"') % 2:
-                raise InputError(
-                    f"{path}: line {number}: found a quotation mark that is not closed, expected "
-                    "pairs around fields"
-                )
 
 
 def read_text(
@@ -474,9 +441,7 @@ def read_text(
         raise InputError(f"{path}: {error}") from None
     if not len(rows):
         raise InputError(f"{path}: found no rows, expected at least one")
-    columns = {name: pa.array(np.ascontiguousarray(rows[name])) for name in numbers}
-    columns |= {name: pa.array(rows[name].tolist()).dictionary_encode() for name in words}
-    return Table(path, pa.table(columns))
+    return Table(path, pandas.DataFrame({name: rows[name] for name in wanted}))
 
 
 def _each_once(

@@ -162,11 +162,3 @@ def read_records(path: Path) -> Iterator[bytes]:
             yield data
     if not number:
         raise InputError(f"{path}: found no record, expected at least one")
-
-
-def write_record(data: bytes) -> bytes:
-    """A record as it is in a file."""
-    size = _HEAD.pack(len(data), 0)[:8]
-    return b"".join(
-        [size, _TAIL.pack(masked_checksum(size)), data, _TAIL.pack(masked_checksum(data))]
-    )

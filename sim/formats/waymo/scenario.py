@@ -22,17 +22,14 @@ from typing import Any, Final
 import numpy as np
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.formats.common.driving_scene import DrivingScene, SceneAgent, recording_of
 from sim.formats.common.recording import Recording
 from sim.formats.waymo.messages import ENUMS, read_records, scenario_class
-from sim.frames import AgentKind
+from sim.frames import AgentKind, FloatArray
 from sim.input_files import plain_name, read_bytes, stem
 from sim.road.maps.waymo import WaymoLane
-
-FloatArray = NDArray[np.float64]
 
 PERIOD_S: Final = 0.1
 """Time between two steps where the file does not say it, s."""

@@ -10,63 +10,24 @@ References:
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
+from sim.frames import FloatArray
 from sim.geometry import offset_line
-from sim.input_files import read_bytes, read_once
-from sim.invalid_fields import first_wrong_field
+from sim.input_files import broken_as_one_line, read_bytes, read_once
 from sim.road import Crossing, Lane, Road
 from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
 
 # --- reading ------------------------------------------------------------------------------------
-
-_Identity = Annotated[int, Field(ge=0, lt=2**63)]
-
-
-class _Part(BaseModel):
-    """A part of a map; what else is in it is not read."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
-
-
-class _Point(_Part):
-    x: float
-    y: float
-
-
-_Line = Annotated[list[_Point], Field(min_length=2)]
-
-
-class _Segment(_Part):
-    id: _Identity
-    is_intersection: bool
-    lane_type: str
-    centerline: _Line | None = None
-    left_lane_boundary: _Line
-    right_lane_boundary: _Line
-    left_neighbor_id: _Identity | None
-    right_neighbor_id: _Identity | None
-    successors: list[_Identity]
-
-
-class _Crosswalk(_Part):
-    id: _Identity
-    edge1: _Line
-    edge2: _Line
-
-
-class _Archive(_Part):
-    lane_segments: dict[str, _Segment]
-    pedestrian_crossings: dict[str, _Crosswalk]
 
 
 @read_once
@@ -84,54 +45,49 @@ def read_map(path: Path, name: str | None = None) -> Road | None:
     Raises:
         InputError: if the file is missing or no such map; names the place in it.
     """
-    try:
-        archive = _Archive.model_validate_json(read_bytes(path))
-    except ValidationError as error:
-        raise InputError(f"{path}: {first_wrong_field(error)}") from None
-    segments = _by_id(path, archive.lane_segments)
-    _by_id(path, archive.pedestrian_crossings)
-    if not segments:
-        return None
-    lanelets = {i: _lanelet(segment) for i, segment in segments.items()}
-    crossings = [_crossing(c) for c in archive.pedestrian_crossings.values()]
-    return road_of_lanelets(path, path.stem if name is None else name, lanelets, crossings)
+    with broken_as_one_line(path, "a map of Argoverse 2"):
+        archive = json.loads(read_bytes(path))
+        segments = sorted(archive["lane_segments"].values(), key=lambda one: one["id"])
+        lanelets = {int(one["id"]): _lanelet(one) for one in segments}
+        crossings = [_crossing(one) for one in archive["pedestrian_crossings"].values()]
+        if len(lanelets) < len(segments) or len({one.id for one in crossings}) < len(crossings):
+            raise InputError("found an id twice, expected each once")
+        if not segments:
+            return None
+        return road_of_lanelets(path, path.stem if name is None else name, lanelets, crossings)
 
 
-def _by_id(path: Path, parts: Mapping[str, Any]) -> dict[int, Any]:
-    """Parts in order of their ids."""
-    found = {part.id: part for part in parts.values()}
-    if len(found) != len(parts):
-        raise InputError(f"{path}: found an id twice, expected each once")
-    return dict(sorted(found.items()))
+def _array(line: list[dict[str, float]]) -> FloatArray:
+    """(P, 2) the points of a line, m."""
+    points = frozen(np.array([(point["x"], point["y"]) for point in line], dtype=np.float64))
+    if len(points) < 2:
+        raise InputError("found a line of one point, expected 2 or more")
+    return points
 
 
-def _array(line: list[_Point]) -> NDArray[np.float64]:
-    return frozen(np.array([(point.x, point.y) for point in line]))
-
-
-def _lanelet(segment: _Segment) -> Lanelet:
+def _lanelet(segment: Mapping[str, Any]) -> Lanelet:
     """A segment as a lanelet; its width is the mean of its ends."""
-    borders = _array(segment.left_lane_boundary), _array(segment.right_lane_boundary)
-    own = segment.centerline  # maps of sensor logs have none
+    borders = [_array(segment[f"{side}_lane_boundary"]) for side in ("left", "right")]
+    own = segment.get("centerline")  # maps of sensor logs have none
     across = borders[0][[0, -1]] - borders[1][[0, -1]]
     return Lanelet(
-        id=segment.id,
+        id=int(segment["id"]),
         centerline=between(*borders)[0] if own is None else _array(own),
         width_m=float(np.hypot(*across.T).mean()),
-        successors=tuple(segment.successors),
-        internal=segment.is_intersection,
-        left=segment.left_neighbor_id,
-        right=segment.right_neighbor_id,
-        use=segment.lane_type,
+        successors=tuple(map(int, segment["successors"])),
+        internal=bool(segment["is_intersection"]),
+        left=segment["left_neighbor_id"],
+        right=segment["right_neighbor_id"],
+        use=str(segment["lane_type"]),
     )
 
 
-def _crossing(crosswalk: _Crosswalk) -> Crossing:
-    one, other = _array(crosswalk.edge1)[[0, -1]], _array(crosswalk.edge2)[[0, -1]]
+def _crossing(crosswalk: Mapping[str, Any]) -> Crossing:
+    one, other = (_array(crosswalk[edge])[[0, -1]] for edge in ("edge1", "edge2"))
     if (one[1] - one[0]) @ (other[1] - other[0]) < 0:
         other = other[::-1]
     return Crossing(
-        id=str(crosswalk.id),
+        id=str(crosswalk["id"]),
         centerline=(one + other) / 2,
         width_m=float(np.hypot(*(one - other).T).mean()),
         edges=(),

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -105,7 +105,7 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     if not elements:
         return None
     signs = _signs(path, root)
-    lights = _Lights.of(path, root)
+    lights = _lights(path, root)
     found: dict[int, Lanelet] = {}
     crossings: list[Crossing] = []
     inside = _inside(path, root)
@@ -168,8 +168,7 @@ def line_of(path: Path, element: Element | None, what: str) -> NDArray[np.float6
         raise InputError(f"{path}: {what}: found a point that is not a number") from None
 
 
-@dataclass(frozen=True)
-class _Sign:
+class _Sign(NamedTuple):
     """Meaning of a traffic sign."""
 
     limit_mps: float = math.nan
@@ -182,15 +181,12 @@ def _signs(path: Path, root: Element) -> dict[int, _Sign]:
     """Every traffic sign by its id."""
     found = {}
     for sign in root.iterfind("trafficSign"):
-        limit, kinds = math.nan, set[str]()
-        for element in sign.iterfind("trafficSignElement"):
-            kind = (element.findtext("trafficSignID") or "").strip()
-            kinds.add(kind)
-            value = element.findtext("additionalValue")
-            if kind in LIMIT_SIGNS and value is not None:
-                limit = _limit(path, value)
+        parts = [((e.findtext("trafficSignID") or "").strip(), e.findtext("additionalValue"))
+                 for e in sign.iterfind("trafficSignElement")]  # fmt: skip
+        kinds = {kind for kind, _ in parts}
+        limits = [_limit(path, text) for kind, text in parts if text and kind in LIMIT_SIGNS]
         found[whole_number(path, sign, "id")] = _Sign(
-            limit,
+            limits[-1] if limits else math.nan,
             stop=bool(kinds & STOP_SIGNS),
             yields=bool(kinds & (YIELD_SIGNS | STOP_SIGNS)),
             goes_first=bool(kinds & PRIORITY_SIGNS),
@@ -205,31 +201,27 @@ def _limit(path: Path, text: str) -> float:
     return value
 
 
-@dataclass(frozen=True)
-class _Lights:
-    """Traffic lights with a plausible programme."""
+class _Lights(NamedTuple):
+    """Traffic lights with a plausible programme, and the group of each by its id."""
 
-    groups: tuple[str, ...]
-    plans: tuple[SignalPlan, ...]
-    group_of: dict[int, int]
+    groups: tuple[str, ...] = ()
+    plans: tuple[SignalPlan, ...] = ()
+    group_of: Mapping[int, int] = {}
 
-    @classmethod
-    def of(cls, path: Path, root: Element) -> _Lights:
-        """The lights of a scenario; none where any light's programme is missing or odd."""
-        step_s = real(path, root.get("timeStepSize"), "timeStepSize")
-        plans, group_of = list[SignalPlan](), dict[int, int]()
-        for light in root.iterfind("trafficLight"):
-            identity = whole_number(path, light, "id")
-            phases = _phases(path, light, step_s)
-            if phases is None or identity in group_of:
-                return cls((), (), {})
-            durations, states = phases
-            offset = light.findtext("cycle/timeOffset")
-            offset_s = 0.0 if offset is None else real(path, offset, "timeOffset") * step_s
-            group = len(plans)
-            group_of[identity] = group
-            plans.append(SignalPlan(str(identity), (group,), (0,), durations, states, offset_s))
-        return cls(tuple(plan.id for plan in plans), tuple(plans), group_of)
+
+def _lights(path: Path, root: Element) -> _Lights:
+    """The lights of a scenario; none where any light's programme is missing or odd."""
+    step_s = real(path, root.get("timeStepSize"), "timeStepSize")
+    plans, group_of = list[SignalPlan](), dict[int, int]()
+    for light in root.iterfind("trafficLight"):
+        identity = whole_number(path, light, "id")
+        phases = _phases(path, light, step_s)
+        if phases is None or identity in group_of:
+            return _Lights()
+        offset_s = real(path, light.findtext("cycle/timeOffset") or "0", "timeOffset") * step_s
+        group = group_of[identity] = len(plans)
+        plans.append(SignalPlan(str(identity), (group,), (0,), *phases, offset_s))
+    return _Lights(tuple(plan.id for plan in plans), tuple(plans), group_of)
 
 
 def _phases(

@@ -17,21 +17,19 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from sim.frames import FloatArray
 from sim.input_files import read_once
 from sim.road import Crossing, Road
 from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets, with_junctions
 from sim.road.maps.sources import FREE_WORDS, limit_of
 from sim.road.maps.transverse_mercator import to_metres, zone_of
 from sim.xml_tree import read_tree, whole_number
-
-FloatArray = NDArray[np.float64]
 
 ROOT: Final = "osm"
 
@@ -75,7 +73,7 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
             f"{path.name} --out NAME makes a net of it"
         )
     ways = _ways(path, root, _places(path, root, origin))
-    rules = _Rules.of(path, root)
+    rules = _rules(path, root)
     found: dict[int, Lanelet] = {}
     borders: dict[int, tuple[_Border, _Border]] = {}
     crossings: list[Crossing] = []
@@ -210,8 +208,7 @@ def _borders(path: Path, relation: Element, ways: Mapping[int, _Border]) -> tupl
     """Left and right border, turned so that left is on the left."""
     sides = []
     for role in ("left", "right"):
-        members = [e for e in relation.iterfind("member") if e.get("role") == role]
-        refs = [whole_number(path, member, "ref") for member in members]
+        refs = _members(path, relation, role)
         if not refs or any(ref not in ways for ref in refs):
             raise InputError(
                 f"{path}: lanelet {whole_number(path, relation, 'id')}: found no {role} border, "
@@ -285,40 +282,37 @@ def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
     return limit
 
 
-@dataclass(frozen=True)
-class _Rules:
+class _Rules(NamedTuple):
     """Meaning of the regulatory elements for lanelets: priority, stops, limits."""
 
     yields: dict[int, tuple[int, ...]]
-    stops: frozenset[int]
+    stops: set[int]
     limits: dict[int, str]
 
-    @classmethod
-    def of(cls, path: Path, root: Element) -> _Rules:
-        """The rules of a map."""
-        yields: dict[int, tuple[int, ...]] = {}
-        stops, signs = set[int](), dict[int, str]()
-        for relation in _relations(root, "regulatory_element"):
-            tags = _tags(relation)
-            members: dict[str, list[int]] = {}
-            for member in relation.iterfind("member"):
-                ref = whole_number(path, member, "ref")
-                members.setdefault(member.get("role", ""), []).append(ref)
-            if tags.get("subtype") in ("right_of_way", "all_way_stop"):
-                first = tuple(members.get("right_of_way", ()))
-                for i in members.get("yield", ()):
-                    yields[i] = (*yields.get(i, ()), *first)
-                if tags["subtype"] == "all_way_stop":
-                    stops.update(members.get("yield", ()))
-            elif tags.get("subtype") == "speed_limit":
-                text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
-                if text:
-                    signs[whole_number(path, relation, "id")] = text
-        limits = {
-            whole_number(path, relation, "id"): signs[ref]
-            for relation in _relations(root, "lanelet")
-            for member in relation.iterfind("member")
-            if member.get("role") == "regulatory_element"
-            and (ref := whole_number(path, member, "ref")) in signs
-        }
-        return cls(yields, frozenset(stops), limits)
+
+def _rules(path: Path, root: Element) -> _Rules:
+    """The rules of a map."""
+    yields, stops, signs = dict[int, tuple[int, ...]](), set[int](), dict[int, str]()
+    for relation in _relations(root, "regulatory_element"):
+        tags = _tags(relation)
+        kind = tags.get("subtype")
+        first, waiting = (_members(path, relation, role) for role in ("right_of_way", "yield"))
+        if kind in ("right_of_way", "all_way_stop"):
+            yields |= {i: (*yields.get(i, ()), *first) for i in waiting}
+            stops.update(waiting if kind == "all_way_stop" else ())
+        elif kind == "speed_limit":
+            text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
+            signs |= {whole_number(path, relation, "id"): text} if text else {}
+    limits = {
+        whole_number(path, relation, "id"): signs[ref]
+        for relation in _relations(root, "lanelet")
+        for ref in _members(path, relation, "regulatory_element")
+        if ref in signs
+    }
+    return _Rules(yields, stops, limits)
+
+
+def _members(path: Path, relation: Element, role: str) -> list[int]:
+    """What a relation refers to in a role."""
+    members = [e for e in relation.iterfind("member") if e.get("role") == role]
+    return [whole_number(path, member, "ref") for member in members]

@@ -19,16 +19,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
+from sim.frames import FloatArray
 from sim.geometry import distances_along, meeting, pieces_of, points_at
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
-
-FloatArray = NDArray[np.float64]
+from sim.road.cells import boxes_of, near_pairs
 
 MAX_COORDINATE_M: Final = 1e9
 """Largest absolute coordinate (beyond any UTM coordinate)."""
@@ -43,6 +42,12 @@ as SUMO's netconvert has it)."""
 
 COMPARED_POINTS: Final = 24
 """Points of each line that are compared to find junctions (2 m apart on a turn)."""
+
+END_M: Final = 1.0
+"""Lines that meet this close to an end of one of them follow each other, m."""
+
+CELL_M: Final = 30.0
+"""Width of the cells in which lines that meet are searched, m."""
 
 CROSSING_RAD: Final = math.radians(12.0)
 """Centre lines that meet at a larger angle cross, so that their lanes are part of a junction (lanes
@@ -355,37 +360,22 @@ def with_junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
 
 
 def _crossing_ids(lanelets: list[Lanelet]) -> set[int]:
-    """Ids of the lanelets whose centre line crosses another's."""
-    if len(lanelets) < 2:
-        return set()
+    """Ids of the lanelets whose centre line crosses another's at an angle, not at their ends."""
     lines = [_thinned(one.centerline) for one in lanelets]
-    low = np.array([line.min(axis=0) for line in lines])
-    high = np.array([line.max(axis=0) for line in lines])
+    boxes = boxes_of(lines, 0.0)
     inside = set[int]()
-    for i, one in enumerate(lanelets[:-1]):
-        rest = slice(i + 1, None)
-        meets = ((low[rest] <= high[i]) & (high[rest] >= low[i])).all(axis=1)
-        for j in (np.flatnonzero(meets) + i + 1).tolist():
-            if _cross(lines[i], lines[j]):
-                inside |= {one.id, lanelets[j].id}
+    for i, j in near_pairs(boxes, boxes, CELL_M).tolist():
+        found = meeting(lines[i], lines[j]) if i < j else None
+        if found is None or found.sine <= math.sin(CROSSING_RAD):
+            continue
+        point = points_at(lines[i], np.array([found.along]))
+        corners = np.stack([lines[i][0], lines[i][-1], lines[j][0], lines[j][-1]])
+        if np.hypot(*(corners - point).T).min() > END_M:
+            inside |= {lanelets[i].id, lanelets[j].id}
     return inside
-
-
-def _cross(line: FloatArray, other: FloatArray) -> bool:
-    """Whether two lines meet at an angle, not just at their ends."""
-    found = meeting(line, other)
-    if found is None or found.sine <= math.sin(CROSSING_RAD):
-        return False
-    point = points_at(line, np.array([found.along]))
-    corners = np.stack([line[0], line[-1], other[0], other[-1]])
-    return bool(np.hypot(*(corners - point).T).min() > END_M)
 
 
 def _thinned(line: FloatArray) -> FloatArray:
     """A line with at most some `COMPARED_POINTS` of its points, both ends among them."""
     step = max(len(line) // COMPARED_POINTS, 1)
     return line if step == 1 else np.concatenate([line[:-1:step], line[-1:]])
-
-
-END_M: Final = 1.0
-"""Lines that meet this close to an end of one of them follow each other, m."""

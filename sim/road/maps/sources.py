@@ -205,7 +205,7 @@ def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
         if not left_hand and nodes and drives_left(*np.nanmedian(nodes, axis=0).tolist()):
             warnings.append(
                 "found a place where traffic drives on the left, taken as driving on the right: "
-                "--left-hand mirrors it"
+                "--left-hand, or --set left_hand=true, mirrors it"
             )
     return Source(_as_bytes(root), left_hand, tuple(warnings), unlimited, roads)
 

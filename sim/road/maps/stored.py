@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 import numpy as np
-from pydantic import ConfigDict, ValidationError, create_model
 
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
-from sim.input_files import read_bytes, read_once
-from sim.invalid_fields import first_wrong_field
+from sim.input_files import broken_as_one_line, read_bytes, read_once
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 from sim.road.maps.lanelets import check_lines
 
@@ -29,56 +26,12 @@ SUFFIX: Final = ".road.json"
 VERSION: Final = 1
 """Version of the layout of such a file."""
 
-_STORED_TYPES: Final = {
-    "centerline": list[tuple[float, float]],
-    "speed_limit_mps": float | None,  # None where it is unknown
-}
-"""Types of fields that are stored in another form than a road has them."""
-
-
-def _as_stored(part: type) -> Any:
-    """Validator of a part of a road: all its fields, of their types."""
-    types = get_type_hints(part) | _STORED_TYPES
-    named: dict[str, Any] = {field.name: (types[field.name], ...) for field in fields(part)}
-    config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
-    return create_model(part.__name__, __config__=config, **named)
-
-
-_PARTS: Final[dict[str, Any]] = {
-    "version": (int, ...),
-    "lanes": (list.__class_getitem__(_as_stored(Lane)), ...),
-    "connections": (list.__class_getitem__(_as_stored(Connection)), ...),
-    "crossings": (list.__class_getitem__(_as_stored(Crossing)), ...),
-    "signal_groups": (tuple[str, ...], ...),
-    "signal_plans": (list.__class_getitem__(_as_stored(SignalPlan)), ...),
-    "knows": (_as_stored(MapKnowledge), ...),
-    "left_hand": (bool, False),
-}
-_Stored: Final = create_model(
-    "Stored", __config__=ConfigDict(strict=True, extra="forbid"), **_PARTS
-)
-
 
 def encode_road(road: Road) -> bytes:
-    """A road as the file's content; equal roads have equal bytes, whatever they are called.
-
-    Args:
-        road: any.
-
-    Returns:
-        JSON.
-    """
+    """A road as the file's content; equal roads have equal bytes, whatever they are called."""
     stored = {
         "version": VERSION,
-        "lanes": [
-            {
-                **_fields(lane),
-                "speed_limit_mps": (
-                    lane.speed_limit_mps if math.isfinite(lane.speed_limit_mps) else None
-                ),
-            }
-            for lane in road.lanes
-        ],
+        "lanes": [_fields(lane) for lane in road.lanes],
         "connections": [asdict(connection) for connection in road.connections],
         "crossings": [_fields(crossing) for crossing in road.crossings],
         "signal_groups": road.signal_groups,
@@ -90,8 +43,10 @@ def encode_road(road: Road) -> bytes:
 
 
 def _fields(part: Lane | Crossing) -> dict[str, Any]:
-    """A part's fields, its line as lists."""
+    """A part's fields, its line as lists and an unknown limit as None."""
     fields = {name: getattr(part, name) for name in part.__dataclass_fields__}
+    if not math.isfinite(fields.get("speed_limit_mps", 0.0)):
+        fields["speed_limit_mps"] = None
     return {**fields, "centerline": part.centerline.tolist()}
 
 
@@ -109,42 +64,47 @@ def read_stored(path: Path, name: str | None = None) -> Road:
     Raises:
         InputError: if the file is missing or broken; names the place in it.
     """
-    try:
-        stored = _Stored.model_validate_json(read_bytes(path)).model_dump()
-    except ValidationError as error:
-        raise InputError(f"{path}: {first_wrong_field(error)}") from None
-    if stored["version"] != VERSION:
-        raise InputError(f"{path}: version: found {stored['version']}, expected {VERSION}")
-    road = Road(
-        name=name if name is not None else path.name.removesuffix(SUFFIX),
-        lanes=tuple(Lane(**_with_line(lane)) for lane in stored["lanes"]),
-        connections=tuple(Connection(**link) for link in stored["connections"]),
-        crossings=tuple(Crossing(**_with_line(one)) for one in stored["crossings"]),
-        signal_groups=stored["signal_groups"],
-        source=path,
-        signal_plans=tuple(SignalPlan(**plan) for plan in stored["signal_plans"]),
-        knows=MapKnowledge(**stored["knows"]),
-        left_hand=stored["left_hand"],
-    )
-    lines = [lane.centerline for lane in road.lanes]
-    check_lines(path, lines + [crossing.centerline for crossing in road.crossings])
-    _check_references(path, road)
+    with broken_as_one_line(path, "a road of a dataset"):
+        stored = json.loads(read_bytes(path))
+        if stored["version"] != VERSION:
+            raise InputError(f"version: found {stored['version']!r:.40}, expected {VERSION}")
+        road = Road(
+            name=name if name is not None else path.name.removesuffix(SUFFIX),
+            lanes=tuple(Lane(**_with_line(lane)) for lane in stored["lanes"]),
+            connections=tuple(Connection(**_tuples(link)) for link in stored["connections"]),
+            crossings=tuple(Crossing(**_with_line(one)) for one in stored["crossings"]),
+            signal_groups=tuple(stored["signal_groups"]),
+            source=path,
+            signal_plans=tuple(SignalPlan(**_tuples(plan)) for plan in stored["signal_plans"]),
+            knows=MapKnowledge(**stored["knows"]),
+            left_hand=stored.get("left_hand", False),
+        )
+        lines = [lane.centerline for lane in road.lanes]
+        check_lines(path, lines + [crossing.centerline for crossing in road.crossings])
+        _check_references(road)
     return road
 
 
-def _with_line(part: Mapping[str, Any]) -> dict[str, Any]:
+def _tuples(value: Any) -> Any:
+    """Lists as tuples, those inside others, too."""
+    if isinstance(value, dict):
+        return {name: _tuples(part) for name, part in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def _with_line(part: dict[str, Any]) -> dict[str, Any]:
     """The fields of a lane or crossing, its line as an array and an unknown limit as NaN."""
     line = frozen(np.array(part["centerline"], dtype=np.float64).reshape(-1, 2))
     limit = {"speed_limit_mps": math.nan} if part.get("speed_limit_mps", 0.0) is None else {}
-    return {**part, "centerline": line, **limit}
+    return {**_tuples(part), "centerline": line, **limit}
 
 
-def _check_references(path: Path, road: Road) -> None:
+def _check_references(road: Road) -> None:
     """Refuse lanes, ways and signals that are not there, and plans that do not fit."""
 
     def require(holds: bool, where: str, expected: str) -> None:
         if not holds:
-            raise InputError(f"{path}: {where}: found others, expected {expected}")
+            raise InputError(f"{where}: found others, expected {expected}")
 
     require(0 < len(road.lane_index) == len(road.lanes), "lanes", "each id once")
     ways, groups = len(road.connections), len(road.signal_groups)

@@ -11,9 +11,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sim.frames import FloatArray
 
 EQUATOR_M: Final = 6378137.0
 FLATTENING: Final = 1 / 298.257223563

@@ -16,15 +16,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
+from sim.frames import FloatArray
 from sim.road import Crossing, Road
 from sim.road.maps.lanelets import MAX_COORDINATE_M, Lanelet, road_of_lanelets, with_junctions
 from sim.units import FACTORS
-
-FloatArray = NDArray[np.float64]
 
 MPS_PER_MPH: Final = FACTORS["mph"]
 
