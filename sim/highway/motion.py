@@ -33,17 +33,27 @@ STUCK_S: Final = 5.0
 """A vehicle that stands on the wrong side for this long is taken off the road (facing oncoming
 traffic, it would stand there for ever)."""
 
-STAYS, ARRIVED, CLEARED, STUCK = range(4)
-"""Whether an agent stays or why it goes."""
+STAYS: Final = 0
+ARRIVED: Final = 1
+CLEARED: Final = 2
+STUCK: Final = 3
 
-DONE, SOMEBODY_GOES, ASTRAY = range(3)
-"""What `advance` returns."""
+DONE: Final = 0
+SOMEBODY_GOES: Final = 1
+NO_ROOM: Final = 2
+ASTRAY: Final = 3
 
 
 @in_place()
 def advance(dt: float, scene: Scene) -> int:
-    """Let everybody decide and move for ``dt`` seconds; nobody moves if somebody is `ASTRAY`."""
-    locate(scene)
+    """Let everybody decide and move for ``dt`` seconds.
+
+    Returns:
+        `DONE`, or `SOMEBODY_GOES`; nobody has moved at `NO_ROOM` for all entries of ``on``, or if
+        somebody is `ASTRAY`.
+    """
+    if not locate(scene):
+        return NO_ROOM
     if act(scene) > 0:
         return ASTRAY
     return SOMEBODY_GOES if move(dt, scene) else DONE
@@ -51,7 +61,11 @@ def advance(dt: float, scene: Scene) -> int:
 
 @in_place()
 def move(dt: float, scene: Scene) -> bool:
-    """Move everybody for ``dt`` seconds, find who touches whom, and say whether somebody goes."""
+    """Move everybody for ``dt`` seconds and find who touches whom.
+
+    Returns:
+        Whether somebody has to go; ``leaves`` says who and why.
+    """
     now_s = scene.now[0].time_s + dt
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]

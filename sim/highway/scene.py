@@ -81,10 +81,14 @@ def onward(i: int, lane: int, scene: Scene) -> int:
 
 
 @in_place()
-def locate(scene: Scene) -> None:
-    """Find who is on which lane; those at the same place are in the order of rows."""
+def locate(scene: Scene) -> bool:
+    """Find who is on which lane; those at the same place are in the order of rows.
+
+    Returns:
+        Whether there was room for all entries; ``now.entries`` says how many there are.
+    """
     net, cells, found = scene.net, scene.net.cells, 0
-    vehicles, first = scene.vehicles, scene.on_first
+    vehicles, first, room = scene.vehicles, scene.on_first, scene.unsorted.size
     first[:] = 0
     for i in range(vehicles.size):
         me = vehicles[i]
@@ -111,10 +115,14 @@ def locate(scene: Scene) -> None:
                 if abs(lateral) > lane.margin or not 0.0 <= rear <= lane.length:
                     continue
                 s = rear + half  # it turns off, with its rear still in the way
-            one = scene.unsorted[found]
-            one.row, one.lane, one.s, one.along = i, k, s, me.speed * facing
-            first[k + 1] += 1
+            if found < room:
+                one = scene.unsorted[found]
+                one.row, one.lane, one.s, one.along = i, k, s, me.speed * facing
+                first[k + 1] += 1
             found += 1
+    scene.now[0].entries = found
+    if found > room:
+        return False
     for k in range(first.size - 1):
         first[k + 1] += first[k]
     for e in range(found):  # `lane_head` counts how many are in place already
@@ -128,6 +136,7 @@ def locate(scene: Scene) -> None:
         scene.on[at] = one
     for e in range(found):
         scene.lane_head[scene.unsorted[e].lane] = -1
+    return True
 
 
 @in_place(inner=True)
@@ -183,10 +192,14 @@ def beside(i: int, lane: int, scene: Scene) -> Beside:
 def room_at_entry(
     lanes: IntArray, length: float, scene: Scene, gap: FloatArray, speed: FloatArray
 ) -> None:
-    """Find the bumper gap to the first vehicle on (n,) lanes or changing to them, and its speed.
+    """Find the bumper gap to the first vehicle on lanes or changing to them, and its speed.
 
-    ``gap`` receives the gaps, m, infinite where nobody is, and ``speed`` the speeds along the lane.
-    ``length`` is that of the vehicle that may enter, m.
+    Args:
+        lanes: (n,) which lanes.
+        length: of the vehicle that may enter, m.
+        scene: the road.
+        gap: (n,) receives the gaps, m; infinite where nobody is.
+        speed: (n,) receives the speeds along the lane, m/s.
     """
     for at in range(lanes.size):
         lane = scene.net.lanes[lanes[at]]
@@ -201,3 +214,28 @@ def room_at_entry(
                 gap[at] = s - length - other.length / 2
                 turned = other.heading - heading_at(s, lanes[at], scene.net)
                 speed[at] = max(other.speed * math.cos(turned), 0.0)
+
+
+@in_place()
+def read_motion(
+    order: IntArray, scene: Scene, xy: FloatArray, heading: FloatArray, speed: FloatArray
+) -> None:
+    """Read how everybody moves, in the axes of a `Frame`.
+
+    Args:
+        order: (n,) rows; pedestrians are counted after the vehicles.
+        scene: the road.
+        xy: (n, 2) receives the places, m.
+        heading: (n,) receives the headings, rad.
+        speed: (n,) receives the speeds, m/s.
+    """
+    for k in range(order.size):
+        i = order[k] - scene.vehicles.size
+        if i < 0:
+            me = scene.vehicles[order[k]]
+            x, y, turned, speed[k] = me.x, me.y, me.heading, me.speed
+        else:
+            person = scene.walkers[i]
+            x, y, turned, speed[k] = person.x, person.y, person.heading, person.speed
+        xy[k, 0], xy[k, 1] = x, -y
+        heading[k] = math.pi - (math.pi + turned) % (2.0 * math.pi)

@@ -104,9 +104,11 @@ CROSSOVER: Final = record_type(crossing="i8", begin_s="f8", end_s="f8", forward=
 """A crossing on a way: where along it a pedestrian waits and has left it, m, and whether it is
 walked along its centre line, not against it."""
 
-NOW: Final = record_type(time_s="f8", events="i8", arrivals="i8", pairs="i8", astray="i8")
+NOW: Final = record_type(
+    time_s="f8", events="i8", arrivals="i8", pairs="i8", astray="i8", entries="i8"
+)
 """The time, and how many rows of each list are in use; ``astray``: how many drivers need another
-route."""
+route; ``entries``: vehicles on lanes."""
 
 EVENT: Final = record_type(kind="i8", agent="i8", time_s="f8")
 """Something that a rule recorded, by the code of its `EventKind`."""
@@ -187,10 +189,15 @@ def blank_vehicle() -> Any:
     """The row of a vehicle that stands nowhere and has no driver."""
     row = np.zeros(1, VEHICLE)[0]
     times = (
-        "go_at", "standing_since", "crashed_at", "cut_in_at", "stop_at", "wrong_way_at", "lapse_at",
-        "stop_gap", "speed_cap",
-    )  # fmt: skip
-    for name in times:
+        "go_at",
+        "standing_since",
+        "crashed_at",
+        "cut_in_at",
+        "stop_at",
+        "wrong_way_at",
+        "lapse_at",
+    )
+    for name in (*times, "stop_gap", "speed_cap"):
         row[name] = np.inf
     ways = ("route", "last_path", "path_before", "stood_at", "then", "path", "forced")
     for name in ("agent", "met", "late_since", *ways):

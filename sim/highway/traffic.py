@@ -19,9 +19,18 @@ from sim.frames import Event, EventKind, Frame, Signal
 from sim.highway.decide import act, decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
-from sim.highway.motion import ARRIVED, ASTRAY, SOMEBODY_GOES, STAYS, STUCK, advance, move
+from sim.highway.motion import (
+    ARRIVED,
+    ASTRAY,
+    NO_ROOM,
+    SOMEBODY_GOES,
+    STAYS,
+    STUCK,
+    advance,
+    move,
+)
 from sim.highway.network import HighwayNetwork
-from sim.highway.scene import locate, room_at_entry
+from sim.highway.scene import locate, read_motion, room_at_entry
 from sim.highway.state import (
     ARRIVAL,
     EVENT,
@@ -221,7 +230,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Arrays with room for twice as many as are there now."""
         n, m = 2 * len(self.vehicles) + 8, 2 * len(self.walkers) + 8
         net = self.network_info.arrays
-        entries = n * int(np.diff(net.cells.first).max(initial=0))
+        entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
         return Scene(
             net=net,
@@ -262,15 +271,12 @@ class TrafficRoad(Road):  # type: ignore[misc]
             events: what happened; by default the events since they were last taken.
         """
         events = self.take_events() if events is None else events
-        scene = self.scene()
-        x, y, turned, speed = (
-            np.concatenate([scene.vehicles[name], scene.walkers[name]])[self._order]
-            for name in ("x", "y", "heading", "speed")
-        )
-        heading = np.pi - (np.pi + turned) % (2.0 * np.pi)
+        scene, n = self.scene(), len(self._order)
+        xy, heading, speed = np.empty((n, 2)), np.empty(n), np.empty(n)
+        read_motion(self._order, scene, xy, heading, speed)
         return Frame(
-            time_s=self.time_s, xy=np.stack([x, -y], axis=1), heading=heading, speed=speed,
-            signals=self.signals.copy(), events=events, **self._lasting,
+            time_s=self.time_s, xy=xy, heading=heading, speed=speed, signals=self.signals.copy(),
+            events=events, **self._lasting,
         )  # fmt: skip
 
     # Signals and events ----------------------------------------------------------------------
@@ -294,11 +300,15 @@ class TrafficRoad(Road):  # type: ignore[misc]
         taken, self.events = tuple(self.events), []
         return taken
 
+    def _note(self, kind: EventKind, agent: int, other: int | None = None, rule: str = "") -> None:
+        self.events.append(Event(kind, self.time_s, agent, other, rule))
+
     # Places ----------------------------------------------------------------------------------
 
     def locate(self) -> None:
         """Find who is on which lane; valid until somebody moves."""
-        locate(self.scene())
+        while not locate(self.scene()):
+            self._scene = self._work = None  # once more, with room for all entries
 
     def on_lane(self, lane: LaneIndex) -> list[tuple[float, Any]]:
         """The distances along a lane, ascending, m, of the vehicles on it at the last `locate`."""
@@ -329,6 +339,9 @@ class TrafficRoad(Road):  # type: ignore[misc]
             self.act()
             return self.step(dt)
         code = advance(dt, self.scene())
+        if code == NO_ROOM:
+            self._scene = self._work = None
+            return self.advance(dt)
         if code == ASTRAY:
             self._reroute()
             return self.step(dt)
@@ -388,7 +401,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             for each in (one, other):
                 each.crashed_at, each.crashed = min(each.crashed_at, self.time_s), True
             pair = pair if walks or one.speed >= other.speed else pair[::-1]
-            self.events.append(Event(EventKind.COLLISION, self.time_s, *pair))
+            self._note(EventKind.COLLISION, *pair)
         self._touching = touching
         for row, vehicle in self._others:
             vehicle.crashed = bool(scene.vehicles["crashed"][row])
@@ -418,7 +431,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             for code, agent in rows[["leaves", "agent"]].tolist():
                 if code not in (STAYS, ARRIVED):
                     rule = "stuck on the wrong side" if code == STUCK else "crashed"
-                    self.events.append(Event(EventKind.REMOVAL, self.time_s, agent, None, rule))
+                    self._note(EventKind.REMOVAL, agent, rule=rule)
             crowd.keep((rows["leaves"] == STAYS).tolist())
         self._changed()
 
