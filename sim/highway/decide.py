@@ -102,11 +102,7 @@ JUNCTION_M: Final = 60.0
 def act(scene: Scene) -> int:
     """Work out what the rules demand of every driver, and decide for all unless somebody is astray.
 
-    Args:
-        scene: after `sim.highway.scene.locate`.
-
-    Returns:
-        How many drivers need another route; `decide` has to be called once they have it.
+    Returns how many drivers need another route; `decide` has to be called once they have it.
     """
     scene.now[0].astray = 0
     junctions.look_ahead(scene)

@@ -11,25 +11,16 @@ References:
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
 from sim.compiled import in_place
 
-RUNS_RED: Final = 0
-ROLLS: Final = 1
-YIELDS: Final = 2
-CUTS_IN: Final = 3
-STOPS: Final = 4
-STOP_LASTS: Final = 5
-WRONG_WAY: Final = 6
-DAWDLES: Final = 7
-LAPSES: Final = 8
-LAPSE_LASTS: Final = 9
-ERRS: Final = 10
-OVERLOOKS: Final = 11
-OVERLOOKS_LIGHT: Final = 12
+(
+    RUNS_RED, ROLLS, YIELDS, CUTS_IN, STOPS, STOP_LASTS, WRONG_WAY, DAWDLES, LAPSES, LAPSE_LASTS,
+    ERRS, OVERLOOKS, OVERLOOKS_LIGHT,
+) = range(13)  # fmt: skip
+"""What is drawn."""
 
 
 def driver_key(seed: int | tuple[int, ...]) -> np.uint64:
@@ -47,13 +38,7 @@ def _mixed(state: np.uint64, number: int) -> np.uint64:
 
 @in_place()
 def chance(key: np.uint64, kind: int, number: int) -> float:
-    """A number drawn uniformly from 0 to 1.
-
-    Args:
-        key: the driver's, from `driver_key`.
-        kind: what is drawn, one of this module's constants.
-        number: of the encounter or of the draw.
-    """
+    """A number drawn uniformly from 0 to 1, by a driver's key, what is drawn, and its number."""
     return float(_mixed(_mixed(key, kind), number) >> np.uint64(11)) * 2.0**-53
 
 

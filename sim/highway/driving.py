@@ -108,15 +108,9 @@ class Beside(NamedTuple):
 
 
 def profile_fields(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> dict[str, Any]:
-    """What a profile sets in the row of a driver's vehicle.
+    """What a profile sets in a driver's row of `sim.highway.state.VEHICLE`, by field.
 
-    Args:
-        profile: the driver's behaviour; its fields are the row's fields of the same names.
-        kind: of vehicle, whose physics limit the driver.
-        law: the car-following law that the driver uses.
-
-    Returns:
-        Values by field of `sim.highway.state.VEHICLE`.
+    Its fields are the row's fields of the same names; the kind of vehicle limits the driver.
     """
     limits, gain = KIND_LIMITS[kind], profile.lane_change_gain
     assertive = profile.lane_change_assertiveness
@@ -144,14 +138,10 @@ STOCK_DRIVER: Final = Profile(
 
 @in_place()
 def idm(me: Any, speed: float, desired: float, gap: float, leader_speed: float) -> float:
-    """IDM's acceleration, m/s2, bumper to bumper, not bounded below.
+    """IDM's acceleration, m/s2, not bounded below, at speeds in m/s.
 
-    Args:
-        me: the driver's row.
-        speed: own speed, m/s.
-        desired: speed wanted on a free road, m/s.
-        gap: bumper to bumper, m; infinite without leader.
-        leader_speed: along the own lane, m/s.
+    ``desired`` is the speed on a free road, ``gap`` from bumper to bumper, m, infinite without a
+    leader, and ``leader_speed`` along the own lane.
     """
     accel = me.max_accel_mps2
     free = _free_acceleration(speed, desired, accel)
@@ -234,19 +224,9 @@ def change_incentive(
 ) -> float:
     """MOBIL's incentive for a lane change beyond the driver's threshold, m/s2.
 
-    All accelerations in it are IDM's, whatever law the drivers follow by.
-
-    Args:
-        me: the driver's row.
-        limit: the speed limit, m/s.
-        here: who is ahead and behind on the present lane.
-        there: on the other lane.
-        old: the row of the follower on the present lane; any row if there is none.
-        new: of the follower on the other lane.
-
-    Returns:
-        Positive if the change is wanted and safe; minus infinity if it is not safe, or not worth
-        while because the new leader will soon be reached.
+    It is minus infinity if the change is not safe, or not worth while because the new leader will
+    soon be reached. All accelerations in it are IDM's, whatever law the drivers follow by. ``old``
+    and ``new`` are the rows of the followers on the lanes, any row if there is none.
     """
     speed, desired = me.speed, desired_speed(me, limit)
     if me.change_threshold == np.inf:
@@ -319,11 +299,7 @@ def steering_angle(me: Any, lateral: float, lane_heading: float, curvature: floa
 def turning_angle(me: Any, guided: float, lateral: float, lane_heading: float) -> float:
     """The steering angle that keeps a point ahead of a vehicle's middle on its way, rad.
 
-    Args:
-        me: the driver's row.
-        guided: how far ahead the point is, as a share of half the length.
-        lateral: how far to the right of its way the point is, m.
-        lane_heading: of the way there, rad.
+    The point is ``guided`` times half the length ahead and ``lateral`` m to the right of the way.
     """
     aside = min(max(-LATERAL_GAIN_PER_S * lateral, -LATERAL_SPEED_MPS), LATERAL_SPEED_MPS)
     turn = math.atan2(aside, max(me.speed, LATERAL_SPEED_MPS))

@@ -81,10 +81,9 @@ def run(
 
 
 def run_krauss(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
-    """Drive a scenario in highway-env; drivers follow by Krauss's law. See `run`.
+    """Drive a scenario in highway-env as `run` does; drivers follow by Krauss's law.
 
-    The drivers have the same profiles as in `run` and follow by another law, so that a model
-    trained on both depends less on either law. Lane changes are weighed by IDM in both.
+    A model that is trained on both depends less on either. Both weigh lane changes by IDM.
     """
     return run(scenario, agents, seed, "Krauss")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -111,16 +112,11 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
     @classmethod
     def from_config(cls, config: dict[str, Any]) -> PolylineLane:
         """The lane that `to_config` described."""
-        return cls(**{**config, "points": np.array(config["points"])})
+        return cls(**config)
 
     def to_config(self) -> dict[str, Any]:
-        """What `highway_env.road.lane.lane_from_config` needs to make it again."""
-        names = ("width", "line_types", "speed_limit", "forbidden", "priority")
-        config = {"points": self.points.tolist(), **{n: getattr(self, n) for n in names}}
-        return {
-            "class_path": f"{type(self).__module__}.{type(self).__qualname__}",
-            "config": config,
-        }
+        """Not offered: networks are made from roads."""
+        raise NotImplementedError
 
 
 def _simplest(points: FloatArray) -> FloatArray:
@@ -139,6 +135,8 @@ def _simplest(points: FloatArray) -> FloatArray:
 class NearLanesNetwork(RoadNetwork):  # type: ignore[misc]
     """highway-env's network; it finds the closest lane without measuring those that are far away.
 
+    All lanes have to be there before the first search.
+
     Examples:
         >>> network = NearLanesNetwork()
         >>> for y in (0.0, 4.0, 400.0):
@@ -148,29 +146,23 @@ class NearLanesNetwork(RoadNetwork):  # type: ignore[misc]
         ('a', 'b', 1)
     """
 
-    _circles: tuple[list[tuple[LaneIndex, PolylineLane]], FloatArray, FloatArray] | None = None
-
-    def add_lane(self, _from: str, _to: str, lane: AbstractLane) -> None:
-        """Add a lane between two nodes."""
-        self._circles = None
-        super().add_lane(_from, _to, lane)
+    @cached_property
+    def _circles(self) -> tuple[list[tuple[LaneIndex, PolylineLane]], FloatArray, FloatArray]:
+        """All lanes, and a circle round each: middle and radius, m."""
+        found = list(self.lanes_dict().items())
+        boxes = np.array([(p.min(axis=0), p.max(axis=0)) for p in (n.points for _, n in found)])
+        radius = np.hypot(*(boxes[:, 1] - boxes[:, 0]).T) / 2 + STRAIGHT_TOLERANCE_M
+        return found, boxes.mean(axis=1), radius
 
     def get_closest_lane_index(
         self, position: FloatArray, heading: float | None = None
     ) -> LaneIndex:
         """The lane closest to a place, m, for a heading, rad; of equal ones the first."""
-        if self._circles is None:
-            found = list(self.lanes_dict().items())
-            boxes = np.array([(p.min(axis=0), p.max(axis=0)) for p in (n.points for _, n in found)])
-            radius = np.hypot(*(boxes[:, 1] - boxes[:, 0]).T) / 2 + STRAIGHT_TOLERANCE_M
-            self._circles = found, boxes.mean(axis=1), radius
         lanes, centre, radius = self._circles
         at_least = np.hypot(*(centre - position).T) - radius
-        least, choice = math.inf, -1
+        best = (math.inf, -1)
         for i in np.argsort(at_least, kind="stable").tolist():
-            if at_least[i] > least:
+            if at_least[i] > best[0]:
                 break
-            distance = lanes[i][1].distance_with_heading(position, heading)
-            if distance < least or (distance == least and i < choice):
-                choice, least = i, distance
-        return lanes[choice][0]
+            best = min(best, (lanes[i][1].distance_with_heading(position, heading), i))
+        return lanes[best[1]][0]

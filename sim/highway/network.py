@@ -8,10 +8,11 @@ the start of another. highway-env counts lanes from the left, `Road` from the ri
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from highway_env.road.lane import LineType
@@ -20,8 +21,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from behaviors.errors import InputError
+from sim.compiled import in_place
 from sim.frames import FloatArray
-from sim.highway.conflicts import find_conflicts
 from sim.highway.lanes import LaneIndex, NearLanesNetwork, PolylineLane, Stretch, is_wrong_side
 from sim.highway.tables import (
     BEHIND_M,
@@ -36,6 +37,7 @@ from sim.highway.tables import (
     STRIP,
     TURN,
     WAY,
+    IntArray,
     Net,
     Records,
     listed,
@@ -54,6 +56,18 @@ OPPOSITE_M: Final = 1.2
 CELL_M: Final = 50.0
 """Width of the cells in which lanes are looked for, m (`BEHIND_M` and a lane)."""
 
+SAMPLE_M: Final = 0.5
+"""Junction paths are compared at points this far apart to find where they conflict."""
+
+CONFLICT_M: Final = 2.2
+"""Junction paths nearer than this conflict (a car's width and 0.4 m)."""
+
+HALF_CAR_M: Final = 2.3
+"""Half a car's length: in a bend its corners swing out by this squared over the radius, m."""
+
+WIDEST_M: Final = 3.0
+"""Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
+
 TIGHT_M: Final = 5.0
 """A junction path of a smaller mean radius is tight, m (a car's turning circle)."""
 
@@ -64,9 +78,9 @@ ROUNDING_M: Final = 1e-3
 """Lanes are searched this much farther from vehicles than they can be, m."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class HighwayNetwork:
-    """A `Road` in highway-env's terms.
+    """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then.
 
     Attributes:
         road: where it came from.
@@ -83,14 +97,14 @@ class HighwayNetwork:
     """
 
     road: Road
-    net: RoadNetwork
-    lanes: dict[LaneIndex, PolylineLane]
-    links: dict[LaneIndex, Connection]
-    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]
-    exit_of: dict[LaneIndex, LaneIndex]
-    wrong_side: dict[LaneIndex, LaneIndex]
-    edge_at: dict[Stretch, tuple[tuple[str, float], ...]]
-    strips: dict[LaneIndex, list[tuple[int, float, float, float]]]
+    net: RoadNetwork = field(default_factory=NearLanesNetwork)
+    lanes: dict[LaneIndex, PolylineLane] = field(default_factory=dict)
+    links: dict[LaneIndex, Connection] = field(default_factory=dict)
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex] = field(default_factory=dict)
+    exit_of: dict[LaneIndex, LaneIndex] = field(default_factory=dict)
+    wrong_side: dict[LaneIndex, LaneIndex] = field(default_factory=dict)
+    edge_at: dict[Stretch, tuple[tuple[str, float], ...]] = field(default_factory=dict)
+    strips: dict[LaneIndex, list[tuple[int, float, float, float]]] = field(default_factory=dict)
 
     @cached_property
     def keys(self) -> list[LaneIndex]:
@@ -166,16 +180,39 @@ class HighwayNetwork:
         )
 
     def _conflicts(self) -> list[list[tuple[Any, ...]]]:
-        """The rows of `CONFLICT` of each lane, by their beginning."""
-        ways, paths = self.road.connections, list(self.links)
+        """The rows of `CONFLICT` of each lane, by their beginning.
+
+        Paths that begin on the same lane have none; vehicles on them follow one another.
+        """
+        ways, links = self.road.connections, list(self.links.values())
         place = {id(way): i for i, way in enumerate(ways)}
-        begin = {path: lane for (lane, _), path in self.onward.items()}
-        begins = np.array([self.number[begin[path]] for path in paths], np.int64)
+        paths, numbers = (
+            [self.lanes[key] for key in self.links],
+            [self.number[k] for k in self.links],
+        )
+        begin = {path: self.number[lane] for (lane, _), path in self.onward.items()}
+        begins = np.array([begin[path] for path in self.links], np.int64)
         rows: list[list[tuple[Any, ...]]] = [[] for _ in self.lanes]
-        for a, b, *span in find_conflicts([self.lanes[path] for path in paths], begins):
-            one, other = self.links[paths[a]], self.links[paths[b]]
-            yields = (place[id(other)] in one.yields_to) - (place[id(one)] in other.yields_to)
-            rows[self.number[paths[a]]].append((self.number[paths[b]], *span, yields))
+        at = [np.linspace(0.0, p.length, max(int(p.length / SAMPLE_M), 1) + 1) for p in paths]
+        xy = [path.positions(s) for path, s in zip(paths, at, strict=True)]
+        boxes = boxes_of(xy, WIDEST_M / 2)
+        pairs = near_pairs(boxes, boxes, CELL_M)
+        pairs = pairs[begins[pairs[:, 0]] != begins[pairs[:, 1]]]
+        if not len(pairs):
+            return rows
+        first = np.cumsum([0, *map(len, xy)], dtype=np.int64)
+        ends = np.full((len(pairs), 2), -1, np.int64)
+        _first_and_last_close(
+            np.concatenate(xy), np.concatenate([*map(_swing, xy)]), first, pairs, ends
+        )
+        meet = ends[:, 0] >= 0
+        spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
+        for (a, b), span in spans.items():
+            yields = (place[id(links[b])] in links[a].yields_to) - (
+                place[id(links[a])] in links[b].yields_to
+            )
+            both = *at[a][span].tolist(), *at[b][spans[b, a]].tolist()
+            rows[numbers[a]].append((numbers[b], *both, yields))
         return [sorted(each, key=lambda row: row[1]) for each in rows]
 
     def _crossings(self) -> tuple[Records, Records]:
@@ -275,16 +312,6 @@ class HighwayNetwork:
         return [lane for lane in every if (lane, then) in self.onward]
 
 
-def _without_rings(follows: dict[str, str]) -> dict[str, str]:
-    """The edge that each edge continues as; edges that only follow one another round stay apart."""
-    chained = set()
-    for edge in follows.keys() - set(follows.values()):
-        while edge in follows:
-            chained.add(edge)
-            edge = follows[edge]
-    return {edge: then for edge, then in follows.items() if edge in chained}
-
-
 @without_collection()  # a city has a million objects, all of which stay
 def build_network(road: Road) -> HighwayNetwork:
     """The highway-env network of a road.
@@ -311,52 +338,40 @@ def build_network(road: Road) -> HighwayNetwork:
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
     )
-    net = NearLanesNetwork()
-    follows = _without_rings(_continuations(driving, connections, by_id))
-    placed = _add_stretches(net, driving, connections, follows, by_id)
+    made = HighwayNetwork(road)
+    follows = _continuations(driving, connections, by_id)
+    placed = _add_stretches(made, driving, connections, follows, by_id)
     joins = [
         c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
     ]
-    links, onward, exit_of = _add_junction_paths(net, joins, by_id, placed.lanes)
-    made: dict[LaneIndex, PolylineLane] = dict(net.lanes_dict())
-    wrong_side = _add_wrong_side_lanes(net, made, sorted(placed.edge_at))
-    return HighwayNetwork(
-        road, net, made, links, onward, exit_of, wrong_side, placed.edge_at,
-        _strips(road, placed.lanes),
-    )  # fmt: skip
+    _add_junction_paths(made, joins, by_id, placed)
+    made.lanes.update(made.net.lanes_dict())
+    _add_wrong_side_lanes(made)
+    _add_strips(made, placed)
+    return made
 
 
-class _Placed(NamedTuple):
-    """Where the lanes and edges of a `Road` lie in highway-env's network.
-
-    Attributes:
-        lanes: the lanes of the network that run over each lane of the road, by its id, with the
-            distance at which they begin to, m.
-        edge_at: see `HighwayNetwork`.
-    """
-
-    lanes: dict[str, list[tuple[LaneIndex, float]]]
-    edge_at: dict[Stretch, tuple[tuple[str, float], ...]]
+Placed: TypeAlias = dict[str, list[tuple[LaneIndex, float]]]
+"""The lanes of the network that run over each lane of the road, by its id, with the distance at
+which they begin to, m."""
 
 
 def _add_stretches(
-    net: RoadNetwork,
+    made: HighwayNetwork,
     driving: dict[str, list[Lane]],
     connections: list[Connection],
     follows: dict[str, str],
     by_id: dict[str, Lane],
-) -> _Placed:
+) -> Placed:
     """Add the lanes of every chain of edges that follow one another."""
-    placed = _Placed({}, {})
-    begun = set(follows.values())
+    placed: Placed = {}
     leaving: dict[str, list[Connection]] = {}
     for link in connections:
         leaving.setdefault(link.from_lane, []).append(link)
-    for edge in driving:
-        if edge in begun:
-            continue
+    begun = set(follows.values())
+    for edge in [edge for edge in driving if edge not in begun]:
         chain = [edge]
-        while chain[-1] in follows and follows[chain[-1]] not in chain:
+        while chain[-1] in follows:
             chain.append(follows[chain[-1]])
         key = (f"{chain[0]}<", f"{chain[-1]}>")
         starts: list[tuple[str, float]] = []
@@ -364,64 +379,49 @@ def _add_stretches(
             pieces, at = [lane], 0.0
             for after in chain[1:]:
                 link = next(c for c in leaving[pieces[-1].id] if by_id[c.to_lane].edge == after)
-                pieces += [by_id[via] for via in link.via]
-                pieces.append(by_id[link.to_lane])
+                pieces += [by_id[via] for via in (*link.via, link.to_lane)]
             for piece in pieces:
-                placed.lanes.setdefault(piece.id, []).append(((*key, k), at))
+                placed.setdefault(piece.id, []).append(((*key, k), at))
                 if k == 0 and not piece.internal:
                     starts.append((piece.edge, at))
                 at += piece.length_m
-            points = np.concatenate([_points(piece) for piece in pieces])
-            left = LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED
             last = k == len(driving[edge]) - 1
-            right = LineType.CONTINUOUS_LINE if last else LineType.NONE
-            net.add_lane(
-                *key, PolylineLane(points, lane.width_m, (left, right), lane.speed_limit_mps)
+            lines = (
+                LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED,
+                LineType.CONTINUOUS_LINE if last else LineType.NONE,
             )
-        placed.edge_at[key] = tuple(starts)
+            points = np.concatenate([_points(piece) for piece in pieces])
+            made.net.add_lane(*key, PolylineLane(points, lane.width_m, lines, lane.speed_limit_mps))
+        made.edge_at[key] = tuple(starts)
     return placed
 
 
 def _add_junction_paths(
-    net: RoadNetwork,
-    connections: list[Connection],
-    by_id: dict[str, Lane],
-    places: dict[str, list[tuple[LaneIndex, float]]],
-) -> tuple[
-    dict[LaneIndex, Connection], dict[tuple[LaneIndex, Stretch], LaneIndex],
-    dict[LaneIndex, LaneIndex],
-]:  # fmt: skip
-    """Add a lane for every connection; returns ``links``, ``onward`` and ``exit_of``."""
-    links: dict[LaneIndex, Connection] = {}
-    onward: dict[tuple[LaneIndex, Stretch], LaneIndex] = {}
-    exit_of: dict[LaneIndex, LaneIndex] = {}
+    made: HighwayNetwork, connections: list[Connection], by_id: dict[str, Lane], placed: Placed
+) -> None:
+    """Add a lane for every connection of lanes that cars may use."""
     for link in connections:
-        if link.from_lane not in places or link.to_lane not in places:
-            continue  # a lane that cars may not use
+        if link.from_lane not in placed or link.to_lane not in placed:
+            continue
         begin, end = by_id[link.from_lane], by_id[link.to_lane]
-        from_index, to_index = places[begin.id][0][0], places[end.id][0][0]
-        if (from_index, to_index[:2]) in onward:
+        before, after = placed[begin.id][0][0], placed[end.id][0][0]
+        if (before, after[:2]) in made.onward:
             continue  # the same stretch is reached already, on a lane beside
         inner = [by_id[via] for via in link.via]
-        points = (
-            np.concatenate([_points(piece) for piece in inner])
-            if inner
-            else np.stack([_points(begin)[-1], _points(end)[0]])
-        )
+        lines = [_points(piece) for piece in inner]
+        points = np.concatenate(lines or [_points(begin)[-1:], _points(end)[:1]])
         if np.hypot(*(points - points[0]).T).max() < STUB_M:
             points = _stub(points[0], _points(begin))
-        key = (from_index[1], to_index[0])
-        index = (*key, len(net.graph.get(key[0], {}).get(key[1], [])))
+        key = (before[1], after[0])
+        path = (*key, len(made.net.graph.get(key[0], {}).get(key[1], [])))
         limit = min((p.speed_limit_mps for p in inner), default=end.speed_limit_mps)
-        net.add_lane(*key, PolylineLane(points, begin.width_m, speed_limit=limit))
+        made.net.add_lane(*key, PolylineLane(points, begin.width_m, speed_limit=limit))
         at = 0.0
         for piece in inner:
-            places.setdefault(piece.id, []).append((index, at))
+            placed.setdefault(piece.id, []).append((path, at))
             at += piece.length_m
-        onward[from_index, to_index[:2]] = index
-        exit_of[index] = to_index
-        links[index] = link
-    return links, onward, exit_of
+        made.onward[before, after[:2]] = path
+        made.exit_of[path], made.links[path] = after, link
 
 
 def _stub(at: FloatArray, before: FloatArray) -> FloatArray:
@@ -438,40 +438,44 @@ def _points(lane: Lane) -> FloatArray:
 def _continuations(
     driving: dict[str, list[Lane]], connections: list[Connection], by_id: dict[str, Lane]
 ) -> dict[str, str]:
-    """The one edge that follows an edge lane by lane, where nothing else leaves or joins."""
+    """The one edge that follows an edge lane by lane, where nothing else leaves or joins.
+
+    Edges that only follow one another round stay apart.
+    """
     out: dict[str, list[Connection]] = {}
     into: dict[str, set[str]] = {}
     for link in connections:
         begin, end = by_id[link.from_lane].edge, by_id[link.to_lane].edge
         out.setdefault(begin, []).append(link)
         into.setdefault(end, set()).add(begin)
-    found = {}
+    follows = {}
     for edge, links in out.items():
-        ends = {by_id[link.to_lane].edge for link in links}
-        (end, *others) = ends
-        if others or edge not in driving or end not in driving:  # or where cars may not drive
+        (end, *others) = {by_id[link.to_lane].edge for link in links}
+        if others or edge not in driving or end not in driving or into[end] != {edge}:
             continue
-        begins, goals = [c.from_lane for c in links], [c.to_lane for c in links]
-        whole = sorted(begins) == sorted(lane.id for lane in driving[edge]) and sorted(
-            goals
-        ) == sorted(lane.id for lane in driving[end])
-        free = all(c.signal < 0 and not c.must_stop and c.direction == "straight" for c in links)
-        if whole and free and into[end] == {edge}:
-            found[edge] = end
-    return found
+        ends = sorted(c.from_lane for c in links), sorted(c.to_lane for c in links)
+        whole = ends == tuple(sorted(lane.id for lane in driving[each]) for each in (edge, end))
+        if whole and all(
+            c.signal < 0 and not c.must_stop and c.direction == "straight" for c in links
+        ):
+            follows[edge] = end
+    chained = set()
+    for edge in follows.keys() - set(follows.values()):
+        while edge in follows:
+            chained.add(edge)
+            edge = follows[edge]
+    return {edge: then for edge, then in follows.items() if edge in chained}
 
 
-def _strips(
-    road: Road, places: dict[str, list[tuple[LaneIndex, float]]]
-) -> dict[LaneIndex, list[tuple[int, float, float, float]]]:
-    """The crossings that each lane runs over, in order; see `HighwayNetwork`."""
-    graph = LaneGraph.of(road)
-    found: dict[LaneIndex, list[tuple[int, float, float, float]]] = {}
+def _add_strips(made: HighwayNetwork, placed: Placed) -> None:
+    """Note the crossings that each lane runs over, in order."""
+    graph = LaneGraph.of(made.road)
     spans = (graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.cross_u)
     for lane, crossing, near, far, u in zip(*(each.tolist() for each in spans), strict=True):
-        for index, at in places.get(road.lanes[lane].id, ()):
-            found.setdefault(index, []).append((crossing, at + near, at + far, u))
-    return {index: sorted(strips, key=lambda strip: strip[1]) for index, strips in found.items()}
+        for index, at in placed.get(made.road.lanes[lane].id, ()):
+            made.strips.setdefault(index, []).append((crossing, at + near, at + far, u))
+    for strips in made.strips.values():
+        strips.sort(key=lambda strip: strip[1])
 
 
 def _spot(crossing: Any, spots: Records, u: float) -> int:
@@ -494,38 +498,52 @@ def _cells(lines: list[FloatArray], lanes: Records) -> Cells:
     return cells_of(boxes, np.arange(len(lines)), CELL_M)
 
 
-def _add_wrong_side_lanes(
-    net: RoadNetwork,
-    lanes: dict[LaneIndex, PolylineLane],
-    ordered: list[Stretch],
-) -> dict[LaneIndex, LaneIndex]:
+def _add_wrong_side_lanes(made: HighwayNetwork) -> None:
     """Add a lane over the nearest lane of the opposite direction beside each stretch."""
-    wrong_side: dict[LaneIndex, LaneIndex] = {}
-    leftmost = [lanes[(*stretch, 0)] for stretch in ordered]
+    ordered = sorted(made.edge_at)
+    leftmost = [made.lanes[(*stretch, 0)] for stretch in ordered]
     middles = [lane.position(lane.length / 2, 0.0) for lane in leftmost]
     reach_m = OPPOSITE_M * max(lane.width for lane in leftmost)
     lines = [lane.points for lane in leftmost]
-    pairs = near_pairs(
-        boxes_of([middle[None] for middle in middles], reach_m), boxes_of(lines, 0.0), CELL_M
-    )
-    for one, others in itertools.groupby(pairs.tolist(), key=lambda pair: pair[0]):
-        stretch, lane, middle = ordered[one], leftmost[one], middles[one]
+    near = boxes_of([middle[None] for middle in middles], reach_m)
+    for one, other in near_pairs(near, boxes_of(lines, 0.0), CELL_M).tolist():
+        stretch, lane, opposite = ordered[one], leftmost[one], leftmost[other]
         left = (*stretch, 0)
-        for _, number in others:
-            opposite = leftmost[number]
-            if number == one or abs(opposite.length - lane.length) > 1.0:
-                continue
-            s, across = opposite.local_coordinates(middle)
-            facing = np.cos(opposite.heading_at(s) - lane.heading_at(lane.length / 2))
-            inside = 0.0 < s < opposite.length
-            if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
-                key = (f"~{stretch[0]}", f"~{stretch[1]}")
-                made = PolylineLane(
-                    lines[number][::-1], opposite.width,
-                    speed_limit=opposite.speed_limit, forbidden=True,
-                )  # fmt: skip
-                net.add_lane(*key, made)
-                index = (*key, 0)
-                lanes[index], wrong_side[left] = made, index
-                break
-    return wrong_side
+        if left in made.wrong_side or other == one or abs(opposite.length - lane.length) > 1.0:
+            continue
+        s, across = opposite.local_coordinates(middles[one])
+        facing = np.cos(opposite.heading_at(s) - lane.heading_at(lane.length / 2))
+        inside = 0.0 < s < opposite.length
+        if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
+            key = (f"~{stretch[0]}", f"~{stretch[1]}")
+            over = PolylineLane(
+                opposite.points[::-1], opposite.width,
+                speed_limit=opposite.speed_limit, forbidden=True,
+            )  # fmt: skip
+            made.net.add_lane(*key, over)
+            made.lanes[(*key, 0)], made.wrong_side[left] = over, (*key, 0)
+
+
+def _swing(xy: FloatArray) -> FloatArray:
+    """How far a car swings out of a path at each of its points (n, 2), (n,) m."""
+    step = np.diff(xy, axis=0)
+    turn = np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))
+    per_m = np.concatenate([[0.0], turn / np.maximum(np.hypot(*step[1:].T), 1e-9), [0.0]])
+    return HALF_CAR_M**2 * per_m
+
+
+@in_place()
+def _first_and_last_close(
+    xy: FloatArray, swing: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray
+) -> None:
+    """Find the first and the last point, of ``ends``, of each path that is too close to another."""
+    for i in range(len(pairs)):
+        one, other = pairs[i]
+        for p in range(first[one], first[one + 1]):
+            for q in range(first[other], first[other + 1]):
+                dx, dy = xy[p, 0] - xy[q, 0], xy[p, 1] - xy[q, 1]
+                if math.sqrt(dx * dx + dy * dy) < min(CONFLICT_M + swing[p] + swing[q], WIDEST_M):
+                    if ends[i, 0] < 0:
+                        ends[i, 0] = p - first[one]
+                    ends[i, 1] = p - first[one]
+                    break

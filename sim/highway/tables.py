@@ -125,11 +125,7 @@ def listed(of: Records, name: str, lists: Sequence[Any], kind: np.dtype[Any]) ->
 
 @in_place(inner=True)
 def project(x: float, y: float, k: int, net: Net) -> tuple[float, float, int]:
-    """The place on a lane nearest to a point.
-
-    Returns:
-        Its distance along the lane, m, how far to the right of it the point is, m, and the piece.
-    """
+    """Distance along a lane of a point, how far to the right it is, m, and the piece there."""
     return project_on(x, y, net.lanes[k].piece, net.lanes[k].piece_end, net.pieces)
 
 

@@ -57,10 +57,6 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
 
     It is found once for each road and route, and kept.
 
-    Args:
-        road: where it is.
-        route: edge ids; each edge must have a sidewalk.
-
     Raises:
         InputError: if an edge has no sidewalk or two cannot be joined by crossings.
     """
@@ -73,20 +69,22 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
     ends = _orient(lines)
     begin, leave = ends[0]
     share = min(1.0, WALK_START_M / max(float(np.hypot(*(begin - leave))), 1e-9))
-    points = [leave + share * (begin - leave), leave]
-    crossed: list[tuple[int, int, bool]] = []  # point index at which it begins
+    points = [leave + share * (begin - leave)]
+    crossed: list[tuple[int, int, int, bool]] = []  # with its first and its last point
+
+    def go_to(xy: FloatArray) -> None:
+        if np.hypot(*(xy - points[-1])) > 1e-6:
+            points.append(xy)
+
+    go_to(leave)
     for (_, leave), (enter, onward) in itertools.pairwise(ends):
         for xy, crossing, forward in _walk(road, leave, enter):
+            before = len(points) - 1
+            go_to(xy)
             if crossing >= 0:
-                crossed.append((len(points) - 1, crossing, forward))
-            points.append(xy)
-        points.append(onward)
-    kept, index_of = [0], {0: 0}
-    for i in range(1, len(points)):
-        if np.hypot(*(points[i] - points[kept[-1]])) > 1e-6:
-            kept.append(i)
-        index_of[i] = len(kept) - 1
-    line = np.array([points[i] for i in kept]) * np.array([1.0, -1.0])
+                crossed.append((crossing, before, len(points) - 1, forward))
+        go_to(onward)
+    line = np.array(points) * np.array([1.0, -1.0])
     size = np.hypot(*np.diff(line, axis=0).T)
     at = np.concatenate([[0.0], np.cumsum(size)]).tolist()
     ahead = (np.diff(line, axis=0) / size[:, None]).tolist()
@@ -96,7 +94,7 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
             (*xy, *along, math.atan2(along[1], along[0]), begins)
             for xy, along, begins in zip(line[:-1].tolist(), ahead, at, strict=False)
         ],
-        [(c, at[index_of[i]], at[index_of[i + 1]], forward) for i, c, forward in crossed],
+        [(crossing, at[i], at[j], forward) for crossing, i, j, forward in crossed],
     )
 
 
