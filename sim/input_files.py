@@ -135,6 +135,7 @@ def read_once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[P
 
     @functools.wraps(read)
     def once(path: Path, *args: P.args, **kwargs: P.kwargs) -> T:
+        path = Path(path)  # Python's users also give a text
         if not path.is_file():
             raise InputError(f"{path}: found no file, expected a map")
         stat = path.stat()

@@ -111,7 +111,7 @@ def read_answers(path: Path) -> pd.DataFrame:
     """
     numbers = ("agent", "time_s", *PROBABILITIES)
     optional = ("time_s", *PROBABILITIES)
-    table = read_table(path, numbers, ("episode", "label"), optional).columns.to_pandas()
+    table = read_table(path, numbers, ("episode", "label"), optional).columns
     table = table.astype({"episode": str, "label": str, "agent": np.int64})
     codes = pd.Categorical(table["label"], [str(b) for b in BEHAVIORS]).codes
     if (codes < 0).any():
