@@ -242,6 +242,19 @@ def test_the_order_of_an_answer_does_not_matter_to_its_certificate(end: End) -> 
             assert certify(found).certified is whole
 
 
+def test_a_null_vector_over_all_components_is_known_for_one() -> None:
+    """Spread over many, it is like none of their indicators; then its zero was counted twice."""
+    paths = [[(i * 8 + j, i * 8 + j + 1) for j in range(i + 1)] for i in range(7)]
+    edges = [edge for path in paths for edge in path]
+    graph = TrafficGraph.from_edges(sorted({end for edge in edges for end in edge}), edges)
+    full = SOLVERS["eigh"](graph, graph.ids.size, "smallest")
+    null = full.eigenvectors[:, :7].sum(axis=1) / np.sqrt(7)
+    values = np.concatenate([[0.0], full.eigenvalues[7:13]])
+    vectors = np.column_stack([null, full.eigenvectors[:, 7:13]])
+    missing = Spectrum(graph.ids, values, vectors, np.zeros(7), False, graph, "smallest")
+    assert not certify(missing).certified
+
+
 def test_most_right_answers_are_certified() -> None:
     certified = [
         certify(replace(SOLVERS["eigh"](graph, 8, end), certified=False)).certified
