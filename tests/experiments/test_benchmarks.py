@@ -26,7 +26,7 @@ def test_every_stage_of_the_real_loop_is_timed() -> None:
     together = sum(1 / value[s, "real_time_factor"] for s in loop.STAGES)
     assert np.isclose(together, 1 / value["all", "real_time_factor"])
     own, stock, ratio = (row["value"] for row in engines)
-    assert ratio == pytest.approx(own / stock, rel=0.5)
+    assert ratio == pytest.approx(own / stock)
 
 
 # --- conflicts ----------------------------------------------------------------------------------
