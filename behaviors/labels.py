@@ -115,7 +115,7 @@ class Behavior(str):
 
 
 KEYS: Final = ("style", "color", "like", "traits", "source", *PROFILE_FIELDS)
-"""What a file may say of a behaviour."""
+"""Keys of a behaviour in a file."""
 
 SHIPPED: Final = {
     path.stem: path for path in sorted(Path(__file__).with_name("shipped").glob("*.toml"))
@@ -201,8 +201,8 @@ def read_behaviors(
     """Behaviours of one's own, beside the six.
 
     Args:
-        source: names of files that ship and paths of TOML files, which have a dot or a slash in
-            them, separated by commas; what such a file says; or None for none.
+        source: names of files that ship and paths of TOML files, separated by commas. Paths have a
+            dot or a slash in them. A mapping is the content of such a file; None is none.
 
     Raises:
         InputError: if a file is missing or broken, or a value out of range; the message names it.

@@ -72,7 +72,7 @@ MOST_DRAWS, AT_ONCE = 10_000, 16
 is refused."""
 
 TEXTS: Final = ("name", "source", "law")
-"""What a file says in words."""
+"""Texts of a file."""
 
 POPULATIONS: Final = {
     path.stem: path

@@ -133,8 +133,8 @@ _MOST: Final = {
 SPREAD_FIELDS: Final = tuple(
     name for name in PROFILE_FIELDS if name not in (*_PROBABILITIES, *PERCEPTION_FIELDS)
 )
-"""The numbers in which drivers of one behaviour differ; chance enters the others at each
-encounter, and those of perception are the same for all drivers of a behaviour."""
+"""The numbers in which drivers of one behaviour differ. Chance enters the others at each encounter.
+Those of perception are the same for all drivers of a behaviour."""
 
 ERROR_TIME_S: Final = 20.0
 """Correlation time of the error of perception, s (Treiber et al. 2006)."""

@@ -87,7 +87,7 @@ def _answers(
     from loky import get_reusable_executor
 
     # a worker whose memory grows is replaced, which is no concern of the user's
-    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
+    warnings.filterwarnings("ignore", message="A worker was restarted while some jobs")
     executor = get_reusable_executor(
         max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},
         initializer=start_worker, initargs=(os.getpid(),),

@@ -19,6 +19,7 @@ from experiments.rival import PlainRival, whole_tracks
 from experiments.score.answers import is_scored, joined_answers, score_difference
 from experiments.score.labels import ALL, Answered, answer_episodes, scored_answers
 from experiments.score.rows import Row
+from experiments.score.tables import CHANCES
 from graphrqi.model_files import load_model
 from graphrqi.stream import MIN_SECONDS
 from sim.formats.common.tables import read_table
@@ -26,9 +27,6 @@ from sim.store.dataset import Dataset, open_dataset
 
 RIVAL: Final = "plain rival"
 """Name of the random forest on nine numbers of a driver's whole track, `experiments.rival`."""
-
-PROBABILITIES: Final = tuple(f"p_{b.value}" for b in BEHAVIORS)
-"""Columns of a file of answers that give probabilities; all of them or none."""
 
 
 def evaluate(
@@ -101,7 +99,7 @@ def read_answers(path: Path) -> pd.DataFrame:
 
     Args:
         path: CSV or Parquet with the columns ``episode``, ``agent`` and ``label``, a behaviour.
-            ``time_s`` orders several answers about one driver; `PROBABILITIES` may be given, too.
+            ``time_s`` orders several answers about one driver; `CHANCES` may be given, all or none.
 
     Returns:
         Probabilities (n, 6) by episode and agent; without such columns the label has 1.
@@ -109,8 +107,8 @@ def read_answers(path: Path) -> pd.DataFrame:
     Raises:
         InputError: if a column is missing or broken, or a label is no behaviour.
     """
-    numbers = ("agent", "time_s", *PROBABILITIES)
-    optional = ("time_s", *PROBABILITIES)
+    numbers = ("agent", "time_s", *CHANCES)
+    optional = ("time_s", *CHANCES)
     table = read_table(path, numbers, ("episode", "label"), optional).columns
     table = table.astype({"episode": str, "label": str, "agent": np.int64})
     codes = pd.Categorical(table["label"], [str(b) for b in BEHAVIORS]).codes
@@ -118,11 +116,11 @@ def read_answers(path: Path) -> pd.DataFrame:
         wrong = table["label"][codes < 0].iloc[0]
         known = ", ".join(BEHAVIORS)
         raise InputError(f"{path}: label: found {wrong[:60]!r}, expected one of {known}")
-    if not set(PROBABILITIES) <= set(table):
-        table[list(PROBABILITIES)] = np.eye(len(BEHAVIORS))[codes]
+    if not set(CHANCES) <= set(table):
+        table[CHANCES] = np.eye(len(BEHAVIORS))[codes]
     if "time_s" in table:
         table = table.sort_values("time_s", kind="stable")
-    last: pd.DataFrame = table.groupby(["episode", "agent"])[list(PROBABILITIES)].last()
+    last: pd.DataFrame = table.groupby(["episode", "agent"])[CHANCES].last()
     return last
 
 
@@ -147,7 +145,7 @@ def _replaced(ours: Sequence[Answered], given: pd.DataFrame) -> list[Answered]:
         words = np.array([str(b) for b in BEHAVIORS])[probability.argmax(axis=1)]
         columns = dict(zip(one.table.column_names, one.table.columns, strict=True))
         columns["behavior"] = pa.array(words, pa.string(), mask=~answered)
-        columns |= dict(zip(PROBABILITIES, probability.T, strict=True))
+        columns |= dict(zip(CHANCES, probability.T, strict=True))
         table = pa.table(columns).cast(one.table.schema)
         found.append(dataclasses.replace(one, table=table))
     return found

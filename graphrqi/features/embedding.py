@@ -112,7 +112,7 @@ class EmbeddingObserver(Observer):
     def _moment(
         self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray
     ) -> FloatArray:
-        """Embed anew where that is due; there is no additive evidence."""
+        """Embed the network where that is due; additive evidence has no columns."""
         motion = self._motion.update(time_s, ids, xy, drives)
         if time_s >= self._updated_s + EVERY_S - 1e-6:
             self._updated_s, self._ids = time_s, ids
