@@ -21,6 +21,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
+from experiments.score.labels import beliefs
 from experiments.score.metrics import (
     RESAMPLES,
     RESAMPLING_SEED,
@@ -34,7 +35,6 @@ from experiments.score.predictions import (
     HORIZONS_S,
     MEASURES,
     Errors,
-    beliefs,
     instants,
     score_episode,
     score_predictions,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.guard import guarded_call
+from experiments.score.labels import beliefs
 from experiments.score.tables import CHANCES, read_labels
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
@@ -22,7 +23,7 @@ from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
-from graphrqi.stream import HISTORY_STEPS, BehaviorStream
+from graphrqi.stream import HISTORY_STEPS
 from sim.frames import CodeArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 
@@ -80,6 +81,12 @@ class Beliefs:
     time_s: FloatArray
     probability: NDArray[np.float32]
 
+    @classmethod
+    def none(cls, tracks: Tracks, steps: IntArray) -> Beliefs:
+        """No beliefs at some frames, to be filled."""
+        shape = tracks.ids.size, steps.size, len(BEHAVIORS)
+        return cls(tracks.ids, tracks.time_s[steps], np.full(shape, np.nan, dtype=np.float32))
+
     def at(self, time_s: float) -> Posterior:
         """The latest beliefs at a time, of the agents that have any."""
         column = int(np.searchsorted(self.time_s, time_s + 1e-6)) - 1
@@ -96,29 +103,19 @@ def believe(tracks: Tracks, model: Model, is_scene: bool, traffic: Traffic) -> B
     Where the frames show no plausible scene, every behaviour is as likely.
     """
     steps = kept_steps(tracks)
-    probability = _unknown(tracks, steps)
-    column = {int(step): i for i, step in enumerate(steps)}
-    stream = BehaviorStream(model, traffic=traffic, is_scene=is_scene)
-    for step, frame in enumerate(tracks.frames()):
-        stream.push(frame)
-        if step in column:
-            posterior = stream.posterior()
-            rows = np.searchsorted(tracks.ids, posterior.ids)
-            known = (posterior.unknown < 1.0)[:, None]
-            chance = np.where(known, posterior.probability, 1.0 / len(BEHAVIORS))
-            probability[rows, column[step]] = chance
-    return Beliefs(tracks.ids, tracks.time_s[steps], probability)
+    found = Beliefs.none(tracks, steps)
+    answers = beliefs(tracks, model, (steps + 1).tolist(), is_scene, traffic)
+    for column, posterior in enumerate(answers.values()):
+        known = (posterior.unknown < 1.0)[:, None]
+        chance = np.where(known, posterior.probability, 1.0 / len(BEHAVIORS))
+        found.probability[np.searchsorted(tracks.ids, posterior.ids), column] = chance
+    return found
 
 
 def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
-    """Beliefs about an episode from a labels file (.parquet) of ``graphrqi classify``.
-
-    Raises:
-        InputError: if the file is not a labels file or does not speak of this episode.
-    """
+    """Beliefs about an episode from a labels file (.parquet) of ``graphrqi classify``."""
     path.stat()  # which says in the system's words that there is no such file
     table = guarded_call(path, read_labels, path, episode)
-    believed = table[CHANCES].to_numpy(dtype=np.float32)
     agent, time_s = table["agent"].to_numpy(), table["time_s"].to_numpy()
     row = np.minimum(np.searchsorted(tracks.ids, agent), tracks.ids.size - 1)
     strangers = agent[tracks.ids[row] != agent]
@@ -126,17 +123,12 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
         raise InputError(
             f"{path}: found agent {strangers[0]}, expected one of {episode}'s {tracks.ids.size}"
         )
-    steps = kept_steps(tracks)
-    times = tracks.time_s[steps]
+    found = Beliefs.none(tracks, kept_steps(tracks))
+    times = found.time_s
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
     here = np.abs(times[column] - time_s) < 1e-3
-    probability = _unknown(tracks, steps)
-    probability[row[here], column[here]] = believed[here]
-    return Beliefs(tracks.ids, times, probability)
-
-
-def _unknown(tracks: Tracks, steps: IntArray) -> NDArray[np.float32]:
-    return np.full((tracks.ids.size, steps.size, len(BEHAVIORS)), np.nan, dtype=np.float32)
+    found.probability[row[here], column[here]] = table[CHANCES].to_numpy(np.float32)[here]
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +156,7 @@ class Forecast:
 
 
 def forecast(
-    tracks: Tracks, beliefs: Beliefs, road: Road | None, predictor: str
+    tracks: Tracks, believed: Beliefs, road: Road | None, predictor: str
 ) -> list[Forecast]:  # fmt: skip
     """Predict every agent throughout an episode: every second, or less often if there are many.
 
@@ -179,7 +171,7 @@ def forecast(
         if not history.ids.size:
             continue
         time_s = float(tracks.time_s[step])
-        prediction = predict(history, beliefs.at(time_s), road, HORIZON_S, predictor)
+        prediction = predict(history, believed.at(time_s), road, HORIZON_S, predictor)
         found.append(_kept(time_s, np.searchsorted(tracks.ids, prediction.ids), prediction))
     return found
 
