@@ -25,11 +25,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout.car_following import Rollout
-from graphrqi.predict.rollout.driver_table import (
-    DriverParameters,
-    DriverTable,
-    expected_parameters,
-)
+from graphrqi.predict.rollout.driver_table import DriverParameters, DriverTable, expected_parameters
 from graphrqi.predict.rollout.rollout import centre_ahead, on_lane_beside, positions, roll
 from graphrqi.predict.scene.scene import Scene
 

@@ -24,7 +24,7 @@ from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
 from graphrqi.stream import HISTORY_STEPS
-from sim.frames import CodeArray, FloatArray, IntArray, Tracks
+from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 
 LOOK_EVERY_S: Final = 0.5
@@ -243,49 +243,21 @@ def graph_history(tracks: Tracks) -> GraphHistory:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ghosts:
-    """The factual places of a counterfactual episode's agents, where they differ.
-
-    Attributes:
-        kind: (G,) code of each ghost.
-        length: (G,) m.
-        width: (G,) m.
-        ghost: (k,) which ghost a place belongs to; its places follow each other in time.
-        step: (k,) index of the time among those shown.
-        xy: (k, 2) m.
-        heading: (k,) rad.
-    """
-
-    kind: CodeArray
-    length: FloatArray
-    width: FloatArray
-    ghost: IntArray
-    step: IntArray
-    xy: FloatArray
-    heading: FloatArray
-
-    def at(self, step: int) -> IntArray:
-        """Indices of the places at one of the times shown."""
-        return np.flatnonzero(self.step == step)
-
-
-def find_ghosts(factual: Tracks, shown: Tracks) -> Ghosts:
-    """The ghosts of all who are ever `APART_M` away from their counterfactual self, or have none.
+def find_ghosts(factual: Tracks, shown: Tracks) -> Tracks:
+    """Factual places of all who are `APART_M` away from their counterfactual self, or have none.
 
     The times of the counterfactual episode that is shown are among the factual ones.
     """
     columns = np.searchsorted(factual.time_s, shown.time_s - 1e-6)
-    columns = np.minimum(columns, factual.time_s.size - 1)
-    there, xy = factual.valid[:, columns], factual.xy[:, columns]
-    rows = np.minimum(np.searchsorted(shown.ids, factual.ids), max(shown.ids.size - 1, 0))
-    same = shown.ids[rows] == factual.ids
-    both = there & same[:, None] & shown.valid[rows]
-    apart = np.hypot(*np.moveaxis(np.where(both[..., None], xy - shown.xy[rows], 0.0), 2, 0))
-    agent, step = np.nonzero(there & (~both | (apart > APART_M)))
-    some, ghost = np.unique(agent, return_inverse=True)
-    return Ghosts(
-        kind=factual.kind[some], length=factual.length[some], width=factual.width[some],
-        ghost=ghost.astype(np.int64), step=step.astype(np.int64), xy=xy[agent, step],
-        heading=factual.heading[:, columns][agent, step],
+    there = factual.part(np.arange(factual.ids.size), columns)
+    rows = np.minimum(np.searchsorted(shown.ids, there.ids), max(shown.ids.size - 1, 0))
+    both = there.valid & (shown.ids[rows] == there.ids)[:, None] & shown.valid[rows]
+    apart = np.where(both[..., None], there.xy - shown.xy[rows], 0.0)
+    differs = there.valid & (~both | (np.hypot(apart[..., 0], apart[..., 1]) > APART_M))
+    some = np.flatnonzero(differs.any(axis=1))
+    return Tracks.of_dense(
+        ids=there.ids[some], names=tuple(there.names[i] for i in some), kind=there.kind[some],
+        length=there.length[some], width=there.width[some], time_s=there.time_s,
+        signals=there.signals, xy=there.xy[some], heading=there.heading[some],
+        speed=there.speed[some], valid=differs[some],
     )  # fmt: skip

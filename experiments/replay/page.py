@@ -260,10 +260,11 @@ def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[dict[st
     ghosts = scene.ghosts
     if ghosts is None:
         return []
-    arrays["ghostOf"] = ghosts.ghost.astype("u2")
-    arrays["ghostStep"] = ghosts.step.astype("i4")
-    arrays["ghostXY"] = differences(ghosts.xy, UNITS["x"])
-    arrays["ghostHeading"] = ghosts.heading.astype("f4")
+    places = ghosts.rows
+    arrays["ghostOf"] = places.index.agent.astype("u2")
+    arrays["ghostStep"] = places.index.step.astype("i4")
+    arrays["ghostXY"] = differences(places.xy, UNITS["x"])
+    arrays["ghostHeading"] = places.heading.astype("f4")
     return [_size(*one) for one in zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)]
 
 

@@ -22,13 +22,7 @@ from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.page import ramp_color
 from experiments.replay.scene import ReplayScene
 from experiments.what_if.branches import branch_of, change_of
-from experiments.what_if.outcomes import (
-    INCIDENTS,
-    branches_of,
-    factual_of,
-    new_incidents,
-    path_of,
-)
+from experiments.what_if.outcomes import INCIDENTS, branches_of, factual_of, new_incidents, path_of
 from sim.files import write_whole
 from sim.frames import PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal, Tracks
 from sim.road import Road
@@ -315,11 +309,12 @@ class Drawing:
         ghosts = self.scene.ghosts
         if ghosts is None:
             return []
-        found = []
-        for i in ghosts.at(self._step(time_s)):
-            who = ghosts.ghost[i]
-            size = float(ghosts.length[who]), float(ghosts.width[who])
-            outline = _outline(ghosts.xy[i], float(ghosts.heading[i]), *size)
+        places, found = ghosts.rows, []
+        at = places.index.at(self._step(time_s))
+        for row, xy, heading in zip(
+            places.index.agent[at], places.xy[at], places.heading[at], strict=True
+        ):
+            outline = _outline(xy, heading, float(ghosts.length[row]), float(ghosts.width[row]))
             found.append(np.concatenate([outline, outline[:1]]))
         return found
 

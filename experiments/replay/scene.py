@@ -16,17 +16,8 @@ from experiments.console.progress import Progress
 from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
-from experiments.replay.layers import (
-    Beliefs,
-    Forecast,
-    Ghosts,
-    GraphHistory,
-    believe,
-    find_ghosts,
-    forecast,
-    graph_history,
-    read_beliefs,
-)
+from experiments.replay import layers
+from experiments.replay.layers import Beliefs, Forecast, GraphHistory
 from experiments.what_if.branches import branch_of, change_of
 from experiments.what_if.outcomes import factual_of
 from graphrqi.model_files import load_model
@@ -92,7 +83,7 @@ class ReplayScene:
     forecasts: tuple[Forecast, ...]
     predictor: str
     notes: tuple[str, ...]
-    ghosts: Ghosts | None = None
+    ghosts: Tracks | None = None
 
     @property
     def name(self) -> str:
@@ -158,15 +149,15 @@ def gather(
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
-            beliefs = believe(tracks, trained, is_scene(entry), traffic_of(entry))
+            beliefs = layers.believe(tracks, trained, is_scene(entry), traffic_of(entry))
             believer = trained.method.name
         else:
-            beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
+            beliefs, believer = layers.read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()
         if predictor != "none":
-            forecasts = forecast(tracks, beliefs, road, predictor)
+            forecasts = layers.forecast(tracks, beliefs, road, predictor)
         progress.advance()
-        graph = graph_history(tracks)
+        graph = layers.graph_history(tracks)
         progress.advance()
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
@@ -181,7 +172,7 @@ def gather(
     if branch is not None:
         said = f"what if driver {branch['agent']} had changed at {branch['at_s']} s"
         notes.append(f"{said}: {change_of(entry)}; dashed outlines: where everyone factually was")
-        ghosts = find_ghosts(dataset.read(factual_of(dataset, entry)).tracks, kept)
+        ghosts = layers.find_ghosts(dataset.read(factual_of(dataset, entry)).tracks, kept)
     notes += _notes(episode, road, unit, stride)
     return ReplayScene(
         entry=entry, unit=unit, road=road, tracks=kept,
