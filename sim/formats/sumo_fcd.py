@@ -173,10 +173,9 @@ def _rows_of_table(path: Path) -> tuple[pandas.DataFrame, list[float]]:
     for tag in TAGS:
         part = table.rename(columns={f"{tag}_{name}": name for name in (*FACTS, *NUMBERS)})
         part = part.reindex(columns=[*FACTS, "t", *NUMBERS])
-        part = part[part["id"].notna()].assign(tag=tag)
         for name in FACTS[1:]:
             part[name] = [word or "" for word in words_in(part[name])]
-        parts.append(part)
+        parts.append(part[part["id"] != ""].assign(tag=tag))
     rows = pandas.concat(parts, ignore_index=True)
     kind = rows["type"].str.lower()  # tables have containers and persons among vehicles
     rows.loc[kind.str.contains("pedtype"), "tag"] = "person"

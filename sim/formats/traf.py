@@ -77,9 +77,11 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
         tracks += own
     table = np.concatenate(tracks)
     rows = pandas.DataFrame(_centres(table), columns=["x", "y"])
-    rows["id"] = np.repeat(np.array(names, dtype=object), [len(track) for track in tracks])
+    counts = [len(track) for track in tracks]
+    rows["id"] = np.repeat(np.array(names, dtype=object), counts)
     rows["t"] = table[:, 0] / frame_rate_hz
-    rows[["length", "width"]] = table[:, 3:5]
+    sides = [np.median(track[:, 3:5], axis=0) for track in tracks]
+    rows[["length", "width"]] = np.repeat(sides, counts, axis=0)
     notes = [
         "lengths are pixels and speeds pixels per second: the format has no scale",
         f"{frame_rate_hz:g} frames per second are assumed; kinds are not in this format",

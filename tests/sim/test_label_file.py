@@ -45,7 +45,7 @@ def test_a_behaviour_or_a_style_in_any_of_these_columns(tmp_path, text):
         ("name,label\n3,\n", "line 2: label: found ''"),
         ("name,behavior\n3,aggressive\n", "line 2: behavior: found 'aggressive'"),
         ("name,label\n3,careful\n3,timid\n", "line 3: found '3' twice"),
-        ("name,label\n,timid\n", "row 2: found an empty field"),
+        ("name,label\n,timid\n", "line 2: name: found none"),
         ("name,label\n3,timid,really\n", "Expected 2 columns, got 3"),
         ("name,behavior,style\n3,timid,aggressive\n", "line 2: style: found 'aggressive'"),
         ("driver,label\n3,careful\n", "found the columns"),

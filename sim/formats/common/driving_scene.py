@@ -68,6 +68,10 @@ def recording_of(scene: DrivingScene) -> Recording:
     if not time_s.size or not (np.diff(time_s) > 0).all() or not (np.abs(time_s) < 1e9).all():
         raise InputError(f"timestamps: found {time_s.size}, expected some that increase")
     seen_s = time_s - time_s[0]
+    for *_, states in scene.agents:  # sizes are measured anew at each step
+        known = states[(states[:, 4:] > 0).all(axis=1), 4:]
+        if len(known):
+            states[:, 4:] = np.median(known, axis=0)
     values = [np.empty((0, len(VALUES))), *(agent[3] for agent in scene.agents)]
     rows = pandas.DataFrame(np.concatenate(values), columns=VALUES)
     counts = [len(agent[2]) for agent in scene.agents]

@@ -139,6 +139,8 @@ def read_driver_labels(path: Path) -> DriverLabels:
     for row, name in enumerate(cells["name"]):
         where = f"{path}: line {row + 2}"
         place = cells["recording"][row] or None if "recording" in cells else None
+        if not name:
+            raise InputError(f"{where}: name: found none, expected the driver's")
         if (place, name) in found:
             raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
         stated = {column: cells[column][row].lower() for column in columns}

@@ -217,18 +217,20 @@ def _kinds(table: pandas.DataFrame, names: Sequence[str]) -> NDArray[np.int8]:
 def _sizes(
     table: pandas.DataFrame, names: Sequence[str], kind: NDArray[np.int8], doubts: list[str]
 ) -> FloatArray:
-    """(n, 2) the size of each agent, m: the median of those stated, else the usual one."""
+    """(n, 2) the size of each agent, m: the first one stated, else the usual one."""
     usual = np.array([default_size(KINDS[k]) for k in kind]).reshape(-1, 2)
-    sides = table[["agent", "length", "width"]]
-    stated = sides.drop_duplicates("agent").set_index("agent").sort_index()
-    stated.update(sides[(sides[["length", "width"]] > 0).all(axis=1)].groupby("agent").median())
-    sizes = np.nan_to_num(stated.to_numpy())
+    agent, sides = table["agent"].to_numpy(), table[["length", "width"]].to_numpy()
+    stated = sides[np.unique(agent, return_index=True)[1]]
+    known = np.flatnonzero((sides > 0).all(axis=1))
+    who, first = np.unique(agent[known], return_index=True)
+    stated[who] = sides[known[first]]
+    sizes = np.nan_to_num(stated)
     odd = ~((sizes >= 0) & (sizes <= MAX_SIDE)).all(axis=1)
     if odd.any():
-        who, n = int(odd.argmax()), len(names)
-        found = f"found {sizes[who, 0]:g} by {sizes[who, 1]:g}, expected 0 to {MAX_SIDE:g}"
+        one, n = int(odd.argmax()), len(names)
+        found = f"found {sizes[one, 0]:g} by {sizes[one, 1]:g}, expected 0 to {MAX_SIDE:g}"
         if odd.sum() > MAX_BROKEN * n:
-            raise InputError(f"length and width of {names[who]:.60}: {found}")
+            raise InputError(f"length and width of {names[one]:.60}: {found}")
         doubts.append(f"{odd.sum()} of {n} agents have the size usual for their kind: {found}")
     return np.where((odd | (sizes == 0).any(axis=1))[:, None], usual, sizes)
 
