@@ -63,11 +63,6 @@ DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i4": "Int32", "f4": "Float32"}
 """Little-endian numbers that a browser reads as typed arrays."""
 
 
-def default_mode(scene: ReplayScene) -> str:
-    """The colouring that a page opens with: by the true behaviour where it is known."""
-    return "predicted" if scene.tracks.behavior is None else "true"
-
-
 def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None = None) -> None:
     """Write the page of a scene; the HTML file appears whole or not at all.
 
@@ -86,7 +81,7 @@ def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None =
         undefined=StrictUndefined, trim_blocks=True,
     )  # fmt: skip
     page = environment.get_template("page.html").render(
-        title=scene.name, style=style, script=script, style_hash=_csp_hash(style),
+        title=scene.entry.name, style=style, script=script, style_hash=_csp_hash(style),
         script_hash=_csp_hash(script), data=_json(_data(scene, mode, begin_s)),
     )  # fmt: skip
     write_whole(out, page.encode())
@@ -124,7 +119,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "agents": int(tracks.ids.size),
     }
     return meta | {
-        "title": scene.name,
+        "title": scene.entry.name,
         "facts": facts,
         "notes": list(scene.notes),
         "unit": scene.unit,

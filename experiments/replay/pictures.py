@@ -209,7 +209,7 @@ class Drawing:
         }[self.mode]
         middle = 1 - HEAD_PX / 2 / height
         self.figure.text(
-            0.012, middle, f"{scene.name}: {said}", va="center", color=INK, parse_math=False
+            0.012, middle, f"{scene.entry.name}: {said}", va="center", color=INK, parse_math=False
         )
         if self.mode in ("true", "predicted"):
             known = [(COLORS[b], b.value) for b in BEHAVIORS]

@@ -85,11 +85,6 @@ class ReplayScene:
     notes: tuple[str, ...]
     ghosts: Tracks | None = None
 
-    @property
-    def name(self) -> str:
-        """What the episode is called: its recording, or its scenario and index."""
-        return self.entry.name
-
 
 def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
     """The episode that is asked for; by default the first.
