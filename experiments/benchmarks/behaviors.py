@@ -234,14 +234,10 @@ def measure(
     jobs: int | None = 1,
     behaviors: str | None = None,
 ) -> Iterator[list[Row]]:
-    """Measure every behaviour against every trait.
+    """Rows of every behaviour and trait in each scenario; last, of several together, as ``all``.
 
     Scenarios are keys of ``SCENARIOS`` (() for all), each with an episode of ``duration_s`` for
     every seed. Behaviours of one's own, as `read_behaviors` takes them, drive beside the six.
-
-    Yields:
-        The rows of each scenario; last, where there are several, those of all together, as
-        scenario ``all``.
     """
     names = [get_scenario(name).name for name in scenarios] or list(SCENARIOS)
     everything: list[DriverCounts] = []

@@ -12,7 +12,7 @@ import pandas as pd
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
 from behaviors.profiles import PROFILE_FIELDS, sample_profile
-from sim.files import whole_folder
+from sim.files import new_folder
 from sim.frames import AgentKind
 from sim.scenario import DIMENSIONS_M, IMPERFECTION, AgentSpec
 from sim.store.catalogue import is_dataset
@@ -43,20 +43,13 @@ IN_TABLE: Final = {
 
 
 def export_types(source: str, out: Path) -> list[Path]:
-    """Write ``vtypes.add.xml`` and ``drivers.csv``.
+    """Write ``vtypes.add.xml`` and ``drivers.csv`` into a new or empty folder.
 
-    Args:
-        source: a dataset, whose mix the shares are; or behaviours as `read_behaviors` takes them,
-            beside the six in equal shares.
-        out: folder of the files; new or empty.
-
-    Raises:
-        InputError: if the source is neither, or the folder holds something.
+    The source is a dataset, whose mix the shares are; or behaviours as `read_behaviors` takes them,
+    beside the six in equal shares.
     """
-    if out.exists() and any(out.iterdir()):
-        raise InputError(f"{out}: found something there, expected a new or empty folder")
     shares = _shares(source)
-    with whole_folder(out) as folder:
+    with new_folder(out) as folder:
         (folder / "vtypes.add.xml").write_text("\n".join(_xml(shares)) + "\n")
         (folder / "drivers.csv").write_text(_table(shares))
     return [out / "vtypes.add.xml", out / "drivers.csv"]

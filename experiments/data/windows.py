@@ -29,13 +29,10 @@ OBSERVED_S: Final = 10.0
 
 
 def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
-    """Where an episode's positions come from.
+    """Where an episode's positions come from; what the user says instead counts more.
 
     The engines' episodes are simulated and imported ones recorded. Random worlds and what other
-    simulations wrote are other traffic. What the user says instead counts more.
-
-    Raises:
-        InputError: if the user says something else than a kind of traffic.
+    simulations wrote are other traffic.
     """
     if said is not None:
         return check_traffic(said)
@@ -75,7 +72,8 @@ def gather(
 ) -> Samples:
     """Samples of every episode of a split, made in parallel.
 
-    Episodes without any are left out, each in a line on stderr.
+    Episodes without any are left out, each in a line on stderr. They are numbered as in the
+    manifests, one after another.
 
     Args:
         datasets: where from.
@@ -89,9 +87,6 @@ def gather(
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
         classes: what codes stand for; drivers of other behaviours give no sample.
-
-    Returns:
-        The samples; episodes are numbered as in the manifests, one after another.
 
     Raises:
         InputError: if the split has no episode.

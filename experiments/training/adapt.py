@@ -33,14 +33,7 @@ LEAST_SCORED: Final = 10
 def adapt(
     model: str | Path, recordings: Path, out: Path, labels: Path, quiet: bool = False
 ) -> list[Row]:
-    """Adapt a model to the place of some recordings.
-
-    Args:
-        model: a shipped model's name or a folder.
-        recordings: folder of a dataset.
-        out: folder of the adapted model.
-        labels: labels of some drivers, see `sim.formats.common.label_file`.
-        quiet: whether to show no progress.
+    """Adapt a model to the place of a dataset of recordings, and save it in the folder ``out``.
 
     Returns:
         Rows on the fit, and accuracy on other labelled drivers before and after.
