@@ -31,13 +31,7 @@ import pandas as pd
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.data.disturbances import (
-    Disturbance,
-    correlated_noise,
-    dropped_frames,
-    frame_rate,
-    position_noise,
-)
+from experiments.data import disturbances
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import gather, measured
 from experiments.generate.configuration import GenerateConfig
@@ -94,20 +88,13 @@ SCORED_EVERY_S: Final = 2.0
 ASKED_EVERY_S: Final = 1.0
 """A stream takes every frame, and is asked this often, s."""
 
-NOISE: Final = (
-    *(("position noise", level) for level in (0.03, 0.1, 0.25, 0.5)),
-    *(("correlated noise", level) for level in (0.03, 0.1, 0.25, 0.5)),
-    *(("dropped frames", level) for level in (0.05, 0.15, 0.3)),
-    *(("frame rate", level) for level in (25.0, 5.0, 2.5)),
-)  # fmt: skip
-"""Keys of `DISTURBANCES` with deviations in m, shares of frames, and Hz."""
-
-DISTURBANCES: Final[dict[str, Disturbance]] = {
-    "position noise": position_noise,
-    "correlated noise": correlated_noise,
-    "dropped frames": dropped_frames,
-    "frame rate": frame_rate,
+NOISE: Final[dict[str, tuple[disturbances.Disturbance, tuple[float, ...]]]] = {
+    "position noise": (disturbances.position_noise, (0.03, 0.1, 0.25, 0.5)),
+    "correlated noise": (disturbances.correlated_noise, (0.03, 0.1, 0.25, 0.5)),
+    "dropped frames": (disturbances.dropped_frames, (0.05, 0.15, 0.3)),
+    "frame rate": (disturbances.frame_rate, (25.0, 5.0, 2.5)),
 }
+"""Disturbances with their levels: deviations in m, shares of frames, and Hz."""
 
 CEILING_DRIVERS: Final = 600
 """Most training drivers of the ceiling, so that ceilings of datasets of other sizes can be
@@ -303,7 +290,7 @@ def _streamed(
     """
     tracks = measured(open_dataset(folder).read(entry))
     if given is not None:
-        tracks = DISTURBANCES[given[0]](tracks, given[1], np.random.default_rng(number))
+        tracks = NOISE[given[0]][0](tracks, given[1], np.random.default_rng(number))
     stream, asked = BehaviorStream(model), list[tuple[float, Posterior]]()
     for frame in tracks.frames():
         stream.push(frame)
@@ -414,7 +401,8 @@ def across_engines(data: Data) -> Iterator[list[Row]]:
 def noise(data: Data) -> Iterator[list[Row]]:
     """Usual traffic seen by worse sensors, by what ships."""
     model = load_model(OURS)
-    for given in (None, *NOISE):
+    levels = ((name, level) for name, (_, levels) in NOISE.items() for level in levels)
+    for given in (None, *levels):
         about = "undisturbed" if given is None else f"{given[0]} {given[1]:g}"
         yield _rows(data.usual, data.usual.streamed(model, given), "noise", about, OURS)
 

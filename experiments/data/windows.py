@@ -61,7 +61,6 @@ def gather(
     split: Split,
     method: str,
     *,
-    solver: str = "graphrqi",
     windows_s: Sequence[float] = (OBSERVED_S,),
     every_s: float = 1.0,
     per_moment: int | None = None,
@@ -79,7 +78,6 @@ def gather(
         datasets: where from.
         split: which part.
         method: whose observer to use.
-        solver: a key of ``SOLVERS``.
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
         per_moment: how many lengths to draw per driver and moment; None for all.
@@ -95,7 +93,7 @@ def gather(
     every = [(d.path, e) for d in datasets for e in d.manifest.episodes]
     taken = (windows_s, every_s, per_moment)
     arguments = [
-        (path, entry, number, method, solver, (*taken, seed + number), classes)
+        (path, entry, number, method, (*taken, seed + number), classes)
         for number, (path, entry) in enumerate(every)
         if entry.split == split
     ]
@@ -116,8 +114,8 @@ def gather(
 
 
 def _episode_samples(
-    folder: Path, entry: EpisodeEntry, number: int, method: str, solver: str,
-    taken: tuple[Any, ...], classes: tuple[Behavior, ...],
+    folder: Path, entry: EpisodeEntry, number: int, method: str, taken: tuple[Any, ...],
+    classes: tuple[Behavior, ...],
 ) -> Samples | str:  # fmt: skip
     """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
     tracks = measured(open_dataset(folder).read(entry))
@@ -126,6 +124,6 @@ def _episode_samples(
         codes = np.array([*code, -1], dtype=np.int8)[tracks.behavior]
         tracks = dataclasses.replace(tracks, behavior=codes)
     try:
-        return collect(tracks, make_observer(method, solver), number, *taken)
+        return collect(tracks, make_observer(method), number, *taken)
     except NoSamplesError as reason:
         return f"{folder}: episode {entry.id}: {reason}"

@@ -19,15 +19,7 @@ from behaviors.elementwise import log_uniform
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior
 from behaviors.populations import LOWEST_HEADWAY_S
 from behaviors.profiles import FARTHEST_SPREADS
-from experiments.data.disturbances import (
-    correlated_noise,
-    dropped_frames,
-    frame_rate,
-    lost_detections,
-    lost_tracks,
-    position_noise,
-    renamed_tracks,
-)
+from experiments.data import disturbances
 from experiments.generate.world_roads import WorldRoad, draw_road
 from graphrqi.posterior import AGGRESSIVE
 from sim.formats.common.motion import motion
@@ -210,16 +202,18 @@ class Sensor:
         """
         seen = tracks
         if self.noise_m and self.noise_correlation_s:
-            seen = correlated_noise(seen, self.noise_m, rng, self.noise_correlation_s)
+            seen = disturbances.correlated_noise(seen, self.noise_m, rng, self.noise_correlation_s)
         elif self.noise_m:
-            seen = position_noise(seen, self.noise_m, rng)
+            seen = disturbances.position_noise(seen, self.noise_m, rng)
         if self.lost_per_min:
-            lose = renamed_tracks if self.found_as == "new" else lost_tracks
+            lose = (
+                disturbances.renamed_tracks if self.found_as == "new" else disturbances.lost_tracks
+            )
             seen = lose(seen, self.lost_per_min, rng)
         if self.lost_detections:
-            seen = lost_detections(seen, self.lost_detections, rng)
+            seen = disturbances.lost_detections(seen, self.lost_detections, rng)
         if self.lost_frames:
-            seen = dropped_frames(seen, self.lost_frames, rng)
+            seen = disturbances.dropped_frames(seen, self.lost_frames, rng)
         if not self.has_map:
             seen = self._in_its_axes(seen)
         seen = seen.part(np.flatnonzero(seen.valid.any(axis=1)), slice(None))
@@ -402,4 +396,4 @@ def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
     sensor = dataclasses.replace(_draw_sensor(rng), pixels_per_m=0.0)
     every = round(sensor.step_s / tracks.step_s)
     step_s = every * tracks.step_s if every else sensor.step_s
-    return sensor.seen(frame_rate(tracks, 1.0 / step_s, rng), rng)
+    return sensor.seen(disturbances.frame_rate(tracks, 1.0 / step_s, rng), rng)

@@ -92,35 +92,29 @@ def _labelled(answered: list[Answered], given: DriverLabels) -> tuple[FloatArray
 
 def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:
     """Scores of styles of labelled drivers that were left out of a random choice of so many."""
+    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
+
     style: BoolArray = np.asarray(allowed[:, AGGRESSIVE].any(axis=1))
     rows: list[Row] = []
     for count in LABELLED:
-        if len(known) < count + LEAST_SCORED:
-            continue
-        scores: dict[str, list[dict[str, float]]] = {}
-        for split in range(SPLITS):
+        scores: dict[tuple[str, str], list[float]] = {}
+        for split in range(SPLITS if len(known) >= count + LEAST_SCORED else 0):
             order = np.random.default_rng(split).permutation(len(known))
             learned, left = order[:count], order[count:]
-            if len(set(style[learned])) < 2 or len(set(style[left])) < 2:
+            truth = style[left]
+            if len(set(style[learned])) < 2 or len(set(truth)) < 2:
                 continue
             adapted = from_labels(known[learned], allowed[learned]).applied(known[left])
             for name, answer in (("as it was", known[left]), ("adapted", adapted)):
-                found = _scored(aggressive_share(answer), style[left])
-                scores.setdefault(name, []).append(found)
-        for name, each in scores.items():
-            keys = {"labelled": count, "model": name}
-            for metric in each[0]:
-                value = float(np.mean([one[metric] for one in each]))
-                rows.append(tidy_row(keys, metric, value, n=len(each)))
+                share = aggressive_share(answer)
+                for metric, value in (
+                    ("style_balanced_accuracy", balanced_accuracy_score(truth, share > 0.5)),
+                    ("style_auc", roc_auc_score(truth, share)),
+                    ("style_log_loss", log_loss(truth, share.clip(1e-6, 1.0 - 1e-6))),
+                ):
+                    scores.setdefault((name, metric), []).append(float(value))
+        rows += [
+            tidy_row({"labelled": count, "model": name}, metric, np.mean(values), n=len(values))
+            for (name, metric), values in scores.items()
+        ]
     return rows
-
-
-def _scored(probability: FloatArray, style: BoolArray) -> dict[str, float]:
-    """Figures of the probability of the aggressive style."""
-    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
-
-    return {
-        "style_balanced_accuracy": balanced_accuracy_score(style, probability > 0.5),
-        "style_auc": roc_auc_score(style, probability),
-        "style_log_loss": log_loss(style, probability.clip(1e-6, 1.0 - 1e-6)),
-    }

@@ -35,7 +35,6 @@ def train_model(
     datasets: Sequence[Dataset],
     method: str,
     *,
-    solver: str = "graphrqi",
     per_moment: int = TRAINING_PER_MOMENT,
     seed: int = 0,
     jobs: int | None = None,
@@ -46,7 +45,6 @@ def train_model(
     Args:
         datasets: with train and validation episodes.
         method: a key of ``METHODS``.
-        solver: a key of ``SOLVERS``.
         per_moment: window lengths drawn for each driver and moment.
         seed: the same seed and data give the same model.
         jobs: processes; None for one per core.
@@ -57,7 +55,7 @@ def train_model(
     """
     classes = tuple(dict.fromkeys(one for dataset in datasets for one in dataset.behaviors))
     observe = partial(
-        gather, datasets, method=method, solver=solver, windows_s=WINDOWS_S,
+        gather, datasets, method=method, windows_s=WINDOWS_S,
         every_s=TRAINING_EVERY_S, per_moment=per_moment, seed=seed, jobs=jobs, quiet=quiet,
         classes=classes,
     )  # fmt: skip
@@ -67,7 +65,7 @@ def train_model(
             validation = observe("validation")
         except NoSamplesError as reason:
             LOGGER.warning("left out %s", reason)
-    model = train(method, training, validation, solver, seed, classes=classes)
+    model = train(method, training, validation, seed=seed, classes=classes)
     data = {
         "configurations": [dict(dataset.header.configuration) for dataset in datasets],
         "schema_versions": [dataset.manifest.schema_version for dataset in datasets],
