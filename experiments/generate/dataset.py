@@ -29,8 +29,18 @@ from scenarios.own.scenario_file import is_path
 from sim.files import PARTIAL_PREFIX, Place, place_of, user_cache
 from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
 from sim.store.dataset import open_dataset
-from sim.store.schema import TABLES, EpisodeEntry, FileEntry, Manifest, block_of, split_of
-from sim.store.shards import Shard, ShardName, metadata_of, opened
+from sim.store.parquet import metadata_of, opened
+from sim.store.schema import (
+    TABLES,
+    EpisodeEntry,
+    FileEntry,
+    Manifest,
+    Shard,
+    TableName,
+    block_of,
+    shard_file,
+    split_of,
+)
 from sim.store.writing import EpisodeWriter, checksum, made_with
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
@@ -46,16 +56,14 @@ class _ShardTask(NamedTuple):
     scenario: str
     indices: tuple[int, ...]
 
-    @property
-    def name(self) -> ShardName:
-        """Name of the shard."""
-        first, last = block_of(self.indices[0])
-        split = split_of(self.indices[0])
-        return ShardName(scenario_name(self.scenario), split, f"{first:06}-{last:06}")
+    def file(self, table: TableName) -> str:
+        """The file of a table."""
+        index = self.indices[0]
+        return shard_file(table, scenario_name(self.scenario), split_of(index), index)
 
     def __str__(self) -> str:
         """Name of the episodes, for messages."""
-        return f"{self.name.scenario} episodes {', '.join(map(str, self.indices))}"
+        return f"{scenario_name(self.scenario)} episodes {', '.join(map(str, self.indices))}"
 
 
 class _Made(NamedTuple):
@@ -190,7 +198,7 @@ def _there_and_missing(
     if DATA_CARD in listed and not place.read(DATA_CARD).decode().startswith(CARD_HEAD):
         raise InputError(f"{place.url}: found {DATA_CARD} in it, expected a new folder")
     tasks = list(_planned(config))
-    ours = {task.name.file(table) for task in tasks for table in TABLES}
+    ours = {task.file(table) for task in tasks for table in TABLES}
     for name in listed:
         top = name.partition("/")[0]
         if top not in _OURS and name not in ours:
@@ -198,7 +206,7 @@ def _there_and_missing(
             raise InputError(f"{place.url}: found {what} in it, expected a new folder")
     there, missing = [], []
     for task in tasks:
-        shard = _read_shard(place, task.name, listed)
+        shard = _read_shard(place, task.file("agents"), listed)
         if shard is not None and shard.configuration != configuration:
             raise InputError(f"{place.url}: found {_UNFINISHED} in it, expected a new folder")
         if shard is None or tuple(entry.index for entry in shard.entries) != task.indices:
@@ -249,9 +257,8 @@ def sole_writer(place: Place) -> Iterator[None]:
         ) from None
 
 
-def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Shard | None:
-    """A shard of an earlier run; None if a file of it is missing, broken, or of another size."""
-    own = name.file("agents")
+def _read_shard(place: Place, own: str, listed: Mapping[str, int]) -> Shard | None:
+    """A shard of an earlier run, by its file of agents; None if a file is missing or broken."""
     if own not in listed:
         return None
     try:

@@ -114,7 +114,9 @@ def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:
                 ):
                     scores.setdefault((name, metric), []).append(float(value))
         rows += [
-            tidy_row({"labelled": count, "model": name}, metric, np.mean(values), n=len(values))
+            tidy_row(
+                {"labelled": count, "model": name}, metric, float(np.mean(values)), n=len(values)
+            )
             for (name, metric), values in scores.items()
         ]
     return rows

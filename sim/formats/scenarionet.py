@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.driving_scene import STATES, DrivingScene, SceneAgent, recording_of
+from sim.formats.common.driving_scene import STATES, DrivingScene, recording_of
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind, FloatArray, Signal, Tracks
 from sim.input_files import read_bytes, stem
@@ -141,8 +141,10 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
         kind = READ_KINDS.get(_word(track["type"]))
         if kind is None:
             scene.left_out += 1
-        else:
-            scene.agents.append(_agent(_word(label), kind, track, steps))
+            continue
+        scene.agents.append((_word(label), kind, *_states(track["state"], steps)))
+        behavior = _word(track.get("metadata", {}).get("behavior"))
+        scene.behaviors[_word(label)] = BEHAVIOR_CODES.get(behavior, -1)
     numbers = _add_map(scene, found.get("map_features", {}))
     for name, light in found.get("dynamic_map_states", {}).items():
         lane = numbers.get(_word(light.get("lane", name)))
@@ -155,9 +157,8 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     return scene
 
 
-def _agent(name: str, kind: AgentKind, track: Mapping[str, Any], steps: int) -> SceneAgent:
-    """Where an agent was."""
-    state = track["state"]
+def _states(state: Mapping[str, Any], steps: int) -> tuple[NDArray[np.int64], FloatArray]:
+    """The steps at which an agent is seen, and what is known of it there."""
     size = state.get("size", state.get("dimension"))
     if size is not None:
         size = np.broadcast_to(_numbers("size", size), (steps, np.shape(size)[-1]))
@@ -171,8 +172,7 @@ def _agent(name: str, kind: AgentKind, track: Mapping[str, Any], steps: int) -> 
                "width": width}  # fmt: skip
     table = np.stack([_column(field, values, steps) for field, values in columns.items()], axis=1)
     seen = np.flatnonzero(_column("valid", state["valid"], steps).astype(bool))
-    code = BEHAVIOR_CODES.get(_word(track.get("metadata", {}).get("behavior")), -1)
-    return SceneAgent(name, kind, seen, table[seen].astype(np.float64), code)
+    return seen, table[seen].astype(np.float64)
 
 
 def _column(field: str, values: Any, steps: int) -> NDArray[Any]:
