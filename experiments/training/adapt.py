@@ -118,5 +118,5 @@ def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:
                 {"labelled": count, "model": name}, metric, float(np.mean(values)), n=len(values)
             )
             for (name, metric), values in scores.items()
-        ]
+        ]  # fmt: skip
     return rows
