@@ -260,7 +260,7 @@ def export(
         "See graphrqi list; vtypes: SUMO's vehicle types of the drivers, of a dataset or of "
         "behaviours (a TOML file, or distracted, novice).",
         "--format", metavar="KEY", names="format", default=...),
-    out: Path = option("Folder to write into.", default=...),
+    out: Path = option("New or empty folder.", default=...),
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Write a dataset, or its drivers alone, in another format."""

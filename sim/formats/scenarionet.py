@@ -31,7 +31,8 @@ from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind, FloatArray, Signal, Tracks
 from sim.input_files import read_bytes, stem
 from sim.road import Road
-from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane
+from sim.road.maps.lanelets import Lanelet
+from sim.units import in_si
 
 # --- reading ------------------------------------------------------------------------------------
 
@@ -59,11 +60,11 @@ READ_KINDS: Final = {
 }
 """Types of objects that are road-agents; cones, barriers and the like are left out."""
 
-LANES: Final = {
-    "LANE_UNKNOWN": 0, "LANE_FREEWAY": 1, "LANE_SURFACE_STREET": 2, "LANE_BIKE_LANE": 3,
-    "LANE_SURFACE_UNSTRUCTURE": 2,
-}  # fmt: skip
-"""Types of lanes, by Waymo's numbers; an unstructured one is a way across a junction."""
+BIKE_LANE: Final = "LANE_BIKE_LANE"
+LANES: Final = frozenset({
+    "LANE_UNKNOWN", "LANE_FREEWAY", "LANE_SURFACE_STREET", BIKE_LANE, "LANE_SURFACE_UNSTRUCTURE",
+})  # fmt: skip
+"""Types of lanes; an unstructured one is a way across a junction."""
 
 LIGHTS: Final = (
     ("RED", Signal.RED), ("STOP", Signal.RED), ("YELLOW", Signal.YELLOW),
@@ -224,14 +225,14 @@ def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]
             for key in ("entry_lanes", "exit_lanes")
         )
         scene.lanes.append(
-            WaymoLane(
+            Lanelet(
                 id=numbers[name],
-                line=_points(lane["polyline"]),
-                limit_mph=_limit_mph(lane),
-                type=LANES[lane["type"]],
-                interpolating=unstructured or bool(lane.get("interpolating", False)),
-                before=before,
-                after=after,
+                centerline=_points(lane["polyline"]),
+                limit_mps=_limit_mps(lane),
+                cars=lane["type"] != BIKE_LANE,
+                internal=unstructured or bool(lane.get("interpolating", False)),
+                predecessors=before,
+                successors=after,
                 left=beside[0],
                 right=beside[1],
                 width_m=_width(lane.get("width")),
@@ -252,12 +253,11 @@ def _width(width: Any) -> float:
     return float(width)
 
 
-def _limit_mph(feature: Mapping[str, Any]) -> float:
-    """The limit, miles per hour; NaN where it is unknown (converters write none or 0)."""
+def _limit_mps(feature: Mapping[str, Any]) -> float:
+    """The limit, m/s; NaN where it is unknown (converters write none or 0)."""
     if feature.get("speed_limit_mph"):
-        return float(feature["speed_limit_mph"])
-    limit = feature.get("speed_limit_kmh")
-    return float(limit) / 3.6 / MPS_PER_MPH if limit else math.nan
+        return in_si(float(feature["speed_limit_mph"]), "mph")
+    return in_si(float(feature.get("speed_limit_kmh") or math.nan), "km/h")
 
 
 def _first(feature: Mapping[str, Any], key: str, numbers: Mapping[str, int]) -> int | None:

@@ -24,7 +24,7 @@ from behaviors.errors import InputError
 from sim.frames import FloatArray, Signal
 from sim.road import Road, SignalPlan
 from sim.road.checks import MAX_COORDINATE_M
-from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
+from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.xml_tree import read_tree, whole_number
 
 ROOT: Final = "commonRoad"
@@ -89,18 +89,11 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     signs, lights = _signs(path, root), _lights(path, root)
     ways = [f"successors{way}" for way in ("Left", "Straight", "Right")]
     inside = {i for one in root.iterfind("intersection/incoming") for i in _refs(path, one, *ways)}
-    found: dict[int, Lanelet] = {}
-    broken: list[str] = []
-    for element in sorted(elements, key=lambda e: whole_number(path, e, "id")):
-        try:
-            lanelet = _lanelet(path, element, signs, lights)
-        except InputError as error:
-            broken.append(str(error))
-            continue
-        if lanelet.id in found:
-            raise InputError(f"{path}: found lanelet {lanelet.id} twice, expected it once")
-        found[lanelet.id] = replace(lanelet, internal=lanelet.internal or lanelet.id in inside)
-    _add_predecessors(path, elements, found)
+
+    def read(identity: int, element: Element) -> Lanelet:
+        return _lanelet(path, identity, element, signs, lights, identity in inside)
+
+    found, broken = read_lanelets(path, elements, read)
     left, right = (
         len(root.findall(f"lanelet/adjacent{side}[@drivingDir='opposite']"))
         for side in ("Left", "Right")
@@ -201,9 +194,15 @@ def _lights(path: Path, root: Element) -> tuple[SignalPlan, ...]:
     return tuple(plans.values())
 
 
-def _lanelet(path: Path, element: Element, signs: Signs, lights: tuple[SignalPlan, ...]) -> Lanelet:
+def _lanelet(
+    path: Path,
+    identity: int,
+    element: Element,
+    signs: Signs,
+    lights: tuple[SignalPlan, ...],
+    inside: bool,
+) -> Lanelet:
     """A lanelet."""
-    identity = whole_number(path, element, "id")
     left, right = (
         _line(path, element.find(side), f"lanelet {identity} {side}")
         for side in ("leftBound", "rightBound")
@@ -227,8 +226,9 @@ def _lanelet(path: Path, element: Element, signs: Signs, lights: tuple[SignalPla
         id=identity,
         centerline=centerline,
         width_m=width_m,
-        successors=tuple(dict.fromkeys(_refs(path, element, "successor"))),
-        internal="intersection" in types,
+        successors=tuple(_refs(path, element, "successor")),
+        predecessors=tuple(_refs(path, element, "predecessor")),
+        internal=inside or "intersection" in types,
         left=beside["Left"],
         right=beside["Right"],
         use=",".join(sorted(types & NOT_FOR_CARS)),
@@ -240,16 +240,6 @@ def _lanelet(path: Path, element: Element, signs: Signs, lights: tuple[SignalPla
         must_stop=bool(kinds & STOP_SIGNS),
         must_yield=bool(kinds & YIELD_SIGNS),
     )
-
-
-def _add_predecessors(path: Path, elements: list[Element], lanelets: dict[int, Lanelet]) -> None:
-    """Add successors that only they themselves say, by naming their predecessors."""
-    for element in elements:
-        identity = whole_number(path, element, "id")
-        for before in _refs(path, element, "predecessor"):
-            one = lanelets.get(before)
-            if one is not None and identity not in one.successors:
-                lanelets[before] = replace(one, successors=(*one.successors, identity))
 
 
 def _add_priority(path: Path, root: Element, lanelets: dict[int, Lanelet], signs: Signs) -> bool:

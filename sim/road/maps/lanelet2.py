@@ -27,7 +27,7 @@ from behaviors.errors import InputError
 from sim.frames import FloatArray
 from sim.input_files import read_once
 from sim.road import Road
-from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
+from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.road.maps.sources import FREE_WORDS, limit_of
 from sim.xml_tree import read_tree, whole_number
 
@@ -66,7 +66,7 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     root = read_tree(path)
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
-    relations = _relations(path, root, "lanelet")
+    relations = _relations(root, "lanelet")
     if not relations and root.find("way") is not None:
         raise InputError(
             f"{path}: found OpenStreetMap without lanes, expected a Lanelet2 map: graphrqi road "
@@ -75,18 +75,14 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     places = _places(path, root, origin)
     ways = _ways(path, root, places)
     rules = _rules(path, root, relations)
-    found: dict[int, Lanelet] = {}
     borders: dict[int, tuple[Border, Border]] = {}
-    broken: list[str] = []
-    for identity, relation in sorted(relations, key=lambda one: one[0]):
-        if identity in borders:
-            raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
-        try:
-            borders[identity] = _borders(path, identity, relation, ways, places)
-            lines = [np.array([places[node] for node in side]) for side in borders[identity]]
-            found[identity] = _lanelet(path, identity, relation, lines, rules)
-        except InputError as error:
-            broken.append(str(error))
+
+    def read(identity: int, relation: Element) -> Lanelet:
+        borders[identity] = _borders(path, identity, relation, ways, places)
+        lines = [np.array([places[node] for node in side]) for side in borders[identity]]
+        return _lanelet(path, identity, relation, lines, rules)
+
+    found, broken = read_lanelets(path, relations, read)
     driven = {i: borders[i] for i, one in found.items() if not (one.walking or one.crossing)}
     found |= _related({i: found[i] for i in driven}, driven)
     left_hand = _oncoming(driven.values(), 1) > _oncoming(driven.values(), 0)
@@ -100,10 +96,8 @@ def _tags(element: Element) -> dict[str, str]:
     return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
 
 
-def _relations(path: Path, root: Element, kind: str) -> list[tuple[int, Element]]:
-    """Every relation of a kind, and its id before it."""
-    found = [e for e in root.iterfind("relation") if _tags(e).get("type") == kind]
-    return [(whole_number(path, one, "id"), one) for one in found]
+def _relations(root: Element, kind: str) -> list[Element]:
+    return [e for e in root.iterfind("relation") if _tags(e).get("type") == kind]
 
 
 def _members(path: Path, relation: Element, role: str) -> list[int]:
@@ -230,10 +224,10 @@ class _Rules(NamedTuple):
     limits: dict[int, str]
 
 
-def _rules(path: Path, root: Element, lanelets: list[tuple[int, Element]]) -> _Rules:
+def _rules(path: Path, root: Element, lanelets: list[Element]) -> _Rules:
     """The rules of a map."""
     yields, stops, signs = dict[int, tuple[int, ...]](), set[int](), dict[int, str]()
-    for identity, relation in _relations(path, root, "regulatory_element"):
+    for relation in _relations(root, "regulatory_element"):
         tags = _tags(relation)
         kind = tags.get("subtype")
         first, waiting = (_members(path, relation, role) for role in ("right_of_way", "yield"))
@@ -242,10 +236,10 @@ def _rules(path: Path, root: Element, lanelets: list[tuple[int, Element]]) -> _R
             stops.update(waiting if kind == "all_way_stop" else ())
         elif kind == "speed_limit":
             text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
-            signs |= {identity: text} if text else {}
+            signs |= {whole_number(path, relation, "id"): text} if text else {}
     limits = {
-        identity: signs[ref]
-        for identity, relation in lanelets
+        whole_number(path, relation, "id"): signs[ref]
+        for relation in lanelets
         for ref in _members(path, relation, "regulatory_element")
         if ref in signs
     }

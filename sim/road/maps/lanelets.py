@@ -11,11 +11,12 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -28,6 +29,7 @@ from sim.geometry import LEAST_PIECE_M, distances_along, meeting, pieces_of, poi
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.checks import checked
+from sim.xml_tree import whole_number
 
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
 """A way that turns by less than the first goes straight, by more than the second goes back (about
@@ -55,7 +57,7 @@ class Lanelet:
 
     Attributes:
         id: its number in the map.
-        successors: ids of those that can follow.
+        successors, predecessors: ids of those that can follow, and come before.
         left, right: id of the neighbour on either side, of the same direction; None without one.
         use: permitted traffic; there are no lane changes between lanelets of different use.
         limit_mps: speed limit, m/s; NaN where unknown.
@@ -70,6 +72,7 @@ class Lanelet:
     centerline: FloatArray
     width_m: float
     successors: tuple[int, ...] = ()
+    predecessors: tuple[int, ...] = ()
     internal: bool = False
     left: int | None = None
     right: int | None = None
@@ -108,6 +111,23 @@ def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
     return middle, float(np.sum(across * size)) / total if total > 0 else 0.0
 
 
+def read_lanelets(
+    path: Path, elements: Iterable[Element], read: Callable[[int, Element], Lanelet]
+) -> tuple[dict[int, Lanelet], list[str]]:
+    """The lanelets of XML elements in order of their ids, and why broken ones are left out."""
+    found, broken = dict[int, Lanelet | None](), list[str]()
+    numbered = [(whole_number(path, element, "id"), element) for element in elements]
+    for identity, element in sorted(numbered, key=lambda one: one[0]):
+        if identity in found:
+            raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
+        try:
+            found[identity] = read(identity, element)
+        except InputError as error:
+            found[identity] = None
+            broken.append(str(error))
+    return {i: lanelet for i, lanelet in found.items() if lanelet is not None}, broken
+
+
 def road_of_lanelets(
     path: Path,
     name: str | None,
@@ -136,6 +156,11 @@ def road_of_lanelets(
         raise InputError(broken[0])
     if not any(one.cars and not one.walking for one in lanelets.values()):
         raise InputError(f"{path}: found no lanelet for cars, expected at least one")
+    following = {i: dict.fromkeys(one.successors) for i, one in lanelets.items()}
+    for i, one in lanelets.items():  # some only name those before them
+        for before in one.predecessors:
+            following.get(before, {})[i] = None
+    lanelets = {i: replace(one, successors=tuple(following[i])) for i, one in lanelets.items()}
     if find_junctions and not any(one.internal for one in lanelets.values()):
         lanelets = _with_junctions(lanelets)
     limits = any(math.isfinite(one.limit_mps) for one in lanelets.values())

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
+from sim.input_files import broken_as_one_line
 from sim.units import in_si
 
 FREE_MPS: Final = 130 / 3.6
@@ -142,12 +142,10 @@ def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = Non
     """
     if kind not in ("openstreetmap", "opendrive"):
         return Source(content, bool(left_hand))
-    try:
+    with broken_as_one_line(path, "XML"):
         root = ET.fromstring(content)
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: {' '.join(str(error).split())}, expected XML") from None
-    found = _street_map(root, left_hand) if kind == "openstreetmap" else _drive(root, left_hand)
-    return replace(found, content=ET.tostring(root, encoding="utf-8", xml_declaration=True))
+        found = _street_map(root, left_hand) if kind == "openstreetmap" else _drive(root, left_hand)
+        return replace(found, content=ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 # --- OpenStreetMap ------------------------------------------------------------------------------
@@ -229,7 +227,7 @@ def _drive(root: ET.Element, left_hand: bool | None) -> Source:
     warnings, unlimited, roads = list[str](), 0, 0
     length_m = {"LHT": 0.0, "RHT": 0.0}
     for road in root.iterfind("road"):
-        size = _number(road.get("length"), 0.0)
+        size = float(road.get("length", 0.0))
         length_m["LHT" if (road.get("rule") or "").upper() == "LHT" else "RHT"] += size
         sections = sorted(road.iterfind("lanes/laneSection"), key=_begin)
         if not sections:
@@ -294,13 +292,4 @@ def _write(speed: ET.Element, limit: float) -> ET.Element:
 
 def _begin(element: ET.Element) -> float:
     """Where a part of a road begins, m along it."""
-    return _number(element.get("s"), 0.0)
-
-
-def _number(text: str | None, other: float) -> float:
-    """A number, or another value where it is none."""
-    try:
-        value = float(text or "")
-    except ValueError:
-        return other
-    return value if math.isfinite(value) else other
+    return float(element.get("s", 0.0))
