@@ -167,7 +167,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the scene; returns an image in the mode ``rgb_array``."""
         if self.render_mode is not None and self.viewer is None:
-            self.viewer = TrafficViewer(self, self.road.network_info)
+            self.viewer = TrafficViewer(self, self.road.network)
         return cast("NDArray[np.uint8] | None", super().render())
 
     def add_ego_vehicle(
@@ -187,7 +187,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
             route: the stretches that it drives over, the first of them the lane's.
             id: its agent id.
         """
-        network = self.road.network_info
+        network = self.road.network
         geometry = network.lanes[lane]
         ego = self.action_type.vehicle_class(
             self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
@@ -247,7 +247,7 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
     """Distance along the lanes from the ego vehicle's front to the end of its route, m."""
-    network, lane = road.network_info, ego.lane_index
+    network, lane = road.network, ego.lane_index
     s, _ = ego.lane.local_coordinates(ego.position)
     left = ego.lane.length - s - ego.LENGTH / 2
     for _ in range(2 * len(ego.stretches) + 2):
@@ -268,7 +268,7 @@ def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
     The paths of a junction that begin on one lane overlap at their start, so a vehicle counts as on
     its own path there, whichever of them highway-env puts it on.
     """
-    network = road.network_info
+    network = road.network
     if ego.lane_index[:2] in ego.stretches:
         return True
     turns = set(itertools.pairwise(ego.stretches))
@@ -287,7 +287,7 @@ def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
 
 def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
     """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
-    network, lane = road.network_info, ego.lane_index
+    network, lane = road.network, ego.lane_index
     if lane in network.exit_of or (lane[:2] == ego.stretches[-1] and s > 0.0):
         return False
     own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # on the wrong side, too

@@ -142,11 +142,11 @@ class Demand:
         rows = driver_rows(driving, seed, law)
         for agent, row in zip(driving, rows, strict=True):
             if agent.route not in ways:
-                ways[agent.route] = tuple(road.network_info.stretches(agent.route))
+                ways[agent.route] = tuple(road.network.stretches(agent.route))
             way = ways[agent.route]
             row["route"], road.behaviors[agent.id] = road.route_number(way), agent.behavior
             if way[:2] not in self._queues:
-                network, then = road.network_info, way[1] if len(way) > 1 else None
+                network, then = road.network, way[1] if len(way) > 1 else None
                 lanes = [network.number[lane] for lane in network.lanes_towards(way[0], then)]
                 leads_to = -1 if then is None else network.stretch_number[then]
                 self._queues[way[:2]] = _Queue(deque(), np.array(lanes), leads_to)

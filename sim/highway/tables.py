@@ -181,3 +181,18 @@ def curvature_at(s: float, k: int, net: Net) -> float:
     """How fast a lane's heading turns around a place, rad/m."""
     after, before = heading_at(s + BLEND_M / 2, k, net), heading_at(s - BLEND_M / 2, k, net)
     return (after - before) / BLEND_M
+
+
+@in_place()
+def closest_lane(x: float, y: float, heading: float, net: Net) -> int:
+    """The lane closest to a place by highway-env's measure; ``heading`` is NaN if it is unknown."""
+    best, found = np.inf, 0
+    for k in range(net.lanes.size):
+        s, lateral, _ = project(x, y, k, net)
+        away = abs(lateral) + max(s - net.lanes[k].length, 0.0) + max(-s, 0.0)
+        if not math.isnan(heading):
+            off = heading - heading_at(s, k, net)
+            away += abs((off + math.pi) % (2.0 * math.pi) - math.pi)
+        if away < best:
+            best, found = away, k
+    return found

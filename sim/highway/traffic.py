@@ -94,7 +94,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     record_history = neighbour_vehicles_connected_lanes = False
 
     def __init__(self, network: HighwayNetwork) -> None:
-        self.network, self.network_info = network.net, network
+        self.network = network
         self.np_random = np.random.RandomState(0)
         self.cars, self.people = Crowd(self, VEHICLE, ProfileVehicle), Crowd(self, WALKER, Walker)
         self.behaviors: dict[int, Behavior | None] = {}
@@ -176,7 +176,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """The number of the way on foot along a route of edges; see `find_footway`."""
         if ("on foot", *route) not in self._numbers:
             self._numbers["on foot", *route] = len(self.footways)
-            self.footways.append(find_footway(self.network_info.road, route))
+            self.footways.append(find_footway(self.network.road, route))
             self._scene = self._work = None
         return self._numbers["on foot", *route]
 
@@ -197,7 +197,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _read_egos(self) -> None:
         """Read the ego vehicles into their rows."""
-        number = self.network_info.number
+        number = self.network.number
         for one in self._egos:
             row = one.table[one.row]
             row["x"], row["y"] = one.position
@@ -209,7 +209,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def _new_work(self) -> Scene:
         """Arrays with room for twice as many as are there now."""
         n, m = 2 * len(self.cars.rows) + 8, 2 * len(self.people.rows) + 8
-        net = self.network_info.arrays
+        net = self.network.arrays
         entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
         return Scene(
@@ -237,7 +237,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
-        numbers = self.network_info.stretch_number
+        numbers = self.network.stretch_number
         longest = max(map(len, self.routes), default=0)
         table = np.full((len(self.routes) + 1, longest + 1), -1, dtype=np.int64)
         for number, route in enumerate(self.routes):
@@ -264,7 +264,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
-        plans, now_s = self.network_info.road.signal_plans, self.time_s
+        plans, now_s = self.network.road.signal_plans, self.time_s
         if not plans or self._plan_due_s.min() > now_s:
             return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
@@ -294,7 +294,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def on_lane(self, lane: LaneIndex) -> tuple[list[float], ...]:
         """Distances along a lane, ascending, lengths, m, and speeds, m/s, at the last `locate`."""
-        scene, k = self.scene(), self.network_info.number[lane]
+        scene, k = self.scene(), self.network.number[lane]
         here = scene.on[scene.on_first[k] : scene.on_first[k + 1]]
         there = scene.vehicles[here["row"]]
         return here["s"].tolist(), there["length"].tolist(), there["speed"].tolist()
@@ -342,7 +342,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _reroute(self) -> None:
         """Find other routes for those who need one, and let everybody decide."""
-        rows, network = self.cars.rows, self.network_info
+        rows, network = self.cars.rows, self.network
         for row in np.flatnonzero(rows["astray"]).tolist():
             lane = int(rows["lane"][row])
             route = network.way_to(self.routes[rows["route"][row]][-1], lane)

@@ -75,11 +75,11 @@ def _lane_column(name: str) -> Any:
     """A property that shows the number of a lane as highway-env's index of it."""
 
     def show(self: Any) -> LaneIndex:
-        index: LaneIndex = self.road.network_info.keys[int(self.table[name][self.row])]
+        index: LaneIndex = self.road.network.keys[int(self.table[name][self.row])]
         return index
 
     def change(self: Any, lane: LaneIndex) -> None:
-        self.table[name][self.row] = self.road.network_info.number[lane]
+        self.table[name][self.row] = self.road.network.number[lane]
 
     return property(show, change)
 
@@ -126,7 +126,7 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     @property
     def lane(self) -> PolylineLane:
         """The lane it is on."""
-        found: PolylineLane = self.road.network_info.lanes[self.lane_index]
+        found: PolylineLane = self.road.network.lanes[self.lane_index]
         return found
 
     @property

@@ -56,7 +56,7 @@ def tracks(name: str, agents, duration_s: float, seed: int = 0, **options) -> Tr
 
 def put(road, lane, s: float, speed: float, behavior: Behavior, number=0, law="IDM", **changes):
     (row,) = driver_rows([driver(behavior, number, **changes)], 0, law)
-    row["route"], network = road.route_number((lane[:2],)), road.network_info
+    row["route"], network = road.route_number((lane[:2],)), road.network
     entry.put(row, network.number[lane], s, speed, network.arrays)
     road.add(row)
     return road.vehicles[-1]
