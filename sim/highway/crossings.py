@@ -50,9 +50,6 @@ KERB_M: Final = 0.4
 """Pedestrians decide this near the kerb whether to step out, m (half a stride)."""
 
 
-# Drivers -------------------------------------------------------------------------------------
-
-
 @in_place(inner=True)
 def note_walkers(scene: Scene) -> None:
     """List the pedestrians on each crossing and those who reach its kerb soon."""
@@ -161,9 +158,6 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
     gap_s = me.crossing_gap_s
     heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
     return bool(sees and heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability)
-
-
-# Pedestrians ---------------------------------------------------------------------------------
 
 
 @in_place(inner=True)

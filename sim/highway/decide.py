@@ -21,38 +21,19 @@ import numpy as np
 
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
-from sim.highway import crossings, junctions
-from sim.highway.draws import (
-    CUTS_IN,
-    DAWDLES,
-    ERRS,
-    LAPSE_LASTS,
-    LAPSES,
-    STOP_LASTS,
-    STOPS,
-    WRONG_WAY,
-    chance,
-    wait_s,
-)
-from sim.highway.driving import (
-    GUIDED,
-    LEAST_CHANGE_GAP_M,
-    RANGE_M,
-    approach,
-    bounded,
-    change_incentive,
-    dawdling,
-    desired_speed,
-    follow,
-    idm,
-    may_cut_in,
-    start_up,
-    steering_angle,
-    turning_angle,
-)
-from sim.highway.scene import along_lane, beside, onward, path_to
+from sim.highway import crossings, draws, driving, junctions
+from sim.highway.draws import chance, wait_s
+from sim.highway.driving import desired_speed, follow, idm
+from sim.highway.places import (
+    along_lane,
+    beside,
+    curvature_at,
+    heading_at,
+    onward,
+    path_to,
+    project,
+)  # fmt: skip
 from sim.highway.state import LATE_S, MOST_LATE, Scene
-from sim.highway.tables import curvature_at, heading_at, project
 
 STOP_LASTS_S: Final = (3.0, 6.0)
 """Least and longest duration of an unprovoked stop, s."""
@@ -155,7 +136,7 @@ def _steer(i: int, scene: Scene) -> None:
     net, me = scene.net, scene.vehicles[i]
     if me.wanted == me.lane and (me.last_path >= 0 or (me.path >= 0 and me.to_line < 0.0)):
         tight = net.lanes[me.last_path if me.last_path >= 0 else me.path].tight
-        guided, k = 1.0 if tight else GUIDED, me.lane
+        guided, k = 1.0 if tight else driving.GUIDED, me.lane
         ahead = guided * me.length / 2
         x, y = me.x + ahead * math.cos(me.heading), me.y + ahead * math.sin(me.heading)
         s, lateral, _ = project(x, y, k, net)
@@ -164,14 +145,11 @@ def _steer(i: int, scene: Scene) -> None:
             k = then
             s, lateral, _ = project(x, y, k, net)
             then = onward(i, k, scene) if net.lanes[k].connector else -1
-        me.steering = turning_angle(me, guided, lateral, heading_at(s, k, net))
+        me.steering = driving.turning_angle(me, guided, lateral, heading_at(s, k, net))
         return
     s, lateral, _ = project(me.x, me.y, me.wanted, net)
     heading, bend = heading_at(s, me.wanted, net), curvature_at(s, me.wanted, net)
-    me.steering = steering_angle(me, lateral, heading, bend)
-
-
-# Choosing a lane -------------------------------------------------------------------------------
+    me.steering = driving.steering_angle(me, lateral, heading, bend)
 
 
 @in_place(inner=True)
@@ -220,12 +198,12 @@ def _weigh_lanes(i: int, scene: Scene) -> None:
         if side < 0 or (me.then >= 0 and path_to(side, me.then, net) < 0):
             continue
         there = beside(i, side, scene)
-        if cutting_in and may_cut_in(me, there):
+        if cutting_in and driving.may_cut_in(me, there):
             me.wanted = side
             _schedule_cut_in(me)
             return
         old, new = scene.vehicles[max(here.rear, 0)], scene.vehicles[max(there.rear, 0)]
-        gain = change_incentive(me, limit, here, there, old, new)
+        gain = driving.change_incentive(me, limit, here, there, old, new)
         if gain > most:
             me.wanted, most = side, gain
 
@@ -233,11 +211,8 @@ def _weigh_lanes(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _schedule_cut_in(me: Any) -> None:
     """Draw when a driver next begins to look for a vehicle to cut in front of."""
-    me.cut_in_at = me.clock + wait_s(me.key, CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
+    me.cut_in_at = me.clock + wait_s(me.key, draws.CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
     me.cut_ins += 1
-
-
-# Wrong lanes -----------------------------------------------------------------------------------
 
 
 @in_place(inner=True)
@@ -287,21 +262,18 @@ def _towards(lane: int, then: int, scene: Scene) -> int:
 def _fits(i: int, side: int, scene: Scene) -> bool:
     """Whether a lane has a gap for which nobody has to brake too hard, whatever law it follows."""
     me, there = scene.vehicles[i], beside(i, side, scene)
-    if there.front_gap < LEAST_CHANGE_GAP_M or there.rear_gap < LEAST_CHANGE_GAP_M:
+    if there.front_gap < driving.LEAST_CHANGE_GAP_M or there.rear_gap < driving.LEAST_CHANGE_GAP_M:
         return False
-    urgency = 1.0 - min(max(me.to_line, 0.0) / RANGE_M, 1.0)
+    urgency = 1.0 - min(max(me.to_line, 0.0) / driving.RANGE_M, 1.0)
     most = GENTLE_MPS2 + urgency * (URGENT_MPS2 - GENTLE_MPS2)
     gap, closing = there.front_gap, me.speed - there.front_speed
     desired = desired_speed(me, scene.net.lanes[me.lane].limit)
-    own = bounded(me, idm(me, me.speed, desired, gap, there.front_speed), gap, closing)
+    own = driving.bounded(me, idm(me, me.speed, desired, gap, there.front_speed), gap, closing)
     if own < -most or there.rear < 0:
         return bool(own >= -most)
     rear, speed, gap = scene.vehicles[there.rear], there.rear_speed, there.rear_gap
     wanted = idm(rear, speed, max(speed, 1.0), gap, me.speed)
-    return bool(bounded(rear, wanted, gap, speed - me.speed) >= -most)
-
-
-# The wrong side --------------------------------------------------------------------------------
+    return bool(driving.bounded(rear, wanted, gap, speed - me.speed) >= -most)
 
 
 @in_place(inner=True)
@@ -327,7 +299,7 @@ def _wrong_way_lane(i: int, scene: Scene) -> int:
     needed = PASSING_S * (desired + net.lanes[lane.opposite].limit)
     if oncoming.front_gap < min(needed, left) or oncoming.rear_gap < BACK_ROOM_M:
         return -1
-    wait = wait_s(me.key, WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
+    wait = wait_s(me.key, draws.WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
     me.wrong_way_at, me.wrong_ways = me.clock + wait, me.wrong_ways + 1
     return int(lane.opposite)
 
@@ -345,9 +317,6 @@ def _lane_to_go_back(i: int, scene: Scene) -> int:
     return int(lane.own if room and (past or soon or ends) else me.lane)
 
 
-# Speed -----------------------------------------------------------------------------------------
-
-
 @in_place(inner=True)
 def _accelerate(i: int, scene: Scene) -> None:
     me = scene.vehicles[i]
@@ -363,14 +332,14 @@ def _accelerate(i: int, scene: Scene) -> None:
         there = beside(i, me.wanted, scene)
         accel = min(accel, follow(me, speed, desired, there.front_gap, there.front_speed))
     if me.stop_gap < np.inf:
-        accel = min(accel, approach(me, speed, me.stop_gap))
+        accel = min(accel, driving.approach(me, speed, me.stop_gap))
     if _stops_for_no_reason(me):
         accel = min(accel, -me.comfort_decel_mps2)
     if me.reaction_time_s > 0.0:
         accel = _late(me, accel)
-    me.accel = start_up(me, accel)
+    me.accel = driving.start_up(me, accel)
     if me.krauss:
-        me.accel -= dawdling(me, chance(me.key, DAWDLES, me.dawdled))
+        me.accel -= driving.dawdling(me, chance(me.key, draws.DAWDLES, me.dawdled))
         me.dawdled += 1
     if _looks_away(me):
         me.accel = 0.0
@@ -379,8 +348,8 @@ def _accelerate(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _error(me: Any) -> float:
     """The driver's present error of perception, an Ornstein-Uhlenbeck process of deviation 1."""
-    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, ERRS, 2 * me.erred)))
-    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, ERRS, 2 * me.erred + 1))
+    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, draws.ERRS, 2 * me.erred)))
+    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, draws.ERRS, 2 * me.erred + 1))
     keeps = math.exp((me.seen_at - me.clock) / ERROR_TIME_S) if me.erred > 0 else 0.0
     me.error = keeps * me.error + math.sqrt(1.0 - keeps * keeps) * drawn
     me.seen_at, me.erred = me.clock, me.erred + 1
@@ -402,9 +371,11 @@ def _late(me: Any, accel: float) -> float:
 def _looks_away(me: Any) -> bool:
     """Whether a driver's attention lapses now; schedules such lapses."""
     if me.clock >= me.lapse_at:
-        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, LAPSE_LASTS, me.lapses - 1))
+        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, draws.LAPSE_LASTS, me.lapses - 1))
         me.lapse_until = me.clock + lasts_s
-        me.lapse_at = me.lapse_until + wait_s(me.key, LAPSES, me.lapses, me.lapse_rate_per_min)
+        me.lapse_at = me.lapse_until + wait_s(
+            me.key, draws.LAPSES, me.lapses, me.lapse_rate_per_min
+        )
         me.lapses += 1
     return bool(me.clock < me.lapse_until)
 
@@ -414,8 +385,8 @@ def _stops_for_no_reason(me: Any) -> bool:
     """Whether a driver stops for no reason now; schedules such stops."""
     if me.clock >= me.stop_at:
         least, most = STOP_LASTS_S
-        lasts_s = least + (most - least) * chance(me.key, STOP_LASTS, me.stops - 1)
+        lasts_s = least + (most - least) * chance(me.key, draws.STOP_LASTS, me.stops - 1)
         me.stop_until = me.clock + lasts_s
-        me.stop_at = me.stop_until + wait_s(me.key, STOPS, me.stops, me.stop_rate_per_min)
+        me.stop_at = me.stop_until + wait_s(me.key, draws.STOPS, me.stops, me.stop_rate_per_min)
         me.stops += 1
     return bool(me.clock < me.stop_until)

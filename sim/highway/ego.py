@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
 from sim.highway.lanes import LaneIndex
-from sim.highway.tables import STRETCH_MARGIN_M
+from sim.highway.state import STRETCH_MARGIN_M
 from sim.highway.traffic import TrafficRoad
 from sim.highway.viewer import TrafficViewer
 

@@ -20,7 +20,7 @@ from sim.compiled import in_place, shared
 from sim.frames import EventKind, Signal
 from sim.highway.draws import OVERLOOKS, OVERLOOKS_LIGHT, ROLLS, RUNS_RED, chance
 from sim.highway.driving import STANDING_MPS, attention_m, can_stop, desired_speed
-from sim.highway.scene import along_lane, beside, next_stretch, path_to, record
+from sim.highway.places import along_lane, beside, next_stretch, path_to, record
 from sim.highway.state import EVENT_KINDS, Scene
 
 _gap_accepted = shared(driver_models.gap_accepted)
@@ -74,9 +74,6 @@ blockers)."""
 
 BLOCKED_MPS: Final = 2.0
 """A leader slower than this may come to a stand in the way."""
-
-
-# Where everybody is on its way ----------------------------------------------------------------
 
 
 @in_place(inner=True)
@@ -148,9 +145,6 @@ def _stops_at_sign(i: int, scene: Scene) -> bool:
         me.stood_at, me.stopped_s = me.path, scene.now[0].time_s
     rolls = chance(me.key, ROLLS, me.path) < me.stop_roll_probability
     return not rolls and me.stood_at != me.path
-
-
-# Conflicts ------------------------------------------------------------------------------------
 
 
 @in_place(inner=True)

@@ -8,7 +8,8 @@ import numpy as np
 from highway_env.road.lane import AbstractLane
 
 from sim.frames import FloatArray
-from sim.highway.tables import BLEND_M, PIECE, TURN, project_on
+from sim.highway.places import BLEND_M, project_on
+from sim.highway.state import PIECE, TURN
 
 LaneIndex: TypeAlias = tuple[str, str, int]
 """A lane in highway-env: the nodes that it leads from and to, and its place from the left."""

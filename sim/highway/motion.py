@@ -16,9 +16,8 @@ from sim.frames import EventKind
 from sim.highway.crossings import walk
 from sim.highway.decide import act
 from sim.highway.driving import STANDING_MPS
-from sim.highway.scene import along_lane, leg_at, locate, next_stretch, onward, record
+from sim.highway.places import along_lane, leg_at, locate, next_stretch, onward, project, record
 from sim.highway.state import EVENT_KINDS, Scene
-from sim.highway.tables import project
 
 WRONG_WAY = EVENT_KINDS.index(EventKind.WRONG_WAY)
 
@@ -40,38 +39,34 @@ FROM_JUNCTION_M: Final = 15.0
 """Ways that cross this far from the ends of both do not meet in a junction, m (more than the
 longest vehicle)."""
 
-STAYS: Final = 0
-ARRIVED: Final = 1
-CLEARED: Final = 2
-STUCK: Final = 3
+STAYS, ARRIVED, CLEARED, STUCK = range(4)
+"""Whether an agent stays, or why it goes."""
 
-DONE: Final = 0
-SOMEBODY_GOES: Final = 1
-NO_ROOM: Final = 2
-ASTRAY: Final = 3
+DONE, SOMEBODY_GOES, NO_ROOM, ASTRAY, DECIDED = range(5)
+"""How a step ends; see `advance`."""
 
 
 @in_place()
-def advance(dt: float, scene: Scene) -> int:
-    """Let everybody decide and move for ``dt`` seconds.
+def advance(dt: float, waits: bool, scene: Scene) -> int:
+    """Let everybody decide, and move for ``dt`` seconds.
 
     Returns:
-        `DONE`, or `SOMEBODY_GOES`; nobody has moved at `NO_ROOM` for all entries of ``on``, or if
-        somebody is `ASTRAY`.
+        The code of `move`; or `NO_ROOM` for all entries of ``on``, `ASTRAY` if somebody is, or
+        `DECIDED` if it ``waits`` for others to decide: nobody has moved then.
     """
     if not locate(scene):
         return NO_ROOM
     if act(scene) > 0:
         return ASTRAY
-    return SOMEBODY_GOES if move(dt, scene) else DONE
+    return DECIDED if waits else move(dt, scene)
 
 
 @in_place()
-def move(dt: float, scene: Scene) -> bool:
+def move(dt: float, scene: Scene) -> int:
     """Move everybody for ``dt`` seconds and find who touches whom.
 
     Returns:
-        Whether somebody has to go; ``leaves`` says who and why.
+        `DONE`, or `SOMEBODY_GOES`; ``leaves`` says who and why.
     """
     now_s = scene.now[0].time_s + dt
     for i in range(scene.vehicles.size):
@@ -90,7 +85,7 @@ def move(dt: float, scene: Scene) -> bool:
     walk(dt, scene)
     scene.now[0].time_s = now_s
     _find_touching(scene)
-    return _leave(scene)
+    return SOMEBODY_GOES if _leave(scene) else DONE
 
 
 @in_place(inner=True)
@@ -157,9 +152,6 @@ def _leave(scene: Scene) -> bool:
             person.leaves = ARRIVED
         somebody = somebody or person.leaves != STAYS
     return bool(somebody)
-
-
-# Who touches whom ------------------------------------------------------------------------------
 
 
 @in_place(inner=True)

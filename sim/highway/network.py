@@ -23,7 +23,8 @@ from behaviors.errors import InputError
 from sim.compiled import in_place
 from sim.frames import FloatArray
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
-from sim.highway.tables import (
+from sim.highway.places import closest_lane
+from sim.highway.state import (
     BEHIND_M,
     CONFLICT,
     CROSSING,
@@ -39,7 +40,6 @@ from sim.highway.tables import (
     IntArray,
     Net,
     Records,
-    closest_lane,
     listed,
 )  # fmt: skip
 from sim.road import Connection, Lane, Road
@@ -388,9 +388,6 @@ def _add_wrong_side_lanes(made: HighwayNetwork) -> dict[LaneIndex, LaneIndex]:
             made.add_lane(*key, over)
             made.lanes[(*key, 0)], found[left] = over, (*key, 0)
     return found
-
-
-# The arrays ------------------------------------------------------------------------------------
 
 
 def _arrays(

@@ -1,21 +1,121 @@
 """What kernels read and write: a road's arrays, and everybody on it as rows of arrays.
 
-The rows are the truth. A rule that needs a memory of its own adds a field to `VEHICLE`; what the
-driver is like comes from the fields of its profile that have the same names.
+Every lane has a number, its position in `HighwayNetwork.lanes`; -1 stands for none. Lists that
+belong to a lane, such as its `CONFLICT` rows, run from ``lane.conflict`` to ``lane.conflict_end``.
+
+The rows of agents are the truth. A rule that needs a memory of its own adds a field to `VEHICLE`;
+what the driver is like comes from the fields of its profile that have the same names.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import EventKind
-from sim.highway.tables import Net, Records, record_type
+from sim.frames import EventKind, FloatArray, IntArray
+from sim.road.cells import Cells
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+Records = NDArray[Any]
+
+STRETCH_MARGIN_M: Final = 1.0
+"""A vehicle this far beyond a lane's edge is still on it (highway-env's)."""
+
+PATH_MARGIN_M: Final = 0.5
+"""The same on junction paths, which lie close together."""
+
+BEHIND_M: Final = 40.0
+"""A vehicle this far before the beginning of a lane, and in line with it, is on it already."""
+
+LONGEST_M: Final = 40.0
+"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (twice a
+lorry's)."""
+
+
+def record_type(**fields: str) -> np.dtype[Any]:
+    """The type of a row with named fields, for arrays of rows that kernels read and write."""
+    return np.dtype((np.record, np.dtype(list(fields.items()), align=True)))
+
+
+LANE: Final = record_type(
+    length="f8", limit="f8", width="f8", margin="f8", behind="f8",
+    connector="?", wrong="?", must_yield="?", must_stop="?", tight="?",
+    signal="i8", entry="i8", exit="i8", left="i8", right="i8", stretch="i8",
+    opposite="i8", own="i8",
+    piece="i8", piece_end="i8", turn="i8", turn_end="i8", way="i8", way_end="i8",
+    conflict="i8", conflict_end="i8", strip="i8", strip_end="i8",
+)  # fmt: skip
+"""A lane.
+
+``margin``: how far aside a vehicle is still on it, m; ``behind``: how far before it, m;
+``connector``: whether it crosses a junction; ``wrong``: whether it runs over a lane of the opposite
+direction; ``tight``: whether it turns too sharply for the middle of a car to keep to it;
+``signal``: the group that guards its entry; ``entry`` and ``exit``: the lanes on which
+a junction path begins and ends; ``left`` and ``right``: lanes that drivers may change to;
+``opposite``: the lane over the one of the opposite direction beside it; ``own``: the lane beside
+such a lane.
+"""
+
+PIECE: Final = record_type(
+    x="f8", y="f8", dx="f8", dy="f8", size="f8", begin="f8", outside="f8", outside_end="f8"
+)
+"""A straight piece of a lane: beginning and direction, m; how long it is and where it begins along
+the lane, m; the side of a sharp corner at its beginning and at its end that is outside, or 0."""
+
+TURN: Final = record_type(at="f8", heading="f8")
+"""A lane's heading, rad, at a distance along it, m; between two of them it is interpolated."""
+
+WAY: Final = record_type(stretch="i8", path="i8")
+"""A stretch to which a lane leads, and the junction path that leads there."""
+
+CONFLICT: Final = record_type(
+    other="i8", begin="f8", end="f8", other_begin="f8", other_end="f8", yields="i8"
+)
+"""Where a junction path runs too close to another one: from where to where on either, m.
+
+``yields`` is 1 if its traffic gives way to the other's, -1 if the other's does, else 0.
+"""
+
+STRIP: Final = record_type(crossing="i8", spot="i8", near="f8", far="f8", u="f8")
+"""Where a lane runs over a crossing, and which spot of the crossing that is."""
+
+CROSSING: Final = record_type(signal="i8", priority="?", spot="i8", spot_end="i8")
+"""A crossing: its signal group, and whether drivers have to let pedestrians cross."""
+
+SPOT: Final = record_type(u="f8", half="f8")
+"""Where lanes run over a crossing: middle and half width, m along the crossing."""
+
+
+class Net(NamedTuple):
+    """The arrays of a road; each is named after its type, and ``cells`` holds the lanes by place.
+
+    Attributes:
+        has_paths: whether any lane is a junction path.
+        has_wrong: whether any lane runs over one of the opposite direction.
+    """
+
+    lanes: Records
+    pieces: Records
+    turns: Records
+    ways: Records
+    conflicts: Records
+    strips: Records
+    crossings: Records
+    spots: Records
+    cells: Cells
+    has_paths: bool
+    has_wrong: bool
+
+
+def listed(of: Records, name: str, lists: Sequence[Any], kind: np.dtype[Any]) -> Records:
+    """All lists behind one another, and in each row of ``of`` where its own begins and ends."""
+    ends = np.cumsum([len(each) for each in lists], dtype=np.int64)
+    of[name + "_end"] = ends
+    of[name][1:] = ends[:-1]
+    return np.concatenate([np.zeros(0, kind), *(np.asarray(each, kind) for each in lists)])
+
 
 EVENT_KINDS: Final = tuple(EventKind)
 """Events by their codes."""

@@ -18,22 +18,12 @@ from numba import typeof
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
 from sim.frames import AgentKind, Event, EventKind, Frame, Signal
-from sim.highway.decide import act, decide
+from sim.highway import motion
+from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
-from sim.highway.entry import begin
 from sim.highway.lanes import LaneIndex, Stretch
-from sim.highway.motion import (
-    ARRIVED,
-    ASTRAY,
-    NO_ROOM,
-    SOMEBODY_GOES,
-    STAYS,
-    STUCK,
-    advance,
-    move,
-)
 from sim.highway.network import HighwayNetwork
-from sim.highway.scene import locate, read_motion
+from sim.highway.places import locate, read_motion
 from sim.highway.state import (
     ARRIVAL,
     EVENT,
@@ -46,7 +36,7 @@ from sim.highway.state import (
     IntArray,
     Scene,
     blank_vehicles,
-)
+)  # fmt: skip
 from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
 from sim.highway.walkers import Footway, find_footway, footways_of
 
@@ -54,7 +44,7 @@ PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
 
 
-def _typed_once(kernel: Any) -> Callable[..., Any]:
+def typed_once(kernel: Any) -> Callable[..., Any]:
     """A kernel whose arguments have the same types at every call.
 
     Numba looks at the type of every array of a `Scene` at each call, which takes as long as a step
@@ -72,7 +62,7 @@ def _typed_once(kernel: Any) -> Callable[..., Any]:
     return call
 
 
-_advance, _begin, _read_motion = map(_typed_once, (advance, begin, read_motion))
+_advance, _read_motion = typed_once(motion.advance), typed_once(read_motion)
 
 
 class TrafficRoad(Road):  # type: ignore[misc]
@@ -123,8 +113,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def time_s(self, time_s: float) -> None:
         self._now["time_s"][0] = time_s
 
-    # Who is there ----------------------------------------------------------------------------
-
     @property
     def vehicles(self) -> list[Any]:
         """The vehicles as objects of highway-env, in the order of their rows."""
@@ -162,7 +150,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Note that somebody has come or gone."""
         self._scene = None
         self._egos = [one for one in self.cars.seen.values() if not isinstance(one, RowView)]
-        self._read_egos()
+        self.read_egos()
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
@@ -195,7 +183,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             self._scene = self._work._replace(vehicles=cars, walkers=people)
         return self._scene
 
-    def _read_egos(self) -> None:
+    def read_egos(self) -> None:
         """Read the ego vehicles into their rows."""
         number = self.network.number
         for one in self._egos:
@@ -260,8 +248,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
             self.take_events() if events is None else events,
         )  # fmt: skip
 
-    # Signals and events ----------------------------------------------------------------------
-
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
         plans, now_s = self.network.road.signal_plans, self.time_s
@@ -285,8 +271,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def _note(self, kind: EventKind, agent: int, other: int | None = None, rule: str = "") -> None:
         self.events.append(Event(kind, self.time_s, agent, other, rule))
 
-    # Places ----------------------------------------------------------------------------------
-
     def locate(self) -> None:
         """Find who is on which lane; valid until somebody moves."""
         while not locate(self.scene()):
@@ -299,14 +283,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
         there = scene.vehicles[here["row"]]
         return here["s"].tolist(), there["length"].tolist(), there["speed"].tolist()
 
-    def begin(self, row: Any, lanes: IntArray, then: int) -> bool:
-        """Let a vehicle begin on one of some lanes, on its way to a stretch, if there is room."""
-        self._read_egos()
-        if not _begin(row, lanes, then, self.scene()):
-            return False
-        self.add(row)
-        return True
-
     def crossings_in_use(self) -> set[int]:
         """The crossings that a pedestrian is on or steps onto within a metre."""
         people, footways = self.scene().walkers, self.scene().footways
@@ -315,30 +291,31 @@ class TrafficRoad(Road):  # type: ignore[misc]
         ahead = footways.crossovers[at[comes]]
         return set(ahead["crossing"][ahead["begin_s"] - people["s"][comes] < 1.0].tolist())
 
-    # A step ----------------------------------------------------------------------------------
-
     def advance(self, dt: float) -> None:
-        """Let everybody decide and move for ``dt`` seconds; the same as `act` and `step`."""
-        if self._egos:
-            self.act()
-            return self.step(dt)
-        code = _advance(dt, self.scene())
-        if code == NO_ROOM:
+        """Let everybody decide and move for ``dt`` seconds, at most 0.1 s."""
+        self.read_egos()
+        code = _advance(dt, len(self._egos) > 0, self.scene())
+        if code == motion.NO_ROOM:
             self._scene = self._work = None
             return self.advance(dt)
-        if code == ASTRAY:
+        if code == motion.ASTRAY:
             self._reroute()
-            return self.step(dt)
-        return self._end_step(code == SOMEBODY_GOES)
-
-    def act(self) -> None:
-        """Let everybody decide."""
-        self._read_egos()
-        self.locate()
-        if act(self.scene()):
-            self._reroute()
-        for ego in self._egos:
-            ego.act()
+        if code in (motion.ASTRAY, motion.DECIDED):
+            for ego in self._egos:
+                ego.act()
+            for ego in self._egos:
+                ego.step(dt)
+            self.read_egos()
+            code = motion.move(dt, self.scene())
+        self.update_signals()
+        if self._now["pairs"][0] or self._touching:
+            self._collide(self.scene())
+        if self._now["events"][0]:
+            for kind, agent, time_s in self.scene().events[: int(self._now["events"][0])].tolist():
+                self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
+            self._now["events"] = 0
+        if code == motion.SOMEBODY_GOES:
+            self._clear()
 
     def _reroute(self) -> None:
         """Find other routes for those who need one, and let everybody decide."""
@@ -350,26 +327,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 rows["route"][row] = self.route_number((network.keys[lane][:2], *route))
                 rows["leg"][row] = 0
         decide(self.scene())
-
-    def step(self, dt: float) -> None:
-        """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
-        for ego in self._egos:
-            ego.step(dt)
-        self._read_egos()
-        self._end_step(move(dt, self.scene()))
-
-    def _end_step(self, somebody_goes: bool) -> None:
-        """Show signals, record what happened and remove who goes, after everybody has moved."""
-        scene, now = self.scene(), self._now
-        self.update_signals()
-        if now["pairs"][0] or self._touching:
-            self._collide(scene)
-        if now["events"][0]:
-            for kind, agent, time_s in scene.events[: int(now["events"][0])].tolist():
-                self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
-            now["events"] = 0
-        if somebody_goes:
-            self._clear()
 
     def _collide(self, scene: Scene) -> None:
         """Record collisions of those that touch and did not touch before, the faster one first."""
@@ -393,8 +350,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Remove who has arrived, is stuck, or crashed long ago."""
         for crowd in (self.cars, self.people):
             for code, agent in crowd.rows[["leaves", "agent"]].tolist():
-                if code not in (STAYS, ARRIVED):
-                    rule = "stuck on the wrong side" if code == STUCK else "crashed"
+                if code not in (motion.STAYS, motion.ARRIVED):
+                    rule = "stuck on the wrong side" if code == motion.STUCK else "crashed"
                     self._note(EventKind.REMOVAL, agent, rule=rule)
-            crowd.keep(crowd.rows["leaves"] == STAYS)
+            crowd.keep(crowd.rows["leaves"] == motion.STAYS)
         self._changed()

@@ -22,8 +22,7 @@ from sim.frames import FloatArray
 from sim.highway.draws import CUTS_IN, LAPSES, STOPS, WRONG_WAY, driver_key, wait_s
 from sim.highway.driving import profile_fields
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
-from sim.highway.state import blank_vehicles
-from sim.highway.tables import Records
+from sim.highway.state import Records, blank_vehicles
 from sim.scenario import AgentSpec, CarFollowing
 
 LEAST_ROOM: Final = 16

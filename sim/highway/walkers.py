@@ -19,8 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
-from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, FloatArray, Footways
-from sim.highway.tables import listed
+from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, FloatArray, Footways, listed
 from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
