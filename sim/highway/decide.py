@@ -21,18 +21,10 @@ import numpy as np
 
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
-from sim.highway import crossings, draws, driving, junctions
+from sim.highway import crossings, draws, driving, junctions, places
 from sim.highway.draws import chance, wait_s
 from sim.highway.driving import desired_speed, follow, idm
-from sim.highway.places import (
-    along_lane,
-    beside,
-    curvature_at,
-    heading_at,
-    onward,
-    path_to,
-    project,
-)  # fmt: skip
+from sim.highway.places import beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
 
 STOP_LASTS_S: Final = (3.0, 6.0)
@@ -148,7 +140,7 @@ def _steer(i: int, scene: Scene) -> None:
         me.steering = driving.turning_angle(me, guided, lateral, heading_at(s, k, net))
         return
     s, lateral, _ = project(me.x, me.y, me.wanted, net)
-    heading, bend = heading_at(s, me.wanted, net), curvature_at(s, me.wanted, net)
+    heading, bend = heading_at(s, me.wanted, net), places.curvature_at(s, me.wanted, net)
     me.steering = driving.steering_angle(me, lateral, heading, bend)
 
 
@@ -173,12 +165,12 @@ def _choose_lane(i: int, scene: Scene) -> None:
 def _is_behind_a_change(i: int, scene: Scene) -> bool:
     """Whether a vehicle just ahead changes to the same lane."""
     me = scene.vehicles[i]
-    here = along_lane(i, me.lane, scene)
+    here = places.along_lane(i, me.lane, scene)
     j = scene.lane_head[me.target]
     while j >= 0:
         other = scene.vehicles[j]
         if j != i:
-            ahead = along_lane(j, me.lane, scene) - here
+            ahead = places.along_lane(j, me.lane, scene) - here
             gap = ahead - (me.length + other.length) / 2
             if ahead > 0.0 and gap < me.change_gap + me.speed * 0.5:
                 return True

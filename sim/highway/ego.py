@@ -14,19 +14,14 @@ from typing import Any, ClassVar, Final, cast
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from highway_env.envs.common import action as actions
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import (
-    ActionType,
-    ContinuousAction,
-    DiscreteAction,
-    DiscreteMetaAction,
-)
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
-from sim.highway.lanes import LaneIndex
+from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.state import STRETCH_MARGIN_M
 from sim.highway.traffic import TrafficRoad
 from sim.highway.viewer import TrafficViewer
@@ -34,37 +29,34 @@ from sim.highway.viewer import TrafficViewer
 Observation = dict[str, NDArray[Any]]
 
 
-class StockDriver(ActionType):  # type: ignore[misc]
+class StockDriver(actions.ActionType):  # type: ignore[misc]
     """highway-env's own driver, IDM with MOBIL, drives the ego vehicle; the action does nothing."""
+
+    vehicle_class = IDMVehicle
 
     def space(self) -> spaces.Space[Any]:
         """One action."""
         return spaces.Discrete(1)
 
-    @property
-    def vehicle_class(self) -> Any:
-        """The class of the ego vehicle."""
-        return IDMVehicle
-
     def act(self, action: Any) -> None:
         """Do nothing: the vehicle decides."""
 
 
-def exchange_sides(actions: ActionType) -> None:
+def exchange_sides(action: actions.ActionType) -> None:
     """Let actions steer to their other side, as vehicles in a mirror do."""
-    if isinstance(actions, DiscreteMetaAction):
+    if isinstance(action, actions.DiscreteMetaAction):
         other = {"LANE_LEFT": "LANE_RIGHT", "LANE_RIGHT": "LANE_LEFT"}
-        actions.actions = {key: other.get(name, name) for key, name in actions.actions.items()}
-        actions.actions_indexes = {name: key for key, name in actions.actions.items()}
-    elif isinstance(actions, ContinuousAction):
-        low, high = actions.steering_range
-        actions.steering_range = (-low, -high)
+        action.actions = {key: other.get(name, name) for key, name in action.actions.items()}
+        action.actions_indexes = {name: key for key, name in action.actions.items()}
+    elif isinstance(action, actions.ContinuousAction):
+        low, high = action.steering_range
+        action.steering_range = (-low, -high)
 
 
-ACTIONS: Final[dict[str, type[ActionType]]] = {
-    "DiscreteMetaAction": DiscreteMetaAction,
-    "DiscreteAction": DiscreteAction,
-    "ContinuousAction": ContinuousAction,
+ACTIONS: Final[dict[str, type[actions.ActionType]]] = {
+    "DiscreteMetaAction": actions.DiscreteMetaAction,
+    "DiscreteAction": actions.DiscreteAction,
+    "ContinuousAction": actions.ContinuousAction,
     "StockDriver": StockDriver,
 }
 """highway-env's actions for one vehicle, and its own driver."""
@@ -85,10 +77,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         InputError: if the render mode is unknown, or `configure` refuses the configuration.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": ["human", "rgb_array"],
-        "render_fps": 5,
-    }
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 5}
 
     road: TrafficRoad
     config: dict[str, Any]
@@ -171,12 +160,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         return cast("NDArray[np.uint8] | None", super().render())
 
     def add_ego_vehicle(
-        self,
-        lane: LaneIndex,
-        at_m: float,
-        speed: float,
-        route: tuple[tuple[str, str], ...],
-        id: int,
+        self, lane: LaneIndex, at_m: float, speed: float, route: tuple[Stretch, ...], id: int
     ) -> None:
         """Put the ego vehicle on the road, as the class of vehicle that the actions steer.
 
@@ -187,8 +171,7 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
             route: the stretches that it drives over, the first of them the lane's.
             id: its agent id.
         """
-        network = self.road.network
-        geometry = network.lanes[lane]
+        geometry = self.road.network.lanes[lane]
         ego = self.action_type.vehicle_class(
             self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
         )
@@ -227,16 +210,15 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
             lookup(options, str(key), f"option of action {action['type']},")
     try:
         kind(None, **action).space()
-        for key in ("acceleration_range", "steering_range", "speed_range"):
-            if action.get(key) is not None:
-                bounds = np.array(action[key], dtype=np.float64)
-                if bounds.shape != (2,) or not np.isfinite(bounds).all():
-                    raise ValueError(f"{key} is not a pair of numbers")
-        if action.get("target_speeds") is not None:  # highway-env assumes even, ascending steps
-            speeds = np.array(action["target_speeds"], dtype=np.float64)
-            ascend = speeds.ndim == 1 and speeds.size > 1 and bool((np.diff(speeds) > 0.0).all())
-            if not ascend or not np.isfinite(speeds).all():
-                raise ValueError("target_speeds are not two or more ascending speeds")
+        for key in ("acceleration_range", "steering_range", "speed_range", "target_speeds"):
+            if action.get(key) is None:
+                continue
+            numbers, speeds = np.array(action[key], dtype=np.float64), key == "target_speeds"
+            fits = numbers.size > 1 if speeds else numbers.size == 2
+            ascends = not speeds or bool((np.diff(numbers) > 0.0).all())
+            if numbers.ndim != 1 or not fits or not ascends or not np.isfinite(numbers).all():
+                wanted = "two or more ascending speeds" if speeds else "a pair of numbers"
+                raise ValueError(f"{key} are not {wanted}")
     except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
         raise InputError(
             f"action: found {dict(action)!r}, expected options that {action['type']} can take"

@@ -22,26 +22,10 @@ from scipy.sparse.csgraph import dijkstra
 from behaviors.errors import InputError
 from sim.compiled import in_place
 from sim.frames import FloatArray
+from sim.highway import state
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.places import closest_lane
-from sim.highway.state import (
-    BEHIND_M,
-    CONFLICT,
-    CROSSING,
-    LANE,
-    LONGEST_M,
-    PATH_MARGIN_M,
-    PIECE,
-    SPOT,
-    STRETCH_MARGIN_M,
-    STRIP,
-    TURN,
-    WAY,
-    IntArray,
-    Net,
-    Records,
-    listed,
-)  # fmt: skip
+from sim.highway.state import IntArray, Net, Records, listed
 from sim.road import Connection, Lane, Road
 from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
@@ -397,7 +381,7 @@ def _arrays(
     placed: Placed,
 ) -> Net:
     keys, number, objects = made.keys, made.number, list(made.lanes.values())
-    lanes = np.zeros(len(keys), LANE)
+    lanes = np.zeros(len(keys), state.LANE)
     for name, of in (("length", "length"), ("limit", "speed_limit"), ("width", "width")):
         lanes[name] = [getattr(lane, of) for lane in objects]
     for name in ("signal", "entry", "exit", "opposite", "own"):
@@ -414,9 +398,9 @@ def _arrays(
     turned = [lane.turns["heading"][-1] - lane.turns["heading"][0] for lane in objects]
     lanes["tight"] = lanes["length"] < TIGHT_M * np.abs(turned)
     lanes["wrong"] = lanes["own"] >= 0
-    margin = np.where(lanes["connector"], PATH_MARGIN_M, STRETCH_MARGIN_M)
+    margin = np.where(lanes["connector"], state.PATH_MARGIN_M, state.STRETCH_MARGIN_M)
     lanes["margin"] = lanes["width"] / 2 + margin
-    lanes["behind"] = np.where(lanes["connector"], 0.0, BEHIND_M)
+    lanes["behind"] = np.where(lanes["connector"], 0.0, state.BEHIND_M)
     for name, step in (("left", -1), ("right", 1)):
         beside = [number.get((*key[:2], key[2] + step), -1) for key in keys]
         lanes[name] = np.where(lanes["connector"] | lanes["wrong"], -1, beside)
@@ -424,11 +408,13 @@ def _arrays(
     crossings, spots, strips = _crossings(made, placed)
     return Net(
         lanes=lanes,
-        pieces=listed(lanes, "piece", [lane.pieces for lane in objects], PIECE),
-        turns=listed(lanes, "turn", [lane.turns for lane in objects], TURN),
-        ways=listed(lanes, "way", ways, WAY),
-        conflicts=listed(lanes, "conflict", _conflicts(made, links, lanes["entry"]), CONFLICT),
-        strips=listed(lanes, "strip", strips, STRIP),
+        pieces=listed(lanes, "piece", [lane.pieces for lane in objects], state.PIECE),
+        turns=listed(lanes, "turn", [lane.turns for lane in objects], state.TURN),
+        ways=listed(lanes, "way", ways, state.WAY),
+        conflicts=listed(
+            lanes, "conflict", _conflicts(made, links, lanes["entry"]), state.CONFLICT
+        ),
+        strips=listed(lanes, "strip", strips, state.STRIP),
         crossings=crossings,
         spots=spots,
         cells=_cells([lane.points for lane in objects], lanes),
@@ -483,10 +469,10 @@ def _crossings(made: HighwayNetwork, placed: Placed) -> tuple[Records, Records, 
         for crossing, _, _, _, u in rows:
             if all(abs(u - other) >= SAME_SPOT_M for other, _ in found[crossing]):
                 found[crossing].append((u, lane.width / 2))
-    crossings = np.zeros(len(found), CROSSING)
+    crossings = np.zeros(len(found), state.CROSSING)
     crossings["signal"] = [one.signal for one in made.road.crossings]
     crossings["priority"] = [one.priority for one in made.road.crossings]
-    spots = listed(crossings, "spot", [sorted(places) for places in found], SPOT)
+    spots = listed(crossings, "spot", [sorted(places) for places in found], state.SPOT)
     for rows in strips:
         for r, (crossing, _, *span, u) in enumerate(rows):
             first, end = crossings["spot"][crossing], crossings["spot_end"][crossing]
@@ -501,7 +487,7 @@ def _cells(lines: list[FloatArray], lanes: Records) -> Cells:
     for line, behind in zip(lines, lanes["behind"], strict=True):
         first, last = line[1] - line[0], line[-1] - line[-2]
         back = line[0] - behind * first / np.hypot(*first)
-        ahead = line[-1] + LONGEST_M / 2 * last / np.hypot(*last)
+        ahead = line[-1] + state.LONGEST_M / 2 * last / np.hypot(*last)
         reached.append(np.concatenate([line, [back, ahead]]))
     boxes = boxes_of(reached, ROUNDING_M)
     boxes[:, :2] -= lanes["margin"][:, None]

@@ -18,25 +18,13 @@ from numba import typeof
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
 from sim.frames import AgentKind, Event, EventKind, Frame, Signal
-from sim.highway import motion
+from sim.highway import motion, state
 from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
 from sim.highway.places import locate, read_motion
-from sim.highway.state import (
-    ARRIVAL,
-    EVENT,
-    EVENT_KINDS,
-    NOW,
-    ON,
-    PAIR,
-    VEHICLE,
-    WALKER,
-    IntArray,
-    Scene,
-    blank_vehicles,
-)  # fmt: skip
+from sim.highway.state import IntArray, Scene, blank_vehicles
 from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
 from sim.highway.walkers import Footway, find_footway, footways_of
 
@@ -86,7 +74,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def __init__(self, network: HighwayNetwork) -> None:
         self.network = network
         self.np_random = np.random.RandomState(0)
-        self.cars, self.people = Crowd(self, VEHICLE, ProfileVehicle), Crowd(self, WALKER, Walker)
+        self.cars, self.people = (
+            Crowd(self, state.VEHICLE, ProfileVehicle),
+            Crowd(self, state.WALKER, Walker),
+        )
         self.behaviors: dict[int, Behavior | None] = {}
         self.events: list[Event] = []
         self.footways: list[Footway] = []
@@ -94,7 +85,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         self.signals = np.full(len(network.road.signal_groups), Signal.OFF.code, dtype=np.int8)
         self.signal_since = np.zeros(self.signals.size)
         self._shown = frozen(self.signals.copy())
-        self._now = np.zeros(1, NOW)
+        self._now = np.zeros(1, state.NOW)
         self._plan_due_s = np.zeros(len(network.road.signal_plans))
         self._numbers: dict[tuple[Any, ...], int] = {}
         self._egos: list[Any] = []
@@ -127,7 +118,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def add(self, row: Any) -> None:
         """Put an agent on the road, by its row of `VEHICLE` or `WALKER`."""
-        (self.cars if row.dtype == VEHICLE else self.people).add(row)
+        (self.cars if row.dtype == state.VEHICLE else self.people).add(row)
         self._changed()
 
     def add_ego(self, ego: Any, agent: int, stretches: tuple[Stretch, ...]) -> None:
@@ -210,17 +201,17 @@ class TrafficRoad(Road):  # type: ignore[misc]
             walkers=self.people.rows,
             now=self._now,
             on_first=np.zeros(net.lanes.size + 1, np.int64),
-            on=np.zeros(entries, ON),
-            unsorted=np.zeros(entries, ON),
+            on=np.zeros(entries, state.ON),
+            unsorted=np.zeros(entries, state.ON),
             lane_head=np.full(net.lanes.size, -1),
             lane_link=np.full(2 * (n + m), -1),
             spot_head=np.full(net.spots.size, -1),
             crossing_head=np.full(net.crossings.size, -1),
             cell_head=np.full(net.cells.columns * net.cells.rows, -1),
             cell_link=np.full(n + m, -1),
-            arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), ARRIVAL),
-            pairs=np.zeros(4 * (n + m) + 16, PAIR),
-            events=np.zeros(8 * (n + m), EVENT),
+            arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), state.ARRIVAL),
+            pairs=np.zeros(4 * (n + m) + 16, state.PAIR),
+            events=np.zeros(8 * (n + m), state.EVENT),
         )
 
     def _route_table(self) -> IntArray:
@@ -257,10 +248,9 @@ class TrafficRoad(Road):  # type: ignore[misc]
             plan = plans[number]
             states, lasts_s = plan.phase_at(now_s)
             self._plan_due_s[number] = now_s + lasts_s - PHASE_ROUNDING_S
-            for group, state in zip(plan.groups, states, strict=True):
-                if self.signals[group] != state:
-                    self.signals[group] = state
-                    self.signal_since[group] = now_s
+            for group, shown in zip(plan.groups, states, strict=True):
+                if self.signals[group] != shown:
+                    self.signals[group], self.signal_since[group] = shown, now_s
         self._shown = frozen(self.signals.copy())
 
     def take_events(self) -> tuple[Event, ...]:
@@ -312,7 +302,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             self._collide(self.scene())
         if self._now["events"][0]:
             for kind, agent, time_s in self.scene().events[: int(self._now["events"][0])].tolist():
-                self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
+                self.events.append(Event(state.EVENT_KINDS[kind], time_s, agent))
             self._now["events"] = 0
         if code == motion.SOMEBODY_GOES:
             self._clear()
