@@ -15,7 +15,7 @@ References:
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -27,48 +27,29 @@ from sim.highway.driving import desired_speed, follow, idm
 from sim.highway.places import beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
 
-STOP_LASTS_S: Final = (3.0, 6.0)
-"""Least and longest duration of an unprovoked stop, s."""
+STOP_LASTS_S, GIVE_UP_S = (3.0, 6.0), 20.0
+"""Least and longest duration of an unprovoked stop. A driver that finds nobody to cut in front of
+for the second time waits for its next time."""
 
-GIVE_UP_S: Final = 20.0
-"""A driver that finds nobody to cut in front of for this long waits for its next time, s."""
+CHANGE_LEAST_SPEED_MPS, CHANGE_DELAY_S = 1.0, 1.0
+"""Slower vehicles do not change lanes, and drivers weigh the lanes beside this often
+(highway-env's)."""
 
-CHANGE_LEAST_SPEED_MPS: Final = 1.0
-"""Slower vehicles do not change lanes, m/s (as in highway-env)."""
+GENTLE_MPS2, URGENT_MPS2 = 2.0, 4.5
+"""Braking that a driver far from its lane's end imposes on others and itself at most (highway-env's
+bound for ordinary changes), and at its end (hard, and held by any tyre)."""
 
-CHANGE_DELAY_S: Final = 1.0
-"""Drivers weigh the lanes beside this often, s (highway-env's)."""
+GIVES_UP_S, AT_END_M, STANDING_ROOM_M = 4.0, 12.0, 6.0
+"""A driver that has stood this long this near to the end of a wrong lane takes another route. To
+get over, a standing vehicle needs the second distance before its lane's end."""
 
-GENTLE_MPS2: Final = 2.0
-"""Braking that a driver far from its lane's end imposes on others and itself at most, m/s2
-(highway-env's bound for ordinary changes)."""
+PASSING_S, SLOW_LEADER_M, JUNCTION_M = 5.0, 25.0, 60.0
+"""Drivers expect overtaking on the wrong side to take this long. They overtake only leaders nearer
+than the first distance, and do not begin to nearer than the second to the end of the road."""
 
-URGENT_MPS2: Final = 4.5
-"""The same at the end of its lane (hard, and held by any tyre)."""
-
-GIVES_UP_S: Final = 4.0
-"""A driver that has stood this long at the end of a wrong lane takes another route, s."""
-
-AT_END_M: Final = 12.0
-"""Drivers take another route only this near to the end of their lane, m."""
-
-STANDING_ROOM_M: Final = 6.0
-"""A standing vehicle needs this much room before its lane's end to get over, m."""
-
-PASSING_S: Final = 5.0
-"""Drivers expect overtaking to take this long, s."""
-
-BACK_S: Final = 3.0
-"""A driver on the wrong side goes back if it would meet a vehicle within this time, s."""
-
-SLOW_LEADER_M: Final = 25.0
-"""Drivers overtake only leaders nearer than this, m."""
-
-BACK_ROOM_M: Final = 4.0
-"""Least gap in front and behind to go back into, m."""
-
-JUNCTION_M: Final = 60.0
-"""Drivers do not begin to overtake this near the end of the road, m."""
+BACK_S, BACK_ROOM_M = 3.0, 4.0
+"""A driver on the wrong side goes back if it would meet a vehicle within this time, and into a gap
+of at least this much in front and behind."""
 
 
 @in_place()
@@ -109,17 +90,15 @@ def decide(scene: Scene) -> None:
             _choose_lane(i, scene)
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
-        if me.profiled and me.target != me.lane:
-            scene.lane_head[me.target] = -1
-    for i in range(scene.vehicles.size):
-        me = scene.vehicles[i]
         if not me.profiled:
             continue
+        if me.target != me.lane:
+            scene.lane_head[me.target] = -1
         if me.crashed:
             me.steering, me.accel = 0.0, -me.comfort_decel_mps2
-            continue
-        _accelerate(i, scene)
-        _steer(i, scene)
+        else:
+            _accelerate(i, scene)
+            _steer(i, scene)
 
 
 @in_place(inner=True)

@@ -32,67 +32,40 @@ _safe = shared(driver_models.mobil_safe)
 KRAUSS_STEP_S: Final = 0.1
 """Krauss's speed is reached within this, s: the longest step of either engine."""
 
-CHANGE_GAIN_MPS2: Final = 0.2
-"""MOBIL's threshold of an average driver, m/s2 (highway-env's; Kesting et al. use 0.1)."""
+CHANGE_GAIN_MPS2, IMPOSED_BRAKING_MPS2, MOST_IMPOSED_MPS2 = 0.2, 2.0, 6.0
+"""MOBIL's threshold of an average driver (highway-env's; Kesting et al. use half of it); the
+braking that it imposes on a new follower at most (highway-env's); the most that any driver imposes
+(hard braking without locking wheels)."""
 
-IMPOSED_BRAKING_MPS2: Final = 2.0
-"""Braking that an average driver imposes on a new follower at most, m/s2 (highway-env's)."""
+LEAST_CHANGE_GAP_M, WORTH_MPS2 = 0.5, 0.15
+"""The smallest gap that any driver changes into, m. A driver takes a lane whose leader it will soon
+reach only if that leader is faster than the present one by this times the driver's patience."""
 
-MOST_IMPOSED_MPS2: Final = 6.0
-"""The most braking that any driver imposes, m/s2 (hard braking without locking wheels)."""
+STOP_MARGIN_M, BRAKING_RESERVE = 1.0, 2.0
+"""A driver comes to rest this far before a stop line or a crossing, m. It brakes harder than
+comfortably only as far as the distance left demands, times this reserve (IDM alone brakes to a
+standstill whenever someone cuts in)."""
 
-LEAST_CHANGE_GAP_M: Final = 0.5
-"""The smallest gap that any driver changes into, m."""
-
-WORTH_MPS2: Final = 0.15
-"""A driver takes a lane whose leader it will soon reach only if that leader is faster than the
-present one by this times the driver's patience."""
-
-STOP_MARGIN_M: Final = 1.0
-"""A driver comes to rest this far before a stop line or a crossing, m."""
-
-BRAKING_RESERVE: Final = 2.0
-"""A driver brakes harder than comfortably only as far as the distance left demands, times this (IDM
-alone brakes to a standstill whenever someone cuts in)."""
-
-RANGE_M: Final = 80.0
-"""Drivers attend to junctions and crossings within this distance (6 s at 14 m/s)."""
-
-RANGE_S: Final = 4.0
-"""They do so at least this long before they come there, s (from 20 m/s on, farther away)."""
-
-RESERVE: Final = 1.25
-"""They do so at least within their comfortable braking distance times this."""
+RANGE_M, RANGE_S, RESERVE = 80.0, 4.0, 1.25
+"""Drivers attend to junctions and crossings within the farthest of: this distance (some seconds at
+an urban speed), this time, and their comfortable braking distance times this reserve."""
 
 STANDING_MPS: Final = 0.2
 """A slower vehicle counts as standing, m/s."""
 
-LATERAL_GAIN_PER_S: Final = 1.0 / 0.6
-"""Lateral speed wanted per metre from the lane's centre (highway-env's KP_LATERAL)."""
+LATERAL_GAIN_PER_S, HEADING_GAIN_PER_S, MAX_STEERING_RAD = 1.0 / 0.6, 5.0, math.pi / 3
+"""Lateral speed wanted per metre from the lane's centre, heading rate wanted per radian of error,
+and the largest steering angle: highway-env's KP_LATERAL, KP_HEADING and MAX_STEERING_ANGLE."""
 
-LATERAL_SPEED_MPS: Final = 1.5
-"""Largest lateral speed, m/s: a lane change takes about 3 s (as in the SUMO engine)."""
+LATERAL_SPEED_MPS, GUIDED = 1.5, 0.5
+"""Largest lateral speed: a lane change takes about 3 s (as in the SUMO engine). In a turn drivers
+keep the point this share of half the length ahead of the middle on their way: the front swings out
+about as far as the rear cuts in."""
 
-HEADING_GAIN_PER_S: Final = 5.0
-"""Heading rate wanted per radian of error (highway-env's KP_HEADING)."""
-
-MAX_STEERING_RAD: Final = math.pi / 3
-"""highway-env's MAX_STEERING_ANGLE."""
-
-GUIDED: Final = 0.5
-"""In a turn drivers keep the point this share of half the length ahead of the middle on their way.
-The front then swings out about as far as the rear cuts in."""
-
-CUT_IN_REAR_M: Final = (2.0, 15.0)
-"""Least and largest bumper gap to the vehicle that a driver cuts in front of, m."""
-
-UNSEEN_S: Final = 1.0
-"""Others see a vehicle on its new lane this long after it began to change, s: it is then 0.6 m
-aside."""
-
-CUT_IN_BRAKING_MPS2: Final = 4.0
-"""The most braking that a cut-in may demand of either driver, m/s2."""
-
+CUT_IN_REAR_M, UNSEEN_S, CUT_IN_BRAKING_MPS2 = (2.0, 15.0), 1.0, 4.0
+"""Least and largest bumper gap to the vehicle that a driver cuts in front of; how long after it
+began to change others see a vehicle on its new lane (it is half a metre aside then); the most
+braking that a cut-in may demand of either driver."""
 
 TAKEN: Final = [f.name for f in dataclasses.fields(Profile) if f.name in (VEHICLE.names or ())]
 """Fields of a profile that a row has under the same names."""

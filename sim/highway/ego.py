@@ -104,17 +104,11 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode.
+        """Begin an episode; returns the first observation, and info.
 
         Args:
             seed: seed of everything random from now on; the same seed gives the same episode.
             options: ``{"config": {...}}`` changes the configuration.
-
-        Returns:
-            The first observation, and info.
-
-        Raises:
-            InputError: if the seed, the options or the configuration are not usable.
         """
         if not self._made:
             return {}, {}
@@ -162,14 +156,9 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
     def add_ego_vehicle(
         self, lane: LaneIndex, at_m: float, speed: float, route: tuple[Stretch, ...], id: int
     ) -> None:
-        """Put the ego vehicle on the road, as the class of vehicle that the actions steer.
+        """Put an ego vehicle on a lane, at a distance along it, m, and a speed, m/s.
 
-        Args:
-            lane: where it begins.
-            at_m: how far along the lane its centre is, m.
-            speed: m/s.
-            route: the stretches that it drives over, the first of them the lane's.
-            id: its agent id.
+        It is of the class that the actions steer; ``route`` has its stretches, the lane's first.
         """
         geometry = self.road.network.lanes[lane]
         ego = self.action_type.vehicle_class(
@@ -183,22 +172,14 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
 
 
 def as_mapping(name: str, value: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """A mapping that a user gave, empty for None.
-
-    Raises:
-        InputError: if it is something else.
-    """
+    """A mapping that a user gave, empty for None; an `InputError` if it is something else."""
     if value is not None and not isinstance(value, Mapping):
         raise InputError(f"{name}: found {value!r}, expected a mapping or None")
     return value or {}
 
 
 def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the configuration of an action unless highway-env can make no action of it.
-
-    Raises:
-        InputError: naming the action type, the option or the value at fault.
-    """
+    """Return the configuration of an action; an `InputError` if highway-env can make none of it."""
     if not isinstance(action, Mapping) or "type" not in action:
         raise InputError(f"action: found {action!r}, expected a mapping with 'type'")
     kind = lookup(ACTIONS, str(action["type"]), "action type")

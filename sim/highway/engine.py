@@ -106,10 +106,7 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
 
 
 class _Queue(NamedTuple):
-    """Those who begin on one stretch towards the same next one, as agents and their rows.
-
-    ``lanes`` has the numbers of the lanes that lead there; ``then`` is that stretch, or -1.
-    """
+    """Those who begin on one stretch towards the same next one, or -1, and the lanes there."""
 
     waiting: deque[tuple[AgentSpec, Any]]
     lanes: IntArray
@@ -117,13 +114,7 @@ class _Queue(NamedTuple):
 
 
 class Demand:
-    """The agents still to come.
-
-    Args:
-        road: where they will travel.
-        agents: in any order.
-        seed: mixed into every driver's own random numbers.
-        law: the car-following law of all drivers.
+    """The agents still to come to a road; ``seed`` is mixed into their own random numbers.
 
     Raises:
         InputError: if a route is not of this road, or a driver has no profile.
@@ -158,7 +149,7 @@ class Demand:
                 network, then = road.network, way[1] if len(way) > 1 else None
                 lanes = [network.number[lane] for lane in network.lanes_towards(way[0], then)]
                 leads_to = -1 if then is None else network.stretch_number[then]
-                self._queues[way[:2]] = _Queue(deque(), np.array(lanes), leads_to)
+                self._queues[way[:2]] = _Queue(deque(), np.array(lanes, np.int64), leads_to)
             self._queues[way[:2]].waiting.append((agent, row))
 
     def enter(self) -> None:
@@ -184,9 +175,9 @@ class Demand:
 
 @in_place()
 def begin(me: Any, lanes: IntArray, then: int, scene: Scene) -> bool:
-    """Place a vehicle at the beginning of one of some lanes, from which it goes to a stretch or -1.
+    """Place a vehicle at the beginning of the best of some lanes, if there is room on any.
 
-    Returns whether there is room on any.
+    From there it goes to the stretch ``then``, or -1.
     """
     most, found, found_speed = -np.inf, -1, 0.0
     for k in lanes:

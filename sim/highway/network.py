@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
@@ -31,35 +31,25 @@ from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
 from sim.xml_tree import without_collection
 
-STUB_M: Final = 0.1
-"""A junction path between lanes that touch is this long, m."""
+STUB_M, TIGHT_M = 0.1, 5.0
+"""A junction path between lanes that touch is this long. A path of a mean radius below the second
+length is tight (a car's turning circle)."""
 
-OPPOSITE_M: Final = 1.2
-"""An opposite lane is a neighbour if its centre line is within this many lane widths."""
+CELL_M, ROUNDING_M = 50.0, 1e-3
+"""Width of the cells in which lanes are looked for (`BEHIND_M` and a lane). Lanes are searched this
+much farther from vehicles than they can be."""
 
-CELL_M: Final = 50.0
-"""Width of the cells in which lanes are looked for, m (`BEHIND_M` and a lane)."""
+OPPOSITE_M, SAME_SPOT_M = 1.2, 0.5
+"""An opposite lane is a neighbour if its centre line is within this many lane widths. Lanes that
+run over a crossing nearer to each other than this, m, do so at the same spot."""
 
-SAMPLE_M: Final = 0.5
-"""Junction paths are compared at points this far apart to find where they conflict."""
+SAMPLE_M, HALF_CAR_M = 0.5, 2.3
+"""Junction paths are compared at points this far apart to find where they conflict. In a bend a
+car's corners swing out by half its length squared over the radius."""
 
-CONFLICT_M: Final = 2.2
-"""Junction paths nearer than this conflict (a car's width and 0.4 m)."""
-
-HALF_CAR_M: Final = 2.3
-"""Half a car's length: in a bend its corners swing out by this squared over the radius, m."""
-
-WIDEST_M: Final = 3.0
-"""Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
-
-TIGHT_M: Final = 5.0
-"""A junction path of a smaller mean radius is tight, m (a car's turning circle)."""
-
-SAME_SPOT_M: Final = 0.5
-"""Lanes that run over a crossing nearer to each other than this do so at the same spot, m."""
-
-ROUNDING_M: Final = 1e-3
-"""Lanes are searched this much farther from vehicles than they can be, m."""
+CONFLICT_M, WIDEST_M = 2.2, 3.0
+"""Junction paths nearer than this conflict (a car's width and a little). Paths farther apart than
+the second length do not, however far cars swing out (side by side)."""
 
 
 @dataclass(eq=False)
@@ -113,12 +103,7 @@ class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
         return strips
 
     def stretches(self, route: Sequence[str]) -> list[Stretch]:
-        """The stretches that a route of edges runs over.
-
-        Raises:
-            InputError: if an edge is not of this road, two stretches are not connected, or an
-                edge follows itself.
-        """
+        """The stretches that a route of edges runs over; an `InputError` if there are none."""
         found: list[Stretch] = []
         reached_m = 0.0
         for edge in route:
@@ -153,14 +138,8 @@ class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
     def way_to(self, goal: Stretch, lane: int) -> tuple[Stretch, ...] | None:
         """The shortest way from a lane to a stretch, or else to the nearest where the road ends.
 
-        Args:
-            goal: where it is to lead.
-            lane: number of the lane on which it begins; other lanes of its stretch are not used,
-                nor is the stretch again.
-
-        Returns:
-            The stretches after that of ``lane``; None if the lane leads nowhere. On a road that
-            never ends it is the way to the farthest stretch.
+        It has the stretches after the lane's own, which it does not use again, nor the lanes beside
+        it; None if the lane leads nowhere. On a road that never ends it is the way to the farthest.
         """
         names, lanes, ways = list(self.stretch_number), self.arrays.lanes, self.arrays.ways
         n, here = len(names), int(lanes["stretch"][lane])
@@ -198,17 +177,7 @@ class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
 
 @without_collection()  # a city has a million objects, all of which stay
 def build_network(road: Road) -> HighwayNetwork:
-    """The highway-env network of a road.
-
-    Args:
-        road: read from a SUMO net.
-
-    Returns:
-        Stretches, junction paths and lanes over those of the opposite direction.
-
-    Raises:
-        InputError: if the road has no drivable lane.
-    """
+    """The highway-env network of a road; an `InputError` if it has no drivable lane."""
     by_id = {lane.id: lane for lane in road.lanes}
     driving: dict[str, list[Lane]] = {}
     for lane in road.lanes:
@@ -346,10 +315,7 @@ def _continuations(
 
 
 def _add_wrong_side_lanes(made: HighwayNetwork) -> dict[LaneIndex, LaneIndex]:
-    """Add a lane over the nearest lane of the opposite direction beside each stretch.
-
-    Returns these by the leftmost lanes, from which drivers overtake on them.
-    """
+    """Add lanes over the nearest opposite one beside each stretch; these by its leftmost lane."""
     found: dict[LaneIndex, LaneIndex] = {}
     ordered = sorted({stretch for stretch, _ in made.edges.values()})
     leftmost = [made.lanes[(*stretch, 0)] for stretch in ordered]
@@ -426,10 +392,7 @@ def _arrays(
 def _conflicts(
     made: HighwayNetwork, links: dict[LaneIndex, Connection], entry: IntArray
 ) -> list[list[tuple[Any, ...]]]:
-    """The rows of `CONFLICT` of each lane, by their beginning.
-
-    Paths that begin on the same lane have none; vehicles on them follow one another.
-    """
+    """The rows of `CONFLICT` of each lane; paths that begin on the same lane have none."""
     rows: list[list[tuple[Any, ...]]] = [[] for _ in made.lanes]
     place = {id(way): i for i, way in enumerate(made.road.connections)}
     ways, numbers = list(links.values()), np.array([made.number[key] for key in links], np.int64)

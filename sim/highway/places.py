@@ -15,19 +15,15 @@ BLEND_M: Final = 2.0
 """The heading turns from one piece's to the next's within this distance of the corner (half a
 wheelbase)."""
 
-ALIGNED: Final = 0.5
-"""A vehicle turned by more than 60 degrees from a lane crosses it and is not on it. On stretches,
-unlike on junction paths, one that faces the other way is."""
+ALIGNED, JOINED_M = 0.5, 2.0
+"""A vehicle that faces a lane's direction less than this (by the cosine) crosses it and is not on
+it; on stretches, unlike on junction paths, one that faces the other way is. A vehicle this far
+before the beginning of the next lane, and in line with it, leads onto it, whichever way it comes
+(half a car)."""
 
-JOINED_M: Final = 2.0
-"""A vehicle this far before the beginning of the next lane, and in line with it, leads onto it,
-whichever way it comes (half a car)."""
-
-LEADER_RANGE_M: Final = 200.0
-"""Leaders farther ahead are not looked for."""
-
-MOST_LANES: Final = 4
-"""A leader is looked for on the present lane and on this many after it."""
+LEADER_RANGE_M, MOST_LANES = 200.0, 4
+"""Leaders farther ahead are not looked for, nor those on later lanes than so many after the
+present one."""
 
 
 @in_place(inner=True)
@@ -268,12 +264,10 @@ def beside(i: int, lane: int, scene: Scene) -> Beside:
 
 @in_place()
 def read_motion(order: IntArray, scene: Scene, motion: FloatArray) -> None:
-    """Read how everybody moves, in the axes of a `Frame`.
+    """Read how everybody moves, in the axes of a `Frame`, in the order of (n,) rows.
 
-    Args:
-        order: (n,) rows; pedestrians are counted after the vehicles.
-        scene: the road.
-        motion: (4 n,) receives all places, x and y, m, then headings, rad, then speeds, m/s.
+    Pedestrians are counted after the vehicles. ``motion``, (4 n,), receives all places, x and y,
+    then headings, then speeds.
     """
     n = order.size
     for k in range(n):

@@ -20,18 +20,13 @@ from sim.road.cells import Cells
 
 Records = NDArray[Any]
 
-STRETCH_MARGIN_M: Final = 1.0
-"""A vehicle this far beyond a lane's edge is still on it (highway-env's)."""
+STRETCH_MARGIN_M, PATH_MARGIN_M = 1.0, 0.5
+"""A vehicle this far beyond a lane's edge is still on it (highway-env's); the second length holds
+for junction paths, which lie close together."""
 
-PATH_MARGIN_M: Final = 0.5
-"""The same on junction paths, which lie close together."""
-
-BEHIND_M: Final = 40.0
-"""A vehicle this far before the beginning of a lane, and in line with it, is on it already."""
-
-LONGEST_M: Final = 40.0
-"""Length up to which a vehicle beyond the end of a lane is still on it with its rear, m (twice a
-lorry's)."""
+BEHIND_M, LONGEST_M = 40.0, 40.0
+"""A vehicle this far before the beginning of a lane, and in line with it, is on it already. A
+vehicle up to the second length is on a lane while its rear is (twice a lorry's)."""
 
 
 def record_type(**fields: str) -> np.dtype[Any]:
@@ -120,11 +115,9 @@ def listed(of: Records, name: str, lists: Sequence[Any], kind: np.dtype[Any]) ->
 EVENT_KINDS: Final = tuple(EventKind)
 """Events by their codes."""
 
-LATE_S: Final = 0.1
-"""A driver's decisions are kept this often, s."""
-
-MOST_LATE: Final = 51
-"""How many of them are kept: those of the longest reaction time."""
+LATE_S, MOST_LATE = 0.1, 51
+"""A driver's decisions are kept this often, s, and so many of them: those of the longest reaction
+time."""
 
 VEHICLE: Final = record_type(
     agent="i8", kind="i1", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",

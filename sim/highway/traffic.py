@@ -321,7 +321,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def _collide(self, scene: Scene) -> None:
         """Record collisions of those that touch and did not touch before, the faster one first."""
         touching, n = set(), len(scene.vehicles)
-        for i, j in scene.pairs[: int(self._now["pairs"][0])].tolist():
+        for i, j in sorted(scene.pairs[: int(self._now["pairs"][0])].tolist()):
             one, walks = scene.vehicles[i], j >= n
             other = scene.walkers[j - n] if walks else scene.vehicles[j]
             pair = (int(one.agent), int(other.agent))

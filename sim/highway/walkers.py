@@ -10,7 +10,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,19 +24,13 @@ from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
 
-LINK_M: Final = 12.0
-"""Sidewalk ends and crossing ends this near to each other are joined on foot (the widest
-corner)."""
+LINK_M, DETOUR_M = 12.0, 5.0
+"""Sidewalk ends and crossing ends this near to each other are joined on foot (the widest corner).
+Pedestrians cross a road only if that saves more than the second length."""
 
-SETBACK_M: Final = 1.6
-"""Pedestrians wait this far back from the kerb, m (out of the way of turning vehicles); a crossover
-begins and ends there."""
-
-OFFSET_M: Final = 0.6
-"""Pedestrians keep up to this far to either side of the path's middle, m."""
-
-DETOUR_M: Final = 5.0
-"""Pedestrians cross a road only if that saves more than this, m."""
+SETBACK_M, OFFSET_M = 1.6, 0.6
+"""Pedestrians wait this far back from the kerb (out of the way of turning vehicles); a crossover
+begins and ends there. They keep up to the second length to either side of the path's middle."""
 
 
 class Footway(NamedTuple):

@@ -62,6 +62,11 @@ def put(road, lane, s: float, speed: float, behavior: Behavior, number=0, law="I
     return road.vehicles[-1]
 
 
+def change(vehicle, **values) -> None:
+    for name, value in values.items():
+        vehicle.table[name][vehicle.row] = value
+
+
 def straight_network():
     return network_of(SCENARIOS["straight_road"]().road)
 
@@ -114,7 +119,7 @@ def test_stops_behind_what_stands_in_the_way(behavior):
     road = TrafficRoad(straight_network())
     for lane in range(3):
         block = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, behavior, 10 + lane)
-        block.stop_at, block.stop_until = math.inf, math.inf
+        change(block, stop_at=math.inf, stop_until=math.inf)
     own = put(road, ("east_in<", "east_out>", 1), 20.0, 14.0, behavior, 1)
     for _ in range(400):
         road.advance(0.1)
@@ -158,7 +163,7 @@ def test_a_lane_change_takes_about_three_seconds():
     road = TrafficRoad(straight_network())
     vehicle = put(road, ("east_in<", "east_out>", 1), 50.0, 12.0, Behavior.TIMID)
     begin = vehicle.position[1]
-    vehicle.target_lane_index = vehicle.wanted_lane_index = ("east_in<", "east_out>", 0)
+    change(vehicle, target=0, wanted=0)
     taken = 0.0
     while abs(vehicle.position[1] - begin) < 3.0 and taken < 10.0:
         road.advance(0.1)
@@ -345,7 +350,7 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
 def test_a_collision_is_noted_and_cleared():
     road = TrafficRoad(straight_network())
     standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
-    standing.stop_at, standing.stop_until = math.inf, math.inf
+    change(standing, stop_at=math.inf, stop_until=math.inf)
     moving = put(road, ("east_in<", "east_out>", 1), 90.0, 14.0, Behavior.THREATENING, 2)
     for _ in range(10):
         road.advance(0.1)
@@ -363,7 +368,7 @@ def test_traffic_behind_a_collision_goes_on_once_it_is_cleared():
     road = TrafficRoad(straight_network())
     for lane in range(3):
         wreck = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, Behavior.CAREFUL, lane)
-        wreck.crashed, wreck.crashed_at = True, 0.0
+        change(wreck, crashed=True, crashed_at=0.0)
     own = put(road, ("east_in<", "east_out>", 0), 120.0, 10.0, Behavior.CAREFUL, 9)
     for _ in range(300):
         road.advance(0.1)
