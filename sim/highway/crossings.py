@@ -14,8 +14,7 @@ import numpy as np
 
 from sim.compiled import in_place
 from sim.frames import Signal
-from sim.highway.draws import OVERLOOKS, YIELDS, chance
-from sim.highway.driving import attention_m, can_stop
+from sim.highway.driving import OVERLOOKS, YIELDS, attention_m, can_stop, chance
 from sim.highway.junctions import ENTERED_M
 from sim.highway.state import Scene
 from sim.highway.walkers import SETBACK_M

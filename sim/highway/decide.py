@@ -21,9 +21,8 @@ import numpy as np
 
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
-from sim.highway import crossings, draws, driving, junctions, places
-from sim.highway.draws import chance, wait_s
-from sim.highway.driving import desired_speed, follow, idm
+from sim.highway import crossings, driving, junctions, places
+from sim.highway.driving import chance, desired_speed, follow, idm, wait_s
 from sim.highway.places import beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
 
@@ -182,7 +181,7 @@ def _weigh_lanes(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _schedule_cut_in(me: Any) -> None:
     """Draw when a driver next begins to look for a vehicle to cut in front of."""
-    me.cut_in_at = me.clock + wait_s(me.key, draws.CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
+    me.cut_in_at = me.clock + wait_s(me.key, driving.CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
     me.cut_ins += 1
 
 
@@ -270,7 +269,7 @@ def _wrong_way_lane(i: int, scene: Scene) -> int:
     needed = PASSING_S * (desired + net.lanes[lane.opposite].limit)
     if oncoming.front_gap < min(needed, left) or oncoming.rear_gap < BACK_ROOM_M:
         return -1
-    wait = wait_s(me.key, draws.WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
+    wait = wait_s(me.key, driving.WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
     me.wrong_way_at, me.wrong_ways = me.clock + wait, me.wrong_ways + 1
     return int(lane.opposite)
 
@@ -310,7 +309,7 @@ def _accelerate(i: int, scene: Scene) -> None:
         accel = _late(me, accel)
     me.accel = driving.start_up(me, accel)
     if me.krauss:
-        me.accel -= driving.dawdling(me, chance(me.key, draws.DAWDLES, me.dawdled))
+        me.accel -= driving.dawdling(me, chance(me.key, driving.DAWDLES, me.dawdled))
         me.dawdled += 1
     if _looks_away(me):
         me.accel = 0.0
@@ -319,8 +318,8 @@ def _accelerate(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _error(me: Any) -> float:
     """The driver's present error of perception, an Ornstein-Uhlenbeck process of deviation 1."""
-    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, draws.ERRS, 2 * me.erred)))
-    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, draws.ERRS, 2 * me.erred + 1))
+    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, driving.ERRS, 2 * me.erred)))
+    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, driving.ERRS, 2 * me.erred + 1))
     keeps = math.exp((me.seen_at - me.clock) / ERROR_TIME_S) if me.erred > 0 else 0.0
     me.error = keeps * me.error + math.sqrt(1.0 - keeps * keeps) * drawn
     me.seen_at, me.erred = me.clock, me.erred + 1
@@ -342,10 +341,10 @@ def _late(me: Any, accel: float) -> float:
 def _looks_away(me: Any) -> bool:
     """Whether a driver's attention lapses now; schedules such lapses."""
     if me.clock >= me.lapse_at:
-        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, draws.LAPSE_LASTS, me.lapses - 1))
+        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, driving.LAPSE_LASTS, me.lapses - 1))
         me.lapse_until = me.clock + lasts_s
         me.lapse_at = me.lapse_until + wait_s(
-            me.key, draws.LAPSES, me.lapses, me.lapse_rate_per_min
+            me.key, driving.LAPSES, me.lapses, me.lapse_rate_per_min
         )
         me.lapses += 1
     return bool(me.clock < me.lapse_until)
@@ -356,8 +355,8 @@ def _stops_for_no_reason(me: Any) -> bool:
     """Whether a driver stops for no reason now; schedules such stops."""
     if me.clock >= me.stop_at:
         least, most = STOP_LASTS_S
-        lasts_s = least + (most - least) * chance(me.key, draws.STOP_LASTS, me.stops - 1)
+        lasts_s = least + (most - least) * chance(me.key, driving.STOP_LASTS, me.stops - 1)
         me.stop_until = me.clock + lasts_s
-        me.stop_at = me.stop_until + wait_s(me.key, draws.STOPS, me.stops, me.stop_rate_per_min)
+        me.stop_at = me.stop_until + wait_s(me.key, driving.STOPS, me.stops, me.stop_rate_per_min)
         me.stops += 1
     return bool(me.clock < me.stop_until)

@@ -81,12 +81,10 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
 
     road: TrafficRoad
     config: dict[str, Any]
-    time: float
-    steps: int
     controlled_vehicles: list[Any]
+    viewer: Any
     action_space: spaces.Space[Any]
     observation_space: spaces.Space[Any]
-    viewer: Any
 
     def __init__(
         self, config: Mapping[str, Any] | None = None, render_mode: str | None = None

@@ -19,13 +19,13 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.compiled import in_place
-from sim.frames import AgentKind, Frame
+from sim.frames import AgentKind, Frame, IntArray
 from sim.highway.driving import idm, on_free_road, safe_speed
 from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR, braking_speed
 from sim.highway.lanes import Stretch
 from sim.highway.network import HighwayNetwork, build_network
 from sim.highway.places import heading_at, path_to, project
-from sim.highway.state import IntArray, Net, Scene
+from sim.highway.state import Net, Scene
 from sim.highway.traffic import TrafficRoad, typed_once
 from sim.highway.vehicle import driver_rows
 from sim.highway.walkers import walker_row
@@ -35,10 +35,8 @@ from sim.scenario import AgentSpec, CarFollowing, Scenario
 LONGEST_STEP_S: Final = 0.1
 """highway-env's own step is at most this long; frames further apart are made of several steps."""
 
-
 LONGEST_WAIT_S: Final = 60.0
 """An agent that finds no room for this long does not enter (as in the SUMO engine)."""
-
 
 ENTRY_BRAKING_MPS2: Final = 1.0
 """Agents enter at a speed at which keeping the headway to the vehicle ahead takes no more braking

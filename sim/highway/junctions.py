@@ -18,8 +18,8 @@ import numpy as np
 from behaviors import driver_models
 from sim.compiled import in_place, shared
 from sim.frames import EventKind, Signal
-from sim.highway.draws import OVERLOOKS, OVERLOOKS_LIGHT, ROLLS, RUNS_RED, chance
-from sim.highway.driving import STANDING_MPS, attention_m, can_stop, desired_speed
+from sim.highway import driving
+from sim.highway.driving import STANDING_MPS, attention_m, can_stop, chance, desired_speed
 from sim.highway.places import along_lane, beside, next_stretch, path_to, record
 from sim.highway.state import EVENT_KINDS, Scene
 
@@ -107,9 +107,9 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
     me = scene.vehicles[i]
     if _shows(me.path, RED, scene):
         first = beside(i, me.lane, scene).front_gap > me.to_line
-        if first and chance(me.key, RUNS_RED, me.path) < me.red_run_probability:
+        if first and chance(me.key, driving.RUNS_RED, me.path) < me.red_run_probability:
             return False
-        if chance(me.key, OVERLOOKS_LIGHT, me.path) < me.overlook_probability:
+        if chance(me.key, driving.OVERLOOKS_LIGHT, me.path) < me.overlook_probability:
             return False
         return can_stop(me.speed, me.to_line, me.emergency_decel)
     if _shows(me.path, YELLOW, scene):
@@ -126,7 +126,7 @@ def _stops_at_sign(i: int, scene: Scene) -> bool:
         return False
     if me.to_line < STOPPED_M and me.speed < STANDING_MPS and me.stood_at != me.path:
         me.stood_at, me.stopped_s = me.path, scene.now[0].time_s
-    rolls = chance(me.key, ROLLS, me.path) < me.stop_roll_probability
+    rolls = chance(me.key, driving.ROLLS, me.path) < me.stop_roll_probability
     return not rolls and me.stood_at != me.path
 
 
@@ -280,7 +280,7 @@ def _must_wait(
     """
     me, foe = scene.vehicles[i], scene.vehicles[j]
     overlooks = me.overlook_probability
-    if overlooks > 0.0 and chance(me.key, OVERLOOKS, foe.agent) < overlooks:
+    if overlooks > 0.0 and chance(me.key, driving.OVERLOOKS, foe.agent) < overlooks:
         return False
     foe_line, held = foe.to_line, foe.was_held
     if leaving:

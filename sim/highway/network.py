@@ -21,11 +21,11 @@ from scipy.sparse.csgraph import dijkstra
 
 from behaviors.errors import InputError
 from sim.compiled import in_place
-from sim.frames import FloatArray
+from sim.frames import FloatArray, IntArray
 from sim.highway import state
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.places import closest_lane
-from sim.highway.state import IntArray, Net, Records, listed
+from sim.highway.state import Net, Records, listed
 from sim.road import Connection, Lane, Road
 from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
@@ -414,8 +414,8 @@ def _conflicts(
         yields = place[id(ways[b])] in ways[a].yields_to
         yielded = place[id(ways[a])] in ways[b].yields_to
         both = *at[a][span].tolist(), *at[b][spans[b, a]].tolist()
-        rows[numbers[a]].append((numbers[b], *both, yields - yielded))
-    return [sorted(each, key=lambda row: row[1]) for each in rows]
+        rows[numbers[a]].append((numbers[b], yields - yielded, *both))
+    return [sorted(each, key=lambda row: row[2]) for each in rows]
 
 
 def _crossings(made: HighwayNetwork, placed: Placed) -> tuple[Records, Records, list[list[Any]]]:

@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from sim.compiled import in_place
+from sim.frames import FloatArray, IntArray
 from sim.highway.driving import Beside
-from sim.highway.state import LONGEST_M, FloatArray, IntArray, Net, Records, Scene
+from sim.highway.state import LONGEST_M, Net, Records, Scene
 
 BLEND_M: Final = 2.0
 """The heading turns from one piece's to the next's within this distance of the corner (half a

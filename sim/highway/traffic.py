@@ -17,14 +17,14 @@ from numba import typeof
 
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
-from sim.frames import AgentKind, Event, EventKind, Frame, Signal
+from sim.frames import AgentKind, Event, EventKind, Frame, IntArray, Signal
 from sim.highway import motion, state
 from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
 from sim.highway.places import locate, read_motion
-from sim.highway.state import IntArray, Scene, blank_vehicles
+from sim.highway.state import Scene, blank_vehicles
 from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
 from sim.highway.walkers import Footway, find_footway, footways_of
 

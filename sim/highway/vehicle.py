@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from behaviors.labels import Behavior
 from sim.frames import FloatArray
-from sim.highway.draws import CUTS_IN, LAPSES, STOPS, WRONG_WAY, driver_key, wait_s
-from sim.highway.driving import profile_fields
+from sim.highway import driving
+from sim.highway.driving import driver_key, profile_fields, wait_s
 from sim.highway.lanes import PolylineLane
 from sim.highway.state import Records, blank_vehicles
 from sim.scenario import AgentSpec, CarFollowing
@@ -29,10 +29,10 @@ LEAST_ROOM: Final = 16
 """Arrays have room for this many agents at first."""
 
 DRAWN_TIMES: Final = (
-    ("cut_in_at", "cut_ins", CUTS_IN, "cut_in_rate_per_min"),
-    ("stop_at", "stops", STOPS, "stop_rate_per_min"),
-    ("lapse_at", "lapses", LAPSES, "lapse_rate_per_min"),
-    ("wrong_way_at", "wrong_ways", WRONG_WAY, "wrong_way_rate_per_min"),
+    ("cut_in_at", "cut_ins", driving.CUTS_IN, "cut_in_rate_per_min"),
+    ("stop_at", "stops", driving.STOPS, "stop_rate_per_min"),
+    ("lapse_at", "lapses", driving.LAPSES, "lapse_rate_per_min"),
+    ("wrong_way_at", "wrong_ways", driving.WRONG_WAY, "wrong_way_rate_per_min"),
 )
 """Times that are drawn: their field, the count of such draws, what is drawn, and how often."""
 

@@ -19,7 +19,8 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
-from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, FloatArray, Footways, listed
+from sim.frames import FloatArray
+from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, Footways, listed
 from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
@@ -90,8 +91,8 @@ def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
     for line, after in itertools.zip_longest(lines, lines[1:]):
         a, b = line[0], line[-1]
         if after is not None:
-            ends = (after[0], after[-1])
-            to = min(ends, key=lambda p, a=a, b=b: min(math.dist(p, a), math.dist(p, b)))
+            far = [min(math.dist(p, a), math.dist(p, b)) for p in (after[0], after[-1])]
+            to = after[0] if far[0] <= far[1] else after[-1]
             turned = math.dist(b, to) > math.dist(a, to)
         else:
             before = found[-1][1] if found else a
