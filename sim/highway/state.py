@@ -118,8 +118,8 @@ VEHICLE: Final = record_type(
     i1="kind",
     u8="key",
     bool="profiled krauss crashed wrong_way ran_red held was_held changes astray arrives",
-    i8="agent route leg lane target wanted cut_ins stops wrong_ways dawdled lapses erred late_since "
-    "last_path path_before stood_at then path forced leaves",
+    i8="agent route leg lane target wanted cut_ins stops wrong_ways dawdled lapses erred "
+    "late_since last_path path_before stood_at then path forced leaves",
     f8="length width speed_factor time_headway_s min_gap_m max_accel_mps2 comfort_decel_mps2 "
     "politeness lane_change_patience_s startup_delay_s yellow_run_s gap_acceptance_s insistence "
     "crossing_gap_s red_run_probability stop_roll_probability yield_probability "
