@@ -143,7 +143,7 @@ def _say_size(out: Path) -> None:
     from sim.store.dataset import open_dataset
 
     dataset = open_dataset(out)
-    steps = sum(dataset.totals.column("agent_steps").to_pylist())
+    steps = sum(dataset.catalogue.column("agent_steps").to_pylist())
     say(f"{place_of(out).url}: {len(dataset)} episodes, {steps} agent-steps")
 
 
@@ -277,7 +277,7 @@ def export(
                "of behaviours (a TOML file, or distracted, novice).", "--format", metavar="KEY",
                names="format"),
     ],
-    out: Annotated[Path, option("Folder to write into.")],
+    out: Annotated[Path, option("New or empty folder.")],
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Write a dataset, or its drivers alone, in another format."""
