@@ -4,7 +4,8 @@ A policy is made for one environment, before its first episode: ``make(env)`` re
 that takes an observation and returns an action. The attribute ``config`` of ``make``, if it has
 one, changes the environment's configuration: ``{"action": {"type": "ContinuousAction"}}``. A
 trained network is loaded inside ``make``, by the library that wrote it: no file of a policy is
-opened here.
+opened here. Beside what gymnasium gives, the environment has ``scenario``, ``time``, ``ego_id``,
+the ``truth`` by id, and ``on_frame``, which is called with every frame.
 """
 
 from __future__ import annotations
