@@ -64,7 +64,7 @@ def import_recordings(
         out: folder of the dataset, new or empty, or a URL where nothing is.
         name: a key of ``FORMATS``, whose files alone are read; None to recognise each.
         net: the map that the recordings were made on; None for what comes with each. It is checked
-            against where vehicles move (`sim.road.map_fit`).
+            against where vehicles move (`experiments.data.recorded_roads`).
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
