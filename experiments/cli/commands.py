@@ -277,7 +277,7 @@ def export(
                "of behaviours (a TOML file, or distracted, novice).", "--format", metavar="KEY",
                names="format"),
     ],
-    out: Annotated[Path, option("Folder to write into.")],
+    out: Annotated[Path, option("New or empty folder.")],
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Write a dataset, or its drivers alone, in another format."""

@@ -35,11 +35,7 @@ def adapt(
 ) -> list[Row]:
     """Adapt a model to the place of a dataset of recordings, and save it in the folder ``out``.
 
-    Returns:
-        Rows on the fit, and accuracy on other labelled drivers before and after.
-
-    Raises:
-        InputError: if no driver is labelled, or ``out`` is not a model's folder.
+    Returned are rows on the fit, and accuracy on other labelled drivers before and after.
     """
     trained = dataclasses.replace(load_model(model), adaptation=None)
     check_model_folder(out)
