@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.predict.recorded.gaps import inferred_leaders
+from graphrqi.predict.recorded.features import inferred_leaders
 from sim.episode.observables import observe
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road

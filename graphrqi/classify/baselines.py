@@ -33,11 +33,7 @@ held-out data is chosen, or the middle one without such data."""
 
 
 class Logistic(Classifier):
-    """Multinomial logistic regression.
-
-    Args:
-        num_classes: C.
-    """
+    """Multinomial logistic regression."""
 
     tempers = False
 

@@ -85,9 +85,6 @@ class RunningSums:
     """Sums over time for each driver, kept while it is present and ``FORGET_S`` longer.
 
     A driver's sums stay in one row of a larger array while others come and go.
-
-    Args:
-        width: columns of the sums.
     """
 
     def __init__(self, width: int) -> None:

@@ -20,18 +20,7 @@ LEAST_WEIGHT_S, FULL_WEIGHT_S = 0.1, 20.0
 
 
 class PlaceDrivers:
-    """The drivers of a recording site so far, with their last numbers.
-
-    Args:
-        width: numbers of a driver.
-
-    Examples:
-        >>> place = PlaceDrivers(1)
-        >>> place.observe(0.0, np.array([3, 5]), np.array([[1.0], [2.0]]), np.full(2, 20.0))
-        >>> place.observe(9.0, np.array([5]), np.array([[4.0]]), np.array([29.0]))
-        >>> place.values.ravel(), place.weights
-        (array([1., 4.]), array([20., 20.]))
-    """
+    """The drivers of a recording site so far, with their last ``width`` numbers."""
 
     def __init__(self, width: int) -> None:
         self._ids: IntArray = np.empty(0, dtype=np.int64)
@@ -42,14 +31,7 @@ class PlaceDrivers:
     def observe(
         self, time_s: float, ids: IntArray, values: FloatArray, seconds: FloatArray
     ) -> None:
-        """Add or update drivers.
-
-        Args:
-            time_s: not decreasing.
-            ids: (n,) drivers, each once.
-            values: (n, width) numbers of each.
-            seconds: (n,) time each was watched, s.
-        """
+        """Add or update drivers: (n, width) numbers of each, and the time watched (n,), s."""
         kept = ~np.isin(self._ids, ids) & (self._seen_s >= time_s - MEMORY_S)
         self._ids = np.concatenate([self._ids[kept], ids])
         self._seen_s = np.concatenate([self._seen_s[kept], np.full(ids.size, time_s)])
@@ -92,18 +74,10 @@ count half."""
 
 
 def beside_others(log_odds: FloatArray, seconds: FloatArray, place: PlaceDrivers) -> FloatArray:
-    """Log-odds of the aggressive style relative to the other drivers of the site.
+    """(n,) log-odds of the aggressive style relative to the other drivers of the site.
 
     The distance from the site's median is divided by the mean deviation on the driver's side of it.
     Where few drivers are known, median and deviation stay near their usual values.
-
-    Args:
-        log_odds: (n,) from a classifier.
-        seconds: (n,) time each was watched, s.
-        place: log-odds of the site's drivers so far, at least one.
-
-    Returns:
-        (n,) near 0 at the median.
     """
     known = place.values[:, 0]
     order = np.argsort(known, kind="stable")
@@ -121,22 +95,12 @@ def beside_others(log_odds: FloatArray, seconds: FloatArray, place: PlaceDrivers
 
 
 def level_shown(drivers: int) -> float:
-    """How far a number of drivers shows the average of their site, from 0 to 1.
-
-    Examples:
-        >>> level_shown(5)
-        0.5
-    """
+    """How far a number of drivers shows the average of their site, from 0 to 1."""
     return drivers / (drivers + HALF_CONFIDENCE_DRIVERS)
 
 
 def log_odds_of(probability: FloatArray) -> FloatArray:
-    """(...) log-odds of shares (...) of the aggressive style, at most `FARTHEST_ODDS`.
-
-    Examples:
-        >>> log_odds_of(np.array([0.5, 1.0]))
-        array([0. , 9.2])
-    """
+    """(...) log-odds of shares (...) of the aggressive style, at most `FARTHEST_ODDS`."""
     low = 1.0 / (1.0 + np.exp(FARTHEST_ODDS))
     held = np.clip(probability, low, 1.0 - low)
     return np.asarray(np.log(held / (1.0 - held)))
@@ -145,15 +109,9 @@ def log_odds_of(probability: FloatArray) -> FloatArray:
 def restyled(
     probability: FloatArray, aggressive: FloatArray, style: NDArray[np.bool_]
 ) -> FloatArray:
-    """Behaviours of given probability, with another probability of the aggressive style.
+    """(n, C) behaviours with another probability (n,) of the aggressive style (C,).
 
-    Args:
-        probability: (n, C) that sum to one.
-        aggressive: (n,) probability of the aggressive style.
-        style: (C,) which behaviours are aggressive.
-
-    Returns:
-        (n, C) with the odds within each style as they were.
+    The odds within each style stay.
 
     Examples:
         >>> restyled(np.array([[0.6, 0.2, 0.2]]), np.array([0.4]), np.array([True, True, False]))

@@ -53,12 +53,7 @@ class Member:
 
 
 class PlaceNetwork:
-    """The mean answer of several networks.
-
-    Args:
-        inputs: standardises the features.
-        members: the networks.
-    """
+    """The mean answer of several networks to standardised features."""
 
     def __init__(self, inputs: Standardisation, members: tuple[Member, ...]) -> None:
         self._inputs, self._members = inputs, members
@@ -82,15 +77,7 @@ class PlaceNetwork:
         return np.concatenate(parts, axis=1).astype(np.float64)
 
     def among(self, described: list[SingleArray], place: PlaceDrivers) -> FloatArray:
-        """Probabilities of drivers among those of their site.
-
-        Args:
-            described: of n drivers, from `described`.
-            place: all drivers of the site, these included, with the numbers of `shown`.
-
-        Returns:
-            (n, C) that sum to one.
-        """
+        """(n, C) probabilities of `described` drivers among those of their site, these included."""
         share = place.weights / place.weights.sum()
         mean = share @ place.values
         variance = share @ (place.values - mean) ** 2
@@ -134,11 +121,7 @@ class PlaceNetwork:
     def restored(
         cls, arrays: Mapping[str, NDArray[Any]], num_features: int, num_classes: int
     ) -> PlaceNetwork:
-        """The network from its saved arrays.
-
-        Raises:
-            InputError: if the arrays are not those of `arrays`.
-        """
+        """The network from its saved arrays; `InputError` if they are not those of `arrays`."""
         named = {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
         members: list[Member] = []
         while f"member{len(members)}.own.weight" in named:

@@ -203,11 +203,7 @@ class OtherTraffic:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, NDArray[Any]]) -> OtherTraffic:
-        """The networks from their saved arrays.
-
-        Raises:
-            InputError: if the arrays are not those of `arrays`.
-        """
+        """The networks from their saved arrays; `InputError` if they are not those of `arrays`."""
         low, high = (saved(dict(arrays), name, (len(SCENE_NAMES),)) for name in ("low", "high"))
         if not (low <= high).all():
             raise InputError("low, high: found ends in the wrong order, expected low <= high")

@@ -82,11 +82,7 @@ RANGE: Final = 0.002
 class Examples:
     """Sites at all moments that were sampled.
 
-    Args:
-        samples: of drivers that are each seen since they appeared; several moments of each.
-
-    Raises:
-        InputError: if no sample is labelled.
+    The samples are of drivers that are each seen since they appeared; several moments of each.
     """
 
     def __init__(self, samples: Samples) -> None:
@@ -119,11 +115,7 @@ class Examples:
         return place[0] + np.flatnonzero(known & ~older)
 
     def drawn(self, rng: np.random.Generator, at_once: int) -> Iterator[tuple[IntArray, IntArray]]:
-        """One moment of every site, several sites at a time.
-
-        Args:
-            rng: source of the order, the moments and the drivers that are left out.
-            at_once: number of sites.
+        """One moment of every site, several sites at a time, in random order.
 
         Yields:
             Rows (n,) of drivers, and the number of the site of each, from 0 on without gaps.
@@ -183,18 +175,9 @@ def train_place_network(
     seed: int = 0,
     options: NetworkOptions | None = None,
 ) -> PlaceNetwork:
-    """Train a network.
+    """Train a network on samples at several moments of each driver.
 
-    Args:
-        training: samples at several moments of each driver; unlabelled drivers are only context.
-        seed: of the randomness.
-        options: of the network; None for the defaults.
-
-    Returns:
-        The network.
-
-    Raises:
-        InputError: if no driver has a behaviour.
+    Unlabelled drivers are only context; `InputError` if none is labelled.
     """
     options = options or NetworkOptions()
     examples = Examples(training)

@@ -8,8 +8,7 @@ from graphrqi.arrays import FloatArray
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import tracked
-from graphrqi.predict.scene.agent_states import present_acceleration
-from graphrqi.predict.scene.scene import Scene, Unmapped
+from graphrqi.predict.scene.scene import Scene, Unmapped, present_acceleration
 from sim.frames import PEDESTRIAN, Tracks
 
 

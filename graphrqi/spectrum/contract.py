@@ -93,8 +93,7 @@ class Problem:
     def starting_block(self, size: int | None = None) -> Floats:
         """(d, k) orthonormal columns to start from: the earlier vectors, or noise of a fixed seed.
 
-        Args:
-            size: k; as many as are wanted if not given.
+        There are as many as pairs are wanted, or ``size``.
         """
         d = self.graph.ids.size
         noise = np.random.default_rng(d).normal(size=(d, size or self.num_pairs))

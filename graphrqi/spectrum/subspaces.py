@@ -88,16 +88,7 @@ def carry_rows(previous: Spectrum, graph: TrafficGraph, vectors: Floats | None =
 
 
 def rayleigh_ritz(graph: TrafficGraph, basis: Floats, end: End) -> tuple[Floats, Floats]:
-    """Best approximations to eigenpairs from a subspace.
-
-    Args:
-        graph: d vehicles.
-        basis: (d, m) orthonormal columns.
-        end: order of the answer.
-
-    Returns:
-        (m,) Ritz values and (d, m) Ritz vectors, in the order of the end.
-    """
+    """(m,) Ritz values and (d, m) Ritz vectors in a basis (d, m), in the order of the end."""
     values, turn = np.linalg.eigh(basis.T @ (graph.laplacian @ basis))
     order = pick(values, values.size, end)
     return values[order], basis @ turn[:, order]

@@ -10,7 +10,6 @@ import pytest
 
 from graphrqi.predict.networks.futures import TIME_S, Futures
 from graphrqi.predict.networks.perceptron import Perceptron
-from graphrqi.predict.recorded.along_lanes import beside_paths, join_lanes
 from graphrqi.predict.recorded.features import feature_count
 from graphrqi.predict.recorded.lanes_ahead import (
     MOST,
@@ -26,7 +25,7 @@ from graphrqi.predict.recorded.network import (
     RecordedNetwork,
     TrainedRange,
 )
-from graphrqi.predict.recorded.predictor import predict_recorded
+from graphrqi.predict.recorded.predictor import beside_paths, join_lanes, predict_recorded
 from scenarios import SCENARIOS
 from sim.frames import Frame, Tracks
 from sim.road.lane_graph import LaneGraph

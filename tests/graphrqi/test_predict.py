@@ -21,8 +21,8 @@ from graphrqi.predict.rollout.driver_table import (
     load_table,
     save_table,
 )
+from graphrqi.predict.rollout.following import agreement
 from graphrqi.predict.rollout.rollout import positions, roll
-from graphrqi.predict.rollout.route import agreement
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.predict.scene.stop_constraints import PROCEED, STOP
 from scenarios import SCENARIOS

@@ -17,9 +17,10 @@ from graphrqi.predict.recorded.features import (
     QUEUE,
     feature_count,
     features_of,
+    inferred_leaders,
     neighbour_slots,
+    plausible,
 )
-from graphrqi.predict.recorded.gaps import inferred_leaders, plausible
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
     MODES,

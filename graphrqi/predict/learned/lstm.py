@@ -29,14 +29,7 @@ ENCODED, POOLED, MIXED, DECODED = 32, 48, 256, 48
 
 
 def make_module(features: int) -> torch.nn.Module:
-    """The network, untrained.
-
-    Args:
-        features: how many numbers it gets per driver.
-
-    Returns:
-        A module from (m, features) to (m, MODES PER_MODE).
-    """
+    """The untrained network, from (m, features) to (m, MODES PER_MODE)."""
     import torch
 
     class Recurrent(torch.nn.Module):
@@ -88,13 +81,7 @@ def make_module(features: int) -> torch.nn.Module:
 
 
 class TrajectoryLstm:
-    """A trained network; features (n, F) in, (n, MODES PER_MODE) raw numbers out.
-
-    Args:
-        module: from `make_module`.
-        mean: (F,) of the training features.
-        scale: (F,) their standard deviations.
-    """
+    """A trained network; features (n, F) in, (n, MODES PER_MODE) raw numbers out."""
 
     def __init__(self, module: torch.nn.Module, mean: FloatArray, scale: FloatArray) -> None:
         self.module, self.mean, self.scale = module.eval(), mean, scale

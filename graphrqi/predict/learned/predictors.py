@@ -119,14 +119,7 @@ def graphrqi_predict(scene: Scene | Unmapped, posterior: Posterior) -> Predictio
 
 
 def with_weights(folder: Path) -> Callable[[Scene | Unmapped, Posterior], Prediction]:
-    """`graphrqi_predict` with weights for recordings that ``graphrqi train --predictor`` wrote.
-
-    Args:
-        folder: as given to the command as ``--out``.
-
-    Raises:
-        InputError: if there are no such weights.
-    """
+    """`graphrqi_predict` with weights for recordings that ``graphrqi train --predictor`` wrote."""
     network = trained_network(folder)
     return lambda scene, posterior: _where_trained(_corrected, scene, posterior, network)
 

@@ -71,12 +71,9 @@ class Futures:
 
 
 def decode(raw: NDArray[np.floating], anchors: FloatArray, spread_scale: float) -> Futures:
-    """A network's numbers as futures.
+    """Outputs (n, K PER_MODE) of a network as futures beside anchors (n, ANCHORS, KNOTS, 2), m.
 
-    Args:
-        raw: (n, K PER_MODE) outputs.
-        anchors: (n, ANCHORS, KNOTS, 2) anchor trajectories, m.
-        spread_scale: factor that makes the sets' coverage right, found on validation episodes.
+    ``spread_scale`` makes the sets' coverage right; it is found on validation episodes.
     """
     each = raw.astype(np.float64, copy=False).reshape(len(raw), MODES, PER_MODE)
     n, ends = len(raw), ANCHORS + 2 * KNOTS
@@ -104,11 +101,6 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
 
     Between knots positions lie on a cubic spline that starts at the present speed; after the last
     knot they go straight on. Pedestrians walk on at their present velocity.
-
-    Args:
-        history: tracks whose last column is the present.
-        futures: theirs.
-        steps: how many, `STEP_S` apart.
     """
     matrix, start = _spline(steps)
     n, modes, knots = futures.spread.shape

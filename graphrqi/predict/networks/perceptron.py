@@ -88,11 +88,7 @@ class Perceptron:
         )
 
     def check(self, path: Path, inputs: int, answers: int) -> None:
-        """Refuse a network of another size.
-
-        Raises:
-            InputError: if it has other numbers of inputs or answers, as older ones have.
-        """
+        """Refuse a network with other numbers of inputs or answers, as older ones have."""
         found = self.mean.size, self.biases[-1].size
         if found != (inputs, answers):
             raise InputError(
@@ -131,22 +127,14 @@ class FuturesNetwork:
 
 
 def load_futures_network(path: Path, read: Callable[[Arrays], Any]) -> FuturesNetwork:
-    """A network from a file, whose arrays ``read`` understands.
-
-    Raises:
-        InputError: if the file is missing, broken, of another network or of another version.
-    """
+    """A network from a file, whose arrays ``read`` understands."""
     about, arrays = load_predictor(path)
     with refused(path):
         return FuturesNetwork(read(arrays), about["spread_scale"])
 
 
 def load_predictor(path: Path) -> tuple[dict[str, Any], Arrays]:
-    """The JSON values and the arrays of a predictor's file.
-
-    Raises:
-        InputError: if the file is missing, broken, of another kind or of another version.
-    """
+    """The JSON values and the arrays of a predictor's file; `InputError` if it is no such file."""
     about, arrays = load_weights(path, KIND)
     with refused(path):
         if not 0.0 < about["spread_scale"] < math.inf:

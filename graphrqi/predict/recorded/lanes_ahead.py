@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.motion import Motion, fading
@@ -27,10 +28,6 @@ from sim.geometry import to_own_frame
 from sim.road import Road
 from sim.road.cells import Cells, cells_of, members
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LANE_REACH_M: Final = 5.0
 """Agents may be on lanes this near, m (maps and positions may be off by a metre or two, and the
@@ -181,16 +178,9 @@ def _lane_pieces(graph: LaneGraph) -> tuple[Cells, IntArray, FloatArray]:
 def lanes_ahead(
     history: Tracks, motion: Motion, road: Road, horizon_s: float = HORIZON_S
 ) -> LanesAhead:
-    """The paths that every agent may follow.
+    """The paths that every agent may follow; pedestrians have none.
 
-    Args:
-        history: tracks whose last column is the present, everyone seen there.
-        motion: theirs.
-        road: where.
-        horizon_s: how far ahead places along the paths are wanted, s.
-
-    Returns:
-        The paths; pedestrians have none.
+    Places along the paths are given for as far ahead as ``horizon_s``.
     """
     stretches = max(1, math.ceil(horizon_s / HORIZON_S - 1e-9))
     found = LanesAhead.none(history.ids.size, 1 + stretches * (POINTS - 1))

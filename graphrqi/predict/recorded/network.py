@@ -8,7 +8,7 @@ speed, noise and rate that it was trained on, the futures come down to the base.
 
 Where there is a map, a second perceptron looks at each path that an agent may follow
 (`graphrqi.predict.recorded.lanes_ahead`), and once at leaving them all. It gives each path a
-score and `PER_PATH` futures, which `graphrqi.predict.recorded.along_lanes` joins with the others.
+score and `PER_PATH` futures, which `graphrqi.predict.recorded.predictor` joins with the others.
 
 References:
     Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
@@ -24,6 +24,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import FloatArray
 from graphrqi.networks.weights import save_weights
 from graphrqi.predict.networks.futures import TIME_S, Futures
 from graphrqi.predict.networks.perceptron import (
@@ -37,8 +38,6 @@ from graphrqi.predict.networks.perceptron import (
 from graphrqi.predict.recorded.features import feature_count, scale_of
 from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
 from graphrqi.predict.recorded.motion import Motion
-
-FloatArray = NDArray[np.float64]
 
 MODES: Final = 6
 """Futures per agent: what Argoverse 2 scores."""
@@ -62,8 +61,7 @@ LIKELIEST: Final = 1.05
 """The first future is as likely as this many times the likeliest other one."""
 
 CLIP: Final = 3.0
-"""Standardised inputs are clipped here: larger ones mislead the network at places that it was not
-trained on."""
+"""Standardised inputs are clipped here, since larger ones mislead the network."""
 
 LEAST_SPREAD_M: Final = 0.05
 """Spreads are no smaller, m."""
@@ -82,8 +80,7 @@ MARGIN: Final = 0.15
 
 
 LEAST: Final = 1e-9
-"""The trained range reaches at least this far (training recordings without noise would let it end
-at 0)."""
+"""The trained range reaches at least this far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,17 +190,10 @@ def decode(
     raw: NDArray[np.floating], base: FloatArray, speed: FloatArray, trust: FloatArray,
     time_s: FloatArray,
 ) -> Futures:  # fmt: skip
-    """The network's numbers as futures in each agent's frame.
+    """The network's numbers (n, MODES, PER_MODE) as futures at times (H,), in each agent's frame.
 
-    Args:
-        raw: (n, MODES, PER_MODE).
-        base: (n, H, 2) the base, m.
-        speed: (n,) m/s.
-        trust: (n,) how much of each correction counts, 0 to 1.
-        time_s: (H,) s.
-
-    Returns:
-        The futures at these times, the first being the likeliest; spreads are not scaled yet.
+    They correct the base (n, H, 2) as far as trust (n,) allows, 0 to 1. The first is the likeliest.
+    Spreads are not scaled yet.
     """
     n = len(raw)
     size = scale_of(speed)[:, None, None, None] * trust[:, None, None, None]
@@ -228,11 +218,7 @@ def spreads(raw: NDArray[np.floating], speed: FloatArray, time_s: FloatArray) ->
 
 
 def load_network(path: Path) -> RecordedNetwork:
-    """Read a network.
-
-    Raises:
-        InputError: if the file is missing, broken or of another version.
-    """
+    """Read a network; `InputError` if the file is missing, broken or of another version."""
     about, arrays = load_predictor(path)
     with refused(path):
         free, lanes = Perceptron.read(arrays, most=CLIP), None
@@ -252,9 +238,5 @@ SHIPPED: Final = "recorded.safetensors"
 
 @functools.lru_cache(maxsize=4)
 def trained_network(folder: Path = WEIGHTS) -> RecordedNetwork:
-    """The network that ships, or that ``graphrqi train --predictor`` wrote into a folder.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The network that ships, or that ``graphrqi train --predictor`` wrote into a folder."""
     return load_network(folder / SHIPPED)

@@ -127,11 +127,7 @@ def expected_parameters(
 
 
 def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
-    """The parameters of each driver under each behaviour.
-
-    Returns:
-        (6, n, 5) car-following parameters. (6, n, 2) kinds of stop constraints ignored.
-    """
+    """(6, n, 5) parameters of each driver under each behaviour, and (6, n, 2) what it ignores."""
     each = (len(BEHAVIORS), scene.ids.size)
     runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
     return _personal(scene, table.behavior[:, None]), _ignored(runs, yields)

@@ -33,18 +33,10 @@ def roll(
     step_s: float = STEP_S,
     planned: int | None = None,
 ) -> Rollout:
-    """Simulate the scene's drivers along their paths, all together.
+    """Simulate the scene's drivers along their paths, all together, up to the horizon.
 
-    Args:
-        scene: the present.
-        drivers: how each drives.
-        decay_s: decay time of the residual acceleration, s.
-        steps: number of steps; up to the horizon if not given.
-        step_s: time between them, s.
-        planned: row of a vehicle without residual acceleration.
-
-    Returns:
-        The drivers' future.
+    The residual acceleration decays with ``decay_s``; the vehicle of row ``planned`` has none.
+    Other numbers of steps than up to the horizon, and other lengths, s, may be given.
     """
     present = _present(scene)
     if planned is not None:
@@ -66,18 +58,10 @@ def roll_each(
     decay_s: float,
     others: Rollout,
 ) -> Rollout:
-    """Simulate each driver alone among the others, in M variants.
+    """Simulate each driver alone among the others, whose future is assumed, in M variants.
 
-    Args:
-        scene: the present.
-        ways: M scenes with other paths, offsets and lateral speeds.
-        following: (M, n, 5) as in `DriverParameters`.
-        ignores: (M, n, 2) likewise.
-        decay_s: as to `roll`.
-        others: the assumed future of the others.
-
-    Returns:
-        The drivers' futures, (M, n, H).
+    The variants are M scenes with other paths, offsets and lateral speeds, and (M, n, ...)
+    parameters as in `DriverParameters`.
     """
     path, offset, lateral_speed = (
         np.stack([getattr(way, name) for way in ways])
@@ -92,12 +76,9 @@ def roll_each(
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
-    """(C, n) the car-following law's acceleration at present on each of C paths, m/s2.
+    """(C, n) the law's acceleration at present on each of C paths (C, n), m/s2.
 
-    Args:
-        scene: the present.
-        path: (C, n) paths; -1 minus a path where the result is to be 0.
-        drivers: how each drives.
+    It is 0 where -1 minus a path is given.
     """
     return simulate(
         _present(scene), path, _lateral(scene.offset, scene.lateral_speed)[None],
@@ -143,12 +124,8 @@ def in_own_frame(
 ) -> FloatArray:
     """(..., n, J, 2) places on lanes in the drivers' frames, ahead and to the left, m.
 
-    Args:
-        scene: the present.
-        lane: (..., n, J) lanes.
-        s: (..., n, J) distances along, m.
-        offset: (..., n, J) distances to the left, m.
-        time_s: (J,) when, s; agents without a path go straight on.
+    Lanes, distances along them and to their left, m, are (..., n, J). Agents without a path go
+    straight on, to where they are at times (J,), s.
     """
     xy = np.moveaxis(on_lanes(scene, lane, s, offset), -3, 0)
     own = np.moveaxis(to_own_frame(xy, scene.xy, scene.heading), 0, -3)
@@ -167,15 +144,10 @@ def steady(scene: Scene) -> Rollout:
 
 
 def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
-    """Every driver on its way to the lane beside, where there is one.
+    """Every driver on its way to the lane on the left (1) or right (-1), where there is one.
 
-    Args:
-        scene: the present.
-        side: 1: to the left, -1: to the right.
-        other_ways: whether a lane with another destination than the path counts.
-
-    Returns:
-        The scene, and (n,) whether a driver has such a lane; the others stay.
+    Without ``other_ways``, lanes with another destination than the path do not count. (n,) says who
+    has such a lane; the others stay.
     """
     paths = scene.paths
     number, sign = (0, 1.0) if side > 0 else (1, -1.0)

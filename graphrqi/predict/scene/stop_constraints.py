@@ -58,21 +58,10 @@ def stop_states(
     history: Tracks, road: Road, paths: PathTable, lane: IntArray, s: FloatArray, path: IntArray,
     steps: int,
 ) -> StateArray:  # fmt: skip
-    """The state of every stop constraint now and at each coming step.
+    """(R, steps + 1) states of signals, crossings and yielding places, now and at each step.
 
+    Lanes (n,), distances along them, m, and paths are the agents'; a lane is -1 off the road.
     Signals that no driver can reach stay as they are now.
-
-    Args:
-        history: tracks whose last column is the present.
-        road: where it happens.
-        paths: its paths.
-        lane: (n,) lane of each agent, -1 off the road.
-        s: (n,) distance along it, m.
-        path: (n,) path that each takes.
-        steps: how many steps of `STEP_S` are foreseen.
-
-    Returns:
-        (R, steps + 1) states of signals, of crossings and of yielding places, in this order.
     """
     graph = LaneGraph.of(road)
     groups, crossed = paths.kinds.tolist()

@@ -86,16 +86,9 @@ def without_behavior(samples: Sequence[Sample], table: DriverTable) -> float:
 def calibrate(
     samples: Sequence[Sample], iterations: int = 80, seed: int = 0, start: DriverTable | None = None
 ) -> DriverTable:
-    """Search the numbers of every behaviour and of the average driver.
+    """Search the numbers of every behaviour and of the average driver, on training episodes only.
 
-    Args:
-        samples: of training episodes only.
-        iterations: perturbations tried.
-        seed: of the perturbations.
-        start: where to begin; the profiles' own numbers by default.
-
-    Returns:
-        The best numbers found.
+    The search begins at ``start``, the profiles' own numbers by default.
     """
     rng = np.random.default_rng(seed)
     origin = initial_table()

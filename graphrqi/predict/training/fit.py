@@ -145,15 +145,8 @@ def train_perceptron(
 ) -> FuturesNetwork:
     """Train the network of `graphrqi.predict.networks.perceptron`.
 
-    Args:
-        training: examples of training episodes, or a function that draws them for each epoch.
-        validation: examples of other episodes, to choose the epoch and to scale the spreads.
-        epochs: passes over the training examples.
-        seed: of weights and order.
-        on_epoch: called with each epoch and its validation ADE, m.
-
-    Returns:
-        The trained network.
+    Examples may be drawn anew for each epoch. Those of validation episodes choose the epoch and
+    scale the spreads. ``on_epoch`` is called with each epoch and its validation ADE, m.
     """
     import torch
 
@@ -235,9 +228,7 @@ def _scaled(network: Perceptron | TrajectoryLstm, validation: Examples) -> Futur
 def silu_module(sizes: Sequence[int], dropout: float = 0.0) -> torch.nn.Sequential:
     """Fully connected layers of these widths with SiLU between them; the last one starts near 0.
 
-    Args:
-        sizes: widths of the inputs, the hidden layers, and the outputs.
-        dropout: share of each hidden layer's answers that are left out while it is trained.
+    ``dropout`` is the share of each hidden layer's answers that are left out while it is trained.
     """
     import torch
 
@@ -264,13 +255,9 @@ def layers_of(module: torch.nn.Sequential) -> tuple[Layers, Layers]:
 def spread_factor(
     own: FloatArray, spread: FloatArray, probability: FloatArray, ended: FloatArray
 ) -> float:
-    """Factor for the spreads with which nominal 90 % sets cover 90 %.
+    """Factor for the spreads (m, MODES) with which nominal 90 % sets cover 90 %.
 
-    Args:
-        own: (m, MODES, 2) futures at one time, m.
-        spread: (m, MODES) their spreads, m.
-        probability: (m, MODES) their probabilities.
-        ended: (m, 2) where everyone was, m.
+    The futures (m, MODES, 2) are those at one time, ``ended`` (m, 2) is where everyone was, m.
     """
     low, high = 0.1, 10.0
     for _ in range(20):

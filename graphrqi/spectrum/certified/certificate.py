@@ -31,8 +31,12 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
         one, a count just before it will do. The answer stays uncertified if a rounding error in the
         count could matter.
     """
-    from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
-    from graphrqi.spectrum.certified.prepared import prepare
+    from graphrqi.spectrum.certified.factorization import (
+        Counts,
+        Factor,
+        factor_and_solve,
+        prepare,
+    )
 
     graph = spectrum.graph
     values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
@@ -49,7 +53,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     last = values.min() if spectrum.end == "largest" else values.max()
     delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
     steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
-    counts = new_counts()
+    counts = Counts(*np.empty((3, 1, 8)))
     counts.shift[0] = last + away * steps
     factor = Factor(np.empty((matrix.entries.size, 8)), np.empty((d, 8)), np.empty((d, 8)))
     factor_and_solve(matrix, counts, 1e-15 * scale, 0, factor, np.zeros((d, 8)))
