@@ -67,12 +67,9 @@ class Stretch:
 
     @classmethod
     def of(cls, time_s: FloatArray, place: FloatArray, leader: FloatArray) -> Stretch:
-        """Resample and smooth what was measured.
+        """Resample and smooth positions of a front bumper and of the leader's rear bumper, m.
 
-        Args:
-            time_s: (n,) increasing, s.
-            place: (n,) measured position of the front bumper, m.
-            leader: (n,) the leader's rear bumper, m; +inf without one.
+        The leader's are +inf without one. Times increase, s.
 
         Examples:
             >>> t = np.arange(0.0, 10.0, 0.2)

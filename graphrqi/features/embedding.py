@@ -15,7 +15,6 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Final
 
 import numpy as np
@@ -121,4 +120,4 @@ class EmbeddingObserver(Observer):
         rows = np.zeros((present.ids.size, NUM_DIMENSIONS))
         into, source = align(self._ids, present.ids)
         rows[into] = self._embedding[source]
-        return dataclasses.replace(present, instant=rows)
+        return present._replace(instant=rows)

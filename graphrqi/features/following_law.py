@@ -85,12 +85,6 @@ def infer(sums: FloatArray) -> FloatArray:
     A second of following counts as one observation, since successive frames are nearly equal.
     ``sums`` (n, COLUMNS) are the products, each times its duration in seconds. Without evidence the
     prior is left.
-
-    Examples:
-        >>> v = np.linspace(5.0, 15.0, 50)
-        >>> sums = products(v, v, 2.0 + 1.2 * v).sum(axis=0)
-        >>> infer(sums[None])[0, :2].round(1)
-        array([2. , 1.2])
     """
     weight, prior = GAP_NOISE_M**-2, PRIOR_SD**-2
     a, b, c, d, e, f = weight * sums[:, :6].T + np.diag(prior)[np.triu_indices(3)][:, None]

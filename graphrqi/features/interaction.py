@@ -118,11 +118,6 @@ def differences(
 
     Only vertices that drive count as neighbours. It is NaN where the signal is, and without
     neighbours.
-
-    Examples:
-        >>> path = TrafficGraph.from_edges([1, 2, 3], [(1, 2), (2, 3)])
-        >>> differences(path, np.array([1.0, 2.0, 6.0]), np.ones(3, bool), scales=1).ravel()
-        array([-1. , -1.5,  4. ])
     """
     counts = drives & ~np.isnan(signal)
     level = np.where(counts, signal, 0.0)
@@ -139,7 +134,7 @@ def differences(
 
 
 def neighbor_speed(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> FloatArray:
-    """(n,) mean speed of the neighbours that drive the same way, m/s; NaN without one."""
+    """(n,) mean speed of neighbours that drive the same way, m/s; NaN without one."""
     row, other = graph.pairs
     same_way = drives[other] & (along(motion.direction[row], motion.direction[other]) > SAME_WAY)
     row, other = row[same_way], other[same_way]

@@ -11,7 +11,6 @@ Eigenvalues are scaled by the largest one, so that neither number nor order of t
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Final
 
@@ -58,10 +57,6 @@ def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
     """How many leading pairs of descending eigenvalues form whole eigenspaces.
 
     The last eigenspace is left out where pairs of it may be missing.
-
-    Examples:
-        >>> whole_eigenspaces(np.array([5.0, 3.0, 3.0]), complete=False)
-        1
     """
     if complete or eigenvalues.size == 0:
         return int(eigenvalues.size)
@@ -157,7 +152,7 @@ class EigenvectorObserver(Observer):
         vectors = np.zeros((rows.size, NUM_PAIRS))  # stay zero where there are fewer pairs
         known = spectrum.eigenvectors[rows, :NUM_PAIRS]
         vectors[:, : known.shape[1]] = known
-        return dataclasses.replace(present, instant=vectors)
+        return present._replace(instant=vectors)
 
 
 class SpectrumObserver(Observer):

@@ -19,10 +19,9 @@ from torch import Tensor, nn
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.arrays import CodeArray, FloatArray, IntArray
-from graphrqi.classify.standardisation import Standardisation
+from graphrqi.classify.contract import Standardisation
 from graphrqi.features.drivers import SCENE_NAMES
 from graphrqi.networks.portable_torch import Descent, one_thread, root
-from graphrqi.places.drivers import weights_of
 from graphrqi.places.network import (
     CLIP,
     LAYERS,
@@ -30,6 +29,7 @@ from graphrqi.places.network import (
     LOG_DRIVERS,
     Member,
     PlaceNetwork,
+    weights_of,
 )
 from graphrqi.places.other_traffic import OtherTraffic, scene_of
 from graphrqi.posterior import AGGRESSIVE
@@ -171,9 +171,7 @@ class _Network(nn.Module):
 
 
 def train_place_network(
-    training: Samples,
-    seed: int = 0,
-    options: NetworkOptions | None = None,
+    training: Samples, seed: int = 0, options: NetworkOptions | None = None
 ) -> PlaceNetwork:
     """Train a network on samples at several moments of each driver.
 

@@ -12,8 +12,7 @@ from typing import Final
 
 from behaviors.registry import Registry
 from graphrqi.spectrum.certified.certificate import certify
-from graphrqi.spectrum.contract import Solver
-from graphrqi.spectrum.spectrum import Spectrum
+from graphrqi.spectrum.contract import Solver, Spectrum
 
 SOLVERS: Final[Registry[Solver]] = Registry(
     "solver",

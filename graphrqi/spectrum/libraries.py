@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.spectrum import Floats
+from graphrqi.spectrum.contract import Floats, Pairs, Problem, eigensolver
 
 SHIFT = 1e-3
 """ARPACK's shift below the spectrum at the smallest end, relative to max(1, the largest degree)

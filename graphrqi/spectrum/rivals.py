@@ -19,9 +19,18 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.spectrum import Floats, Spectrum
-from graphrqi.spectrum.subspaces import all_pairs, carry_rows, null_space, pick, rayleigh_ritz
+from graphrqi.spectrum.contract import (
+    Floats,
+    Pairs,
+    Problem,
+    Spectrum,
+    all_pairs,
+    carry_rows,
+    eigensolver,
+    null_space,
+    pick,
+    rayleigh_ritz,
+)
 
 RQI_PRINTED, CHANGE = 5, 1e-8
 """As printed: Rayleigh-quotient iterations per pair and update, and the eps at which they end, the

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphrqi.predict.networks.futures import TIME_S, Futures
-from graphrqi.predict.networks.perceptron import Perceptron
+from graphrqi.predict.networks import MODES, TIME_S, Futures, Perceptron
 from graphrqi.predict.recorded.features import feature_count
 from graphrqi.predict.recorded.lanes_ahead import (
     MOST,
@@ -18,7 +17,6 @@ from graphrqi.predict.recorded.lanes_ahead import (
 )
 from graphrqi.predict.recorded.motion import Motion
 from graphrqi.predict.recorded.network import (
-    MODES,
     PATH_OUTPUTS,
     PER_MODE,
     PER_PATH,

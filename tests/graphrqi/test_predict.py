@@ -328,7 +328,7 @@ def test_driver_numbers_survive_their_file(tmp_path):
 
 def test_broken_driver_files_are_refused(tmp_path):
     save_weights(tmp_path / "drivers.safetensors", "drivers", {}, {})
-    with pytest.raises(InputError, match="expected calibrated drivers"):
+    with pytest.raises(InputError, match="expected weights of the kind 'drivers'"):
         load_table(tmp_path / "drivers.safetensors")
 
 

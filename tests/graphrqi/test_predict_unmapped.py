@@ -12,7 +12,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, predict
-from graphrqi.predict.networks.perceptron import Perceptron
+from graphrqi.predict.networks import MODES, Perceptron
 from graphrqi.predict.recorded.features import (
     QUEUE,
     feature_count,
@@ -23,7 +23,6 @@ from graphrqi.predict.recorded.features import (
 )
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
-    MODES,
     PER_MODE,
     RecordedNetwork,
     TrainedRange,

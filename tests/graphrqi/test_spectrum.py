@@ -20,9 +20,8 @@ from experiments.benchmarks.spectrum import (
 )
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum, certify
+from graphrqi.spectrum.contract import End, null_space
 from graphrqi.spectrum.rivals import _shifted_solves
-from graphrqi.spectrum.spectrum import End
-from graphrqi.spectrum.subspaces import null_space
 from tests.graphrqi.hostile_graphs import hostile_graphs
 
 RIGHT = ("graphrqi", "graphrqi-exact", "eigh", "svd")

@@ -14,22 +14,17 @@ import numpy as np
 
 from graphrqi.arrays import FloatArray
 from graphrqi.predict.extrapolation import inertial_distance
-from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
+from graphrqi.predict.networks import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout.car_following import Rollout
 from graphrqi.predict.rollout.driver_table import (
+    DriverParameters,
     DriverTable,
     expected_parameters,
     parameters_of_each,
 )
 from graphrqi.predict.rollout.following import agreement, candidates, path_probability
-from graphrqi.predict.rollout.rollout import (
-    in_own_frame,
-    on_lane_beside,
-    roll,
-    roll_each,
-    steady,
-)
+from graphrqi.predict.rollout.rollout import in_own_frame, on_lane_beside, roll, roll_each, steady
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
@@ -172,15 +167,13 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
         driven = roll(second, drivers, table.decay_s, KNOTS, KNOT_S)
         anchors[open_to, 1] = _at_knots(second, driven)[open_to]
     beside = on_lane_beside(first, 1), on_lane_beside(first, -1)
-    following, ignores = parameters_of_each(scene, table)
-    each = roll_each(
-        first,
-        [moving for moving, _ in beside] + [first] * len(following),
-        np.concatenate([drivers.following[None], drivers.following[None], following]),
-        np.concatenate([drivers.ignores[None], drivers.ignores[None], ignores]),
-        table.decay_s,
-        main,
+    by_behavior = parameters_of_each(scene, table)
+    variants = DriverParameters(
+        np.concatenate([drivers.following[None], drivers.following[None], by_behavior.following]),
+        np.concatenate([drivers.ignores[None], drivers.ignores[None], by_behavior.ignores]),
     )
+    ways = [moving for moving, _ in beside] + [first] * len(by_behavior.following)
+    each = roll_each(first, ways, variants, table.decay_s, main)
     seen = in_own_frame(first, each.lane[:2], each.s[:2], each.offset[:2], TIME_S)
     for way, (_, there) in enumerate(beside):
         anchors[:, 2 + way] = np.where(there[:, None, None], seen[way], anchors[:, 0])
@@ -195,7 +188,7 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
             likeliest[:, None],
             second_likely[:, None],
             probability,
-            ahead.transpose(1, 0, 2).reshape(row.size, 2 * len(following)),
+            ahead.transpose(1, 0, 2).reshape(row.size, 2 * len(by_behavior.following)),
             agreement(scene, probability, each.asked[2:], table),
         ],
         axis=1,

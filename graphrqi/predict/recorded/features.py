@@ -32,6 +32,14 @@ STANDING_MPS: Final = 0.5
 """Vehicles slower than this stand."""
 
 
+def _relative(xy: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, 2) unit vectors, (n, n) distances ahead of each agent to the others, and to its left."""
+    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    apart = xy[None] - xy[:, None]
+    along = (apart * facing[:, None]).sum(axis=-1)
+    return facing, along, facing[:, None, 0] * apart[..., 1] - facing[:, None, 1] * apart[..., 0]
+
+
 def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, FloatArray]:
     """(n,) row of each vehicle's leader, -1 for none, and (n,) gap, m, without a map.
 
@@ -39,11 +47,8 @@ def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, Float
     """
     n = history.ids.size
     drives = (history.kind != PEDESTRIAN) & history.valid[:, column]
-    xy, heading = history.xy[:, column], history.heading[:, column]
-    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    apart = xy[None] - xy[:, None]
-    along = (apart * facing[:, None]).sum(axis=2)
-    across = facing[:, None, 0] * apart[..., 1] - facing[:, None, 1] * apart[..., 0]
+    heading = history.heading[:, column]
+    _, along, across = _relative(history.xy[:, column], heading)
     same = np.cos(heading[None] - heading[:, None]) > 0.85
     ahead = (along > 0) & (along < AHEAD_M) & (np.abs(across) < HALF_LANE_M) & same
     ahead &= drives[:, None] & drives[None]
@@ -186,10 +191,7 @@ def neighbour_slots(history: Tracks, motion: Motion) -> tuple[IntArray, FloatArr
     rows, gaps = np.full((n, 6), -1), np.full((n, 6), np.inf)
     if n < 2:
         return rows, gaps
-    facing = np.stack([np.cos(motion.heading), np.sin(motion.heading)], axis=1)
-    apart = motion.xy[None] - motion.xy[:, None]
-    along = (apart * facing[:, None]).sum(axis=-1)
-    left = facing[:, None, 0] * apart[..., 1] - facing[:, None, 1] * apart[..., 0]
+    facing, along, left = _relative(motion.xy, motion.heading)
     bend = motion.yaw_rate / np.maximum(motion.speed, 2.0)
     ahead_only = np.clip(along, -30.0, 30.0)
     left = left - bend[:, None] * ahead_only**2 / 2.0

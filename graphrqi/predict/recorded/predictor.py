@@ -19,15 +19,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.predict.networks.futures import Futures
-from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.arrays import BoolArray, FloatArray, IntArray, softmax
+from graphrqi.predict.networks import MODES, Futures
+from graphrqi.predict.prediction import STEP_S, Prediction, coming_times
 from graphrqi.predict.recorded.features import features_of, plausible, scale_of
 from graphrqi.predict.recorded.lanes_ahead import MOST, LanesAhead, along_way, lanes_ahead
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
     LIKELIEST,
-    MODES,
     PER_MODE,
     PER_PATH,
     POWERS,
@@ -89,11 +88,12 @@ def join_lanes(
     all_spread = _with(
         spread[:, :, 1:], free.spread[rows, 1:], spread[:, :, 0], free.spread[rows, :1]
     )
-    likely = _shares(np.exp(each[:, :, 1:, -1] - each[:, :, 1:, -1].max(axis=2, keepdims=True)))
+    likely = softmax(each[:, :, 1:, -1])
+    other = free.probability[rows, 1:]
     weight = (
         _with(
             chance[:, :-1, None] * likely,
-            chance[:, -1:] * _shares(free.probability[rows, 1:]),
+            chance[:, -1:] * (other / other.sum(axis=1, keepdims=True)),
             chance,
         )
         / 2.0
@@ -121,19 +121,11 @@ def _with(*parts: FloatArray) -> FloatArray:
     return np.concatenate(flat, axis=1)
 
 
-def _shares(values: FloatArray) -> FloatArray:
-    """Values over their sum along the last axis."""
-    return np.asarray(values / values.sum(axis=-1, keepdims=True))
-
-
 def _chances(score: FloatArray, exists: BoolArray, trust: FloatArray) -> FloatArray:
     """(n, MOST + 1) weight of each path, and of the futures without a map."""
     there = np.concatenate([exists, np.ones_like(exists[:, :1])], axis=1)
-    score = np.where(there, score, -np.inf)
-    chance = np.exp(score - score.max(axis=1, keepdims=True))
-    chance /= chance.sum(axis=1, keepdims=True)
     sure = (1.0 - LEAST_WITHOUT) * trust
-    chance *= sure[:, None]
+    chance = softmax(np.where(there, score, -np.inf)) * sure[:, None]
     chance[:, -1] += 1.0 - sure
     chance[:, -1] = np.where(chance[:, :-1].any(axis=1), chance[:, -1], 1.0)
     return np.asarray(chance)
@@ -241,7 +233,7 @@ def predict_recorded(
     All agents are seen in the last column. Without a given network, the one that ships answers.
     """
     network = network or trained_network()
-    time_s = np.arange(1, steps + 1, dtype=np.float64) * STEP_S
+    time_s = coming_times(steps)
     motion = Motion.of(history)
     base = fading(motion, time_s)
     features = features_of(history, motion, plausible(history))

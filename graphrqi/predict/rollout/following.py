@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.labels import BEHAVIORS
-from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.arrays import BoolArray, FloatArray, IntArray, softmax
 from graphrqi.posterior import Posterior
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.rollout.driver_table import (
@@ -59,9 +59,7 @@ def path_probability(scene: Scene, drivers: DriverParameters) -> tuple[IntArray,
         ways = np.ascontiguousarray(np.where(real, choice, -1 - choice).T)
         miss = 0.5 * ((scene.accel - asked_on(scene, ways, drivers)) / ACCELERATION_SD) ** 2
         weight -= np.minimum(miss, LARGEST_EVIDENCE).T
-    weight -= weight.max(axis=1, keepdims=True)
-    likely = np.exp(weight)
-    return choice, np.asarray(likely / likely.sum(axis=1, keepdims=True))
+    return choice, softmax(weight)
 
 
 def on_likely_paths(scene: Scene, drivers: DriverParameters) -> Scene:
@@ -118,28 +116,23 @@ def agreement(
     return np.stack([own, mean, np.clip(rest / SUM_SCALE, -SUM_SCALE, SUM_SCALE)], axis=1)
 
 
-def blind(scene: Scene, posterior: Posterior) -> Prediction:
+def blind(
+    scene: Scene, posterior: Posterior | None = None, table: DriverTable | None = None
+) -> Prediction:
     """Every driver has the average driver's parameters."""
-    return blind_with(scene, load_table())
+    table = table or load_table()
+    return _driven(scene, average_parameters(scene, table), table.average_decay_s)
 
 
-def aware(scene: Scene, posterior: Posterior) -> Prediction:
+def aware(scene: Scene, posterior: Posterior, table: DriverTable | None = None) -> Prediction:
     """Every driver has the parameters expected under the beliefs about its behaviour.
 
     The parameters are the posterior's expectation over the behaviours' calibrated ones. Drivers
     without beliefs get the mean of all behaviours.
     """
-    return aware_with(scene, posterior.discounted(scene.ids), load_table())
-
-
-def blind_with(scene: Scene, table: DriverTable) -> Prediction:
-    """`blind` with the given numbers."""
-    return _driven(scene, average_parameters(scene, table), table.average_decay_s)
-
-
-def aware_with(scene: Scene, probability: FloatArray, table: DriverTable) -> Prediction:
-    """`aware` with the given numbers and (n, 6) beliefs."""
-    return _driven(scene, expected_parameters(scene, probability, table), table.decay_s)
+    table = table or load_table()
+    believed = expected_parameters(scene, posterior.discounted(scene.ids), table)
+    return _driven(scene, believed, table.decay_s)
 
 
 def _driven(scene: Scene, drivers: DriverParameters, decay_s: float) -> Prediction:

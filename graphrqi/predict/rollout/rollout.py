@@ -35,44 +35,27 @@ def roll(
 ) -> Rollout:
     """Simulate the scene's drivers along their paths, all together, up to the horizon.
 
-    The residual acceleration decays with ``decay_s``; the vehicle of row ``planned`` has none.
-    Other numbers of steps than up to the horizon, and other lengths, s, may be given.
+    The residual acceleration decays with ``decay_s``; the vehicle of row ``planned`` has none. The
+    number of steps may be another one, and their length, s.
     """
-    present = _present(scene)
+    accel = scene.accel.copy()
     if planned is not None:
-        present.accel[planned] = UNKNOWN_ACCELERATION
+        accel[planned] = UNKNOWN_ACCELERATION
     count = steps or round(scene.steps * STEP_S / step_s)
-    found = simulate(
-        present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
-        _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
-    )  # fmt: skip
-    return found.of(0)
+    started = scene.replaced(accel=accel)
+    return _rolled(started, scene.path[None], [scene], drivers, decay_s, count, step_s).of(0)
 
 
 def roll_each(
-    scene: Scene,
-    ways: Sequence[Scene],
-    following: FloatArray,
-    ignores: BoolArray,
-    decay_s: float,
-    others: Rollout,
+    scene: Scene, ways: Sequence[Scene], drivers: DriverParameters, decay_s: float, others: Rollout
 ) -> Rollout:
     """Simulate each driver alone among the others, whose future is assumed, in M variants.
 
-    The variants are M scenes with other paths, offsets and lateral speeds, and (M, n, ...)
-    parameters as in `DriverParameters`.
+    The variants are M scenes with other paths, offsets and lateral speeds, and parameters of
+    (M, n) drivers.
     """
-    path, offset, lateral_speed = (
-        np.stack([getattr(way, name) for way in ways])
-        for name in ("path", "offset", "lateral_speed")
-    )
-    count, step_s = others.s.shape[1], others.step_s
-    return simulate(
-        _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
-        scene.stop_state, scene.paths.columns, Others(others.lane, others.s, others.speed),
-        (count, step_s, step_s / STEP_S, decay_s),
-    )  # fmt: skip
+    path, known = np.stack([way.path for way in ways]), Others(others.lane, others.s, others.speed)
+    return _rolled(scene, path, ways, drivers, decay_s, others.s.shape[1], others.step_s, known)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
@@ -80,27 +63,26 @@ def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatAr
 
     It is 0 where -1 minus a path is given.
     """
+    return _rolled(scene, path, [scene], drivers, 0.0, 1, STEP_S).asked
+
+
+def _rolled(
+    scene: Scene, path: IntArray, ways: Sequence[Scene], drivers: DriverParameters,
+    decay_s: float, count: int, step_s: float, others: Others = _MOVE_TOGETHER,
+) -> Rollout:  # fmt: skip
+    """Simulate; see `graphrqi.predict.rollout.car_following.simulate`."""
+    present = Present(
+        scene.s, np.maximum(scene.speed, 0.0), scene.accel, scene.history.length / 2, scene.on_path
+    )
+    offset = np.stack([way.offset for way in ways])
+    back = np.stack([np.maximum(np.abs(way.lateral_speed), RETURN_MPS) for way in ways])
+    following, ignores = drivers.following, drivers.ignores
+    if following.ndim == 2:
+        following, ignores = following[None], ignores[None]
     return simulate(
-        _present(scene), path, _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, _MOVE_TOGETHER, (1, STEP_S, 1.0, 0.0),
-    ).asked  # fmt: skip
-
-
-def _present(scene: Scene) -> Present:
-    """What a rollout starts from."""
-    return Present(
-        scene.s, np.maximum(scene.speed, 0.0), scene.accel.copy(), scene.history.length / 2,
-        scene.on_path,
+        present, path, np.stack([offset, back], axis=-1), following, ignores, scene.stop_state,
+        scene.paths.columns, others, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-
-
-def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
-    """(..., 2) distance to the left, m, and lateral speed at which drivers return to it, m/s."""
-    out = np.empty((*offset.shape, 2))
-    out[..., 0] = offset
-    np.maximum(np.abs(lateral_speed), RETURN_MPS, out=out[..., 1])
-    return out
 
 
 def positions(scene: Scene, rollout: Rollout) -> FloatArray:
@@ -108,8 +90,9 @@ def positions(scene: Scene, rollout: Rollout) -> FloatArray:
     on = scene.on_path
     out = on_lanes(scene, rollout.lane, rollout.s, rollout.offset)
     if not on.all():
-        time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
-        out[~on] = scene.straight_on(~on, time_s)
+        gone = scene.speed[~on, None] * (np.arange(1, out.shape[1] + 1) * rollout.step_s)
+        facing = np.stack([np.cos(scene.heading[~on]), np.sin(scene.heading[~on])], axis=1)
+        out[~on] = scene.xy[~on, None] + gone[..., None] * facing[:, None]
     return out
 
 
@@ -140,7 +123,10 @@ def steady(scene: Scene) -> Rollout:
     lane, s = scene.paths.along(scene.path, scene.s[:, None] + travelled)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
     asked = np.zeros(scene.ids.size)
-    return Rollout(lane, s, scene.offsets(), speed, travelled, asked, STEP_S)
+    back = np.maximum(np.abs(scene.lateral_speed), RETURN_MPS)[:, None] * scene.time_s[None]
+    offset = np.maximum(np.abs(scene.offset)[:, None] - back, 0.0)
+    offset *= np.sign(scene.offset)[:, None]
+    return Rollout(lane, s, offset, speed, travelled, asked, STEP_S)
 
 
 def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:

@@ -88,31 +88,21 @@ def priority_of(road: Road, graph: LaneGraph) -> Priority:
 
 def _movements(road: Road) -> _Movements:
     index = road.lane_index
-    ways: dict[int, tuple[int, int, int, bool]] = {}
-    entries: set[int] = set()
+    ways: dict[int, tuple[int, int, int, int, bool]] = {}
+    entries: list[int] = []
     for connection in road.connections:
         via = [index[v] for v in connection.via if v in index]
         if not via or connection.from_lane not in index or connection.to_lane not in index:
             continue
-        entries.add(via[0])
+        entries.append(via[0])
         signalled = connection.signal >= 0
         yields = connection.direction != "straight" if signalled else connection.must_yield
-        for lane in via:
-            ways[lane] = (
-                index[connection.from_lane],
-                index[connection.to_lane],
-                DIRECTIONS.index(connection.direction),
-                yields,
-            )
-    table = np.array(list(ways.values()), dtype=np.int64).reshape(-1, 4)
-    return _Movements(
-        lane=np.array(list(ways), dtype=np.int64),
-        origin=table[:, 0],
-        target=table[:, 1],
-        direction=table[:, 2],
-        yields=table[:, 3].astype(np.bool_),
-        entry=np.array([lane in entries for lane in ways], dtype=np.bool_),
-    )
+        way = index[connection.from_lane], index[connection.to_lane]
+        direction = DIRECTIONS.index(connection.direction)
+        ways |= {lane: (lane, *way, direction, yields) for lane in via}
+    table = np.array(list(ways.values()), dtype=np.int64).reshape(-1, 5).T
+    yields, entry = table[4].astype(np.bool_), np.isin(table[0], entries)
+    return _Movements(table[0], table[1], table[2], table[3], yields, entry)
 
 
 def _may_conflict(road: Road, moves: _Movements, places: IntArray) -> tuple[IntArray, IntArray]:
@@ -183,14 +173,9 @@ class PathTable:
 
     Rows are paths, in the order in which they were needed; those of one lane follow each other.
     Lanes and stop constraints are padded at the end. A row never changes once it is there; arrays
-    are replaced by larger ones.
-
-    Args:
-        road: whose paths they are.
-        reach_m: how far they continue beyond their first lane, m.
+    are replaced by larger ones. Paths continue ``reach_m`` beyond their first lane.
 
     Attributes:
-        road: as given.
         lane: (Q, P) lanes in order, -1 after the end.
         start: (Q, P) distance from the start of the first lane at which each begins, m; +inf after.
         limit: (Q, P) speed limit, m/s.
@@ -202,10 +187,8 @@ class PathTable:
         first: (L,) first path of each lane.
         options: (L,) how many paths each lane has; 0 where they have not been needed yet.
         groups: number of signal groups.
-        kinds: (2,) number of signal groups, and of these and the places where lanes and crossings
-            meet: where each kind of stop constraint ends among the rows.
-        priority: the yielding places; drivers slow down at those where a junction is entered until
-            they can see.
+        kinds: (2,) where signal groups, and where crossings, end among the rows of ``stop_state``.
+        priority: the yielding places; drivers slow down where a junction is entered.
         beside: (2, L) lanes to the left and to the right of each, -1: none.
         lane_spacing: (2, L) distance between the two centre lines, m.
         by_turn: (L, D) likeliest path from each lane that turns each way, -1: none.

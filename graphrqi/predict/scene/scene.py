@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.prediction import STEP_S, Prediction, coming_times
 from graphrqi.predict.scene.paths import PathTable, limits
 from graphrqi.predict.scene.stop_constraints import stop_states
 from sim.frames import KINDS, MAX_MAGNITUDE, PEDESTRIAN, SIGNALS, Tracks
@@ -207,26 +207,11 @@ RETURN_MPS: Final = 0.5
 """Least lateral speed at which a driver returns to its lane's centre."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Unmapped:
-    """One instant without a map.
-
-    Attributes:
-        history: past tracks; the last column is the present.
-        steps: how many steps of `STEP_S` are predicted.
-        road: None.
-    """
+class Unmapped(NamedTuple):
+    """One instant without a map: tracks that end at present, and how many steps are predicted."""
 
     history: Tracks
     steps: int
-    road: None = None
-
-    @classmethod
-    def of(cls, history: Tracks, horizon_s: float) -> Unmapped:
-        """The end of a history, with the agents seen there; refuses one without any frame."""
-        if history.time_s.size == 0:
-            raise InputError("history: found no frame, expected at least 1")
-        return cls(_present_agents(history), round(horizon_s / STEP_S))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -296,20 +281,7 @@ class Scene:
     @cached_property
     def time_s(self) -> FloatArray:
         """(H,) seconds from the present of each predicted place."""
-        return np.arange(1, self.steps + 1, dtype=np.float64) * STEP_S
-
-    def offsets(self) -> FloatArray:
-        """(n, H) distance to the left of the lane: drivers move to its centre and stay, m."""
-        speed = np.maximum(np.abs(self.lateral_speed), RETURN_MPS)
-        left = np.maximum(np.abs(self.offset)[:, None] - speed[:, None] * self.time_s[None], 0.0)
-        return np.asarray(np.sign(self.offset)[:, None] * left)
-
-    def straight_on(self, who: BoolArray, time_s: FloatArray) -> FloatArray:
-        """(m, H, 2) some agents at constant velocity at times (H,), m."""
-        heading = self.heading[who]
-        facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        distance = self.speed[who, None] * time_s
-        return np.asarray(self.xy[who, None] + distance[..., None] * facing[:, None])
+        return coming_times(self.steps)
 
     def predicted(self, xy: FloatArray) -> Prediction:
         """A `Prediction` of these agents; ``xy`` (n, H, 2) for one future or (n, K, H, 2)."""
@@ -372,37 +344,34 @@ def since_break(history: Tracks) -> Tracks:
     return history.part(np.arange(history.ids.size), since)
 
 
-def _present_agents(history: Tracks) -> Tracks:
-    """The tracks of the agents that are seen in the last column."""
+def present_agents(history: Tracks) -> Tracks:
+    """The tracks of the agents that are seen in the last column; refuses a history without any."""
+    if history.time_s.size == 0:
+        raise InputError("history: found no frame, expected at least 1")
     if history.valid[:, -1].all():
         return history
     return history.window(history.time_s.size, history.time_s.size)
 
 
 def make_scene(history: Tracks, road: Road, horizon_s: float = 5.0) -> Scene:
-    """The scene at the end of a history.
+    """The scene at the end of a history, of the agents present now.
 
     Args:
         history: tracks whose last column is the present; agents seen there are kept.
         road: where it happens.
         horizon_s: how far ahead it is to be predicted, s.
 
-    Returns:
-        The scene of the agents present now.
-
     Raises:
         InputError: if the horizon is shorter than a step or the history is empty.
     """
     check_horizon(horizon_s)
-    if history.time_s.size == 0:
-        raise InputError("history: found no frame, expected at least 1")
-    history = _present_agents(since_break(history))
+    history = present_agents(since_break(history))
     steps = round(horizon_s / STEP_S)
     graph, paths = LaneGraph.of(road), PathTable.of(road)
     states = agent_states(history, road)
     lane = states.lane
     paths.cover(lane)
     path = np.where(lane >= 0, paths.likeliest[np.maximum(lane, 0)], 0)
-    stops = stop_states(history, road, paths, lane, states.s, path, steps)
+    stops = stop_states(history, paths, lane, states.s, path, steps)
     moving = states.s, states.offset, states.lateral_speed, states.accel
     return Scene(history, road, graph, paths, steps, lane >= 0, lane, *moving, path, stops, states)

@@ -16,22 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.arrays import FloatArray, IntArray
-from graphrqi.predict.networks.futures import TIME_S, Futures
-from graphrqi.predict.networks.perceptron import Perceptron, standardized
+from graphrqi.networks.portable_torch import Descent, root
+from graphrqi.predict.networks import MODES, TIME_S, Futures, Perceptron, standardized
 from graphrqi.predict.recorded.features import scale_of
-from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
+from graphrqi.predict.recorded.lanes_ahead import HORIZON_S, MOST, PATH_FEATURES, LanesAhead
 from graphrqi.predict.recorded.network import (
     CLIP,
     EARNED,
-    HORIZON_S,
-    MODES,
     NOISY_M,
     PATH_OUTPUTS,
     PER_MODE,
@@ -47,9 +46,6 @@ from graphrqi.predict.recorded.network import (
 )
 from graphrqi.predict.recorded.predictor import beginnings, join_lanes
 from graphrqi.predict.training.fit import layers_of, silu_module, spread_factor, standardization
-
-if TYPE_CHECKING:
-    import torch
 
 RELAXATION: Final = 0.05
 """Share of the loss that also pulls on futures that did not win."""
@@ -98,8 +94,6 @@ class PathExamples(NamedTuple):
 
 def bends(raw: torch.Tensor) -> torch.Tensor:
     """(..., KNOTS, 2) corrections over their size, from a network's numbers (..., PER_MODE)."""
-    import torch
-
     ways = torch.from_numpy(powers(TIME_S).astype(np.float32))
     bend = raw[..., : 2 * POWERS].reshape(*raw.shape[:-1], POWERS, 2)
     return torch.einsum("...pc,pt->...tc", bend, ways)
@@ -127,8 +121,6 @@ def free_loss(
 
 def distances(own: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
     """(m, K, KNOTS) from futures (m, K, KNOTS, 2) to what happened (m, KNOTS, 2), m."""
-    from graphrqi.networks.portable_torch import root
-
     return root(((own - truth[:, None]) ** 2).sum(-1) + 1e-3)
 
 
@@ -140,8 +132,6 @@ def covering_loss(
     ``each`` are a network's numbers (m, K, PER_MODE), ``apart`` distances to what happened (m, K,
     KNOTS), m.
     """
-    import torch
-
     if not len(each):
         return each.sum()
     mean = apart.mean(-1)
@@ -163,8 +153,6 @@ def path_examples(
     mean: FloatArray, scale: FloatArray,
 ) -> PathExamples:  # fmt: skip
     """The paths of training examples, who went to ``truth`` (m, KNOTS, 2), m."""
-    import torch
-
     arrays = (
         lane_inputs(np.empty((len(truth), 0)), ahead, mean, scale), ahead.exists, ahead.points,
         ahead.spacing_m, *beginnings(ahead, speed, TIME_S.astype(np.float32)),
@@ -182,8 +170,6 @@ def lane_loss(
     Features (m, F) are standardised; ``guess`` (m, KNOTS, 2) is the best one without a map, m. The
     others are those of `free_loss`.
     """
-    import torch
-
     some = torch.nonzero(paths.exists.any(dim=1))[:, 0]
     if not len(some):
         return guess.sum() * 0.0
@@ -215,8 +201,6 @@ def along_paths(
 
     ``guess`` (m, KNOTS, 2), the best one without a map, says how far the agent gets.
     """
-    import torch
-
     before = torch.cat([torch.zeros_like(guess[:, :1]), guess[:, :-1]], dim=1)
     gone = torch.cumsum((guess - before).norm(dim=-1), dim=1)
     moved = size[:, None, None, None, None] * bends(each)
@@ -348,8 +332,6 @@ def train_recorded(
 
     Examples of other recordings scale the spreads. An epoch is a draw of `PER_EPOCH` examples.
     """
-    import torch
-
     torch.manual_seed(seed)
     mean, scale = standardization(training.features)
     free = silu_module((mean.size, *HIDDEN, MODES * PER_MODE), DROPOUT)  # starts as the base
@@ -426,10 +408,6 @@ def _fit(
     training: RecordedExamples, epochs: int, seed: int, on_epoch: Callable[[int], None],
 ) -> None:  # fmt: skip
     """Fit a module that maps features to outputs and, if there is one, that looks at paths."""
-    import torch
-
-    from graphrqi.networks.portable_torch import Descent
-
     features = torch.from_numpy(standardized(training.features, *moments[0], CLIP))
     base, truth = torch.from_numpy(training.base), torch.from_numpy(training.truth)
     speed = training.measured[:, 0]

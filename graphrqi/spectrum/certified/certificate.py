@@ -10,9 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphrqi.spectrum.contract import Pairs, answer
-from graphrqi.spectrum.spectrum import Spectrum
-from graphrqi.spectrum.subspaces import laplacian_scale
+from graphrqi.spectrum.contract import Pairs, Spectrum, answer, laplacian_scale
 
 MAX_WORK = 1e9
 """Multiplications of a factorisation above which none is tried (a few seconds)."""
@@ -27,16 +25,10 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
 
     Returns:
         The same pairs, certified if they are converged, orthonormal, and a count of the eigenvalues
-        just beyond the last one finds no more than they are. Where more eigenvalues equal the last
-        one, a count just before it will do. The answer stays uncertified if a rounding error in the
-        count could matter.
+        beyond the last one finds no more than they are. The answer stays uncertified if a rounding
+        error in the count could matter.
     """
-    from graphrqi.spectrum.certified.factorization import (
-        Counts,
-        Factor,
-        factor_and_solve,
-        prepare,
-    )
+    from graphrqi.spectrum.certified.factorization import Counts, Factor, factor_and_solve, prepare
 
     graph = spectrum.graph
     values, vectors = spectrum.eigenvalues, spectrum.eigenvectors

@@ -50,10 +50,8 @@ import numpy as np
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
 from graphrqi.spectrum.certified.factorization import prepare
 from graphrqi.spectrum.certified.tracking import Goal, track
-from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
+from graphrqi.spectrum.contract import Pairs, Problem, Spectrum, carry_rows, eigensolver, null_space
 from graphrqi.spectrum.libraries import arpack
-from graphrqi.spectrum.spectrum import Spectrum
-from graphrqi.spectrum.subspaces import carry_rows, null_space
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
