@@ -84,7 +84,11 @@ _METHODS: Final = (
 # fmt: on
 
 METHODS: Final[Registry[Method]] = Registry(
-    "method", "graphrqi.methods", {method.name: method for method in _METHODS}
+    "method",
+    "graphrqi.methods",
+    {
+        **{method.name: method for method in _METHODS},
+    },
 )
 """The methods by name."""
 

@@ -65,11 +65,12 @@ def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
 
 
 def invariant(eigenvalues: FloatArray, eigenvectors: FloatArray, degrees: FloatArray) -> FloatArray:
-    """(d, F) spectral features that do not depend on the choice of eigenvectors, named above.
+    """(d, F) spectral features that do not depend on the choice of eigenvectors.
 
-    They are the degree, the degree over the mean one, the energy of the vertex in the leading
-    spaces, sqrt(d) times its amplitude in the first space (so that a graph twice as large gives the
-    same numbers), and sum_k exp(-t (1 - lambda_k / lambda_1)) u_ik^2 for several t, times d / k.
+    Columns are named by ``INVARIANT_NAMES``. They are the degree, the degree over the mean one, and
+    the energy of the vertex in the leading spaces. The amplitude in the first space is multiplied
+    by sqrt(d), so that a graph twice as large gives the same numbers. The filters are sum_k exp(-t
+    (1 - lambda_k / lambda_1)) u_ik^2 for several t, times d / k.
     """
     d, k = eigenvectors.shape
     out = np.zeros((d, len(INVARIANT_NAMES)))

@@ -330,8 +330,8 @@ def restart_svd(problem: Problem) -> Pairs:
     """TIMERS: first-order perturbation of k pairs, and a restart when a bound says it drifted.
 
     The loss ||M - U diag(s) U^T||_F^2 is compared with a lower bound on that of the best rank-k
-    approximation: the loss at the last restart plus the change of trace of M M^T, less that
-    change's k largest eigenvalues.
+    approximation. The bound is the loss at the last restart plus the change of trace of M M^T, less
+    that change's k largest eigenvalues.
 
     Assumes changes that are small against the gaps between eigenvalues. A traffic graph's are not,
     so that it restarts at most steps, and costs what its dense restart costs.

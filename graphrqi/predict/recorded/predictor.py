@@ -43,8 +43,8 @@ from sim.road import Road
 Floats = NDArray[np.floating]
 
 LEAST_WITHOUT: Final = 0.4
-"""Weight that the futures without a map keep beside all paths (chosen on datasets left out: two
-networks that err in different ways are better together)."""
+"""Weight that the futures without a map keep beside all paths (chosen on datasets left out, where
+two networks together are better)."""
 
 KEPT_M: Final = 0.8
 """Vehicles keep this distance from a lane's line at most, m (lines of maps are off by so much)."""
@@ -137,9 +137,9 @@ def beside_paths(
 ) -> FloatArray:  # fmt: skip
     """(n, MOST, PER_PATH, H, 2) places along paths and aside of them, in the agents' frames, m.
 
-    Every future begins where the agent is, with its velocity: what differs at first fades. ``each``
-    are the network's numbers (n, MOST, PER_PATH, PER_MODE), ``gone`` how far the best guess without
-    a map goes (n, H), m, and ``size`` those of the corrections (n,), m.
+    Every future begins where the agent is, with its velocity: what differs at first fades. The
+    network's numbers are ``each`` (n, MOST, PER_PATH, PER_MODE). The best guess without a map goes
+    ``gone`` (n, H), m. Corrections have ``size`` (n,), m.
     """
     n, most, futures, _ = each.shape
     bend = each[..., : 2 * POWERS].reshape(n, most, futures, POWERS, 2)
