@@ -7,12 +7,12 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,7 @@ SIGNALS: Final[tuple[Signal, ...]] = tuple(Signal)
 
 
 def says_stop(signals: CodeArray) -> BoolArray:
-    """Select the signals that are red or yellow.
-
-    Args:
-        signals: codes into ``SIGNALS``, of any shape.
-    """
+    """Select the signals that are red or yellow, of codes into ``SIGNALS``."""
     return np.asarray((signals == Signal.RED.code) | (signals == Signal.YELLOW.code))
 
 
@@ -170,6 +166,8 @@ class Frame:
         return np.asarray(self.kind != PEDESTRIAN)
 
 
+_NOBODY: Final = Frame(0.0, [], np.empty((0, 2)), [], [], [], [], [])  # type: ignore[arg-type]
+
 BREAK_S: Final = 1.0
 """Longest time between two frames without a break, s."""
 
@@ -215,7 +213,6 @@ class Tracks:
 
     Tracks keep rows. The dense arrays ``xy``, ``heading``, ``speed`` and ``valid`` are filled on
     first use; above ``MAX_CELLS`` they raise an `InputError`, and everything else still works.
-    Tracks `of_dense` arrays keep these, and make rows on first use.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -257,8 +254,8 @@ class Tracks:
         if self.behavior is not None:
             shapes["behavior"] = (np.int8, (n,))
         check_and_freeze(self, shapes)
-        index = self.rows.index if "rows" in self.__dict__ else None
-        if index is not None and (index.agents, index.times) != (n, t):
+        index = self.rows.index
+        if (index.agents, index.times) != (n, t):
             found = f"{index.agents} agents at {index.times} times"
             raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if len(self.names) != n:
@@ -287,31 +284,14 @@ class Tracks:
         """
         n, t = np.shape(facts["ids"])[0], np.shape(facts["time_s"])[0]
         seen = np.asarray(valid, dtype=bool)
-        dense: dict[str, NDArray[Any]] = {"valid": frozen(seen)}
+        rows = {}
         for name, given, tail in (("xy", xy, (2,)), ("heading", heading, ()), ("speed", speed, ())):
             found, expected = np.asarray(given, dtype=np.float64), (n, t, *tail)
             if found.shape != expected or seen.shape != (n, t):
                 shape = found.shape if seen.shape == (n, t) else seen.shape
                 raise InputError(f"Tracks.{name}: found shape {shape}, expected {expected}")
-            dense[name] = frozen(np.where(seen[..., None] if tail else seen, found, np.nan))
-        tracks = cls.__new__(cls)
-        tracks.__dict__.update(
-            {"behavior": None, "events": (), "classes": BEHAVIORS, **facts, **dense}
-        )
-        tracks.__post_init__()
-        return tracks
-
-    if not TYPE_CHECKING:  # it is a field: mypy and the constructor know it
-
-        def __getattr__(self, name: str) -> Any:
-            """The rows of tracks that were made from dense arrays, when they are first needed."""
-            if name != "rows" or "valid" not in self.__dict__:
-                raise AttributeError(f"Tracks has no attribute {name}")
-            index = RowIndex.of(self.valid)
-            at = index.agent, index.step
-            rows = TrackRows(index, self.xy[at], self.heading[at], self.speed[at])
-            self.__dict__["rows"] = rows
-            return rows
+            rows[name] = found[seen]
+        return cls(rows=TrackRows(RowIndex.of(seen), **rows), **facts)
 
     def with_dense(self, **changes: Any) -> Tracks:
         """The same tracks with some arguments of `of_dense` replaced."""
@@ -373,8 +353,12 @@ class Tracks:
             Tracks of all agents that are in a frame.
         """
         seq = list(frames)
-        everyone = _joined(seq, "ids", np.int64)
-        ids, agent = np.unique(everyone, return_inverse=True)
+
+        def joined(name: str) -> NDArray[Any]:
+            """One array of all frames after each other."""
+            return np.concatenate([getattr(_NOBODY, name), *(getattr(f, name) for f in seq)])
+
+        ids, agent = np.unique(joined("ids"), return_inverse=True)
         step = np.repeat(np.arange(len(seq)), [f.ids.size for f in seq])
         order = np.argsort(agent, kind="stable")
         index = RowIndex.of_rows(agent[order], step[order], ids.size, len(seq))
@@ -386,17 +370,12 @@ class Tracks:
             classes = tuple(dict.fromkeys((*BEHAVIORS, *(b for b in labels if b is not None))))
             codes = np.array([-1 if b is None else classes.index(b) for b in labels], dtype=np.int8)
         return cls(
-            rows=TrackRows(
-                index,
-                _joined(seq, "xy", np.float64).reshape(-1, 2)[order],
-                _joined(seq, "heading", np.float64)[order],
-                _joined(seq, "speed", np.float64)[order],
-            ),
+            rows=TrackRows(index, *(joined(name)[order] for name in ("xy", "heading", "speed"))),
             ids=ids,
             names=tuple((names or {}).get(int(i), str(int(i))) for i in ids),
-            kind=_joined(seq, "kind", np.int8)[last],
-            length=_joined(seq, "length", np.float64)[last],
-            width=_joined(seq, "width", np.float64)[last],
+            kind=joined("kind")[last],
+            length=joined("length")[last],
+            width=joined("width")[last],
             time_s=np.array([f.time_s for f in seq], dtype=np.float64),
             signals=np.stack([f.signals for f in seq], axis=1)
             if seq
@@ -432,14 +411,11 @@ class Tracks:
             yield self.frame(step)
 
     def window(self, stop: int, steps: int) -> Tracks:
-        """The recent past of the agents that are present at index ``stop - 1``.
+        """The recent past of the agents that are present at index ``stop - 1``, its last column.
 
         Args:
             stop: index after the last frame.
             steps: how many frames at most; fewer at the beginning of the recording.
-
-        Returns:
-            Tracks of those agents only; the last column is index ``stop - 1``.
         """
         columns = slice(max(0, stop - steps), stop)
         index = self.rows.index
@@ -592,9 +568,3 @@ def _by_kind(codes: CodeArray) -> str:
     counts = np.bincount(codes, minlength=len(KINDS)).tolist()
     parts = [f"{count} {kind}" for kind, count in zip(KINDS, counts, strict=True) if count]
     return counted(codes.size, "agent") + (f" ({', '.join(parts)})" if parts else "")
-
-
-def _joined(frames: Sequence[Frame], name: str, dtype: Any) -> NDArray[Any]:
-    """One array of all frames after each other."""
-    parts = [getattr(frame, name) for frame in frames]
-    return np.concatenate(parts) if parts else np.empty(0, dtype=dtype)

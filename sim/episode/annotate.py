@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from behaviors.traits import DetectorInputs, ShownTrait, detect
@@ -66,17 +65,10 @@ def annotate(tracks: Tracks, road: Road, *, recorded: bool = False) -> Annotatio
 
 
 def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annotations]]:
-    """Annotate a recording, whose frames may have breaks between them.
+    """Each part of a recording between breaks, with what was found in it, in order of time.
 
-    Parts between breaks are annotated separately, because the motion in a break is unknown.
-    Parts whose frames are more than `MAX_STEP_S` apart are not annotated.
-
-    Args:
-        tracks: a recording.
-        road: where it happened.
-
-    Yields:
-        Each part with what was found in it, in order of time.
+    Parts are annotated separately, because the motion in a break is unknown. Parts whose frames are
+    more than `MAX_STEP_S` apart are left out.
     """
     for part in tracks.between_breaks():
         if part.time_s.size >= MIN_FRAMES and part.step_s <= MAX_STEP_S:
@@ -86,15 +78,7 @@ def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annota
 def annotate_recording(
     tracks: Tracks, road: Road
 ) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
-    """Find the events and shown traits of the `annotated_parts` of a recording.
-
-    Args:
-        tracks: a recording.
-        road: where it happened.
-
-    Returns:
-        Events and shown traits in order of time, as `annotate` has them.
-    """
+    """The events and shown traits of the `annotated_parts` of a recording, in order of time."""
     events: list[Event] = []
     shown: list[ShownTrait] = []
     for _, found in annotated_parts(tracks, road):
@@ -104,20 +88,8 @@ def annotate_recording(
 
 
 def shown_traits(ids: IntArray, inputs: DetectorInputs) -> tuple[ShownTrait, ...]:
-    """Every trait that was shown, with agent ids in place of indices.
-
-    Args:
-        ids: (N,) ids of the agents.
-        inputs: what the detectors read, with the rules that applied.
-
-    Returns:
-        Shown traits in order of time; their ``agent`` and ``other`` are ids (-1: none).
-    """
+    """Every trait that was shown, in order of time; ``agent`` and ``other`` are ids (-1: none)."""
     return tuple(
-        dataclasses.replace(
-            one,
-            agent=int(ids[one.agent]),
-            other=int(ids[one.other]) if one.other >= 0 else -1,
-        )
+        replace(one, agent=int(ids[one.agent]), other=int(ids[one.other]) if one.other >= 0 else -1)
         for one in detect(inputs)
     )

@@ -29,13 +29,7 @@ RULES: Final = {
 def with_encounters(
     ids: IntArray, inputs: DetectorInputs, events: Sequence[Event]
 ) -> DetectorInputs:
-    """Add the rules that applied to agents.
-
-    Args:
-        ids: (N,) ids of the agents.
-        inputs: what `detector_inputs` gives.
-        events: what `sim.episode.incidents.incidents` found.
-    """
+    """Add the rules that applied to agents, from the events that `incidents` found."""
     index = {int(agent): i for i, agent in enumerate(ids)}
     encounters = tuple(
         RuleEncounter(index[e.agent], e.time_s, RULES[e.kind])
@@ -54,9 +48,6 @@ def detector_inputs(
         tracks: an episode or a recording.
         road: where it happened.
         observed: the observables of ``tracks``, if the caller has them.
-
-    Returns:
-        Arrays with the rows of ``tracks``.
     """
     observed = observe(tracks, road) if observed is None else observed
     graph = LaneGraph.of(road)
@@ -99,10 +90,7 @@ def detector_inputs(
 def _jaywalkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
     """(m,) rows of pedestrians on the carriageway off any crossing, and on one entered on red."""
     row_index = tracks.rows.index
-    off, on_red = (
-        np.zeros(tracks.rows.speed.size, dtype=bool),
-        np.zeros(tracks.rows.speed.size, dtype=bool),
-    )
+    off, on_red = np.zeros((2, tracks.rows.speed.size), dtype=bool)
     rows = np.flatnonzero(tracks.walking)
     if not rows.size:
         return off, on_red
