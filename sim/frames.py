@@ -342,15 +342,12 @@ class Tracks:
         behaviors: dict[int, Behavior | None] | None = None,
         names: dict[int, str] | None = None,
     ) -> Tracks:
-        """Stack frames of one episode.
+        """Tracks of all agents that are in a frame of one episode.
 
         Args:
             frames: frames in time order.
             behaviors: the true behaviour of each agent id, if known.
             names: the source's name of each id; by default the id.
-
-        Returns:
-            Tracks of all agents that are in a frame.
         """
         seq = list(frames)
 
@@ -422,14 +419,11 @@ class Tracks:
         return self.part(index.agent[index.at(stop - 1)], columns)
 
     def part(self, rows: IntArray, columns: slice | IntArray) -> Tracks:
-        """Some agents at some of the times.
+        """Some agents at some of the times, with the events between the first and the last of them.
 
         Args:
             rows: indices of the agents, ascending.
             columns: which times, at least one; as indices, ascending.
-
-        Returns:
-            Their tracks, with the events between the first and the last of these times.
         """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
         return Tracks(

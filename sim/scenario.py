@@ -357,9 +357,6 @@ def with_behavior(
         spread: how much drivers of one behaviour differ, as in `Scenario`.
         population: as in `Scenario`.
 
-    Returns:
-        The agent with that behaviour and its profile.
-
     Raises:
         InputError: if the agent is a pedestrian.
     """
@@ -368,11 +365,10 @@ def with_behavior(
     six = behavior in BEHAVIORS
     number = behavior.code if six else zlib.crc32(behavior.encode())  # the same in every file
     rng = np.random.default_rng((agent.seed, _REDRAWN_STREAM, number))
-    profile = (
-        sample_profile(behavior.profile, rng, spread)
-        if population is None
-        else population.draw(behavior, rng, spread)
-    )
+    if population is None:
+        profile = sample_profile(behavior.profile, rng, spread)
+    else:
+        profile = population.draw(behavior, rng, spread)
     limited = _limited(profile, agent.kind)
     return dataclasses.replace(agent, behavior=behavior, profile=limited)
 

@@ -6,16 +6,28 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
-from behaviors.traits import DetectorInputs, ShownTrait, detect
-from sim.episode.detector_inputs import detector_inputs, with_encounters
+import numpy as np
+
+from behaviors.traits import DetectorInputs, RuleEncounter, ShownTrait, detect
+from sim.episode.detector_inputs import detector_inputs
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
-from sim.frames import Event, FloatArray, IntArray, Tracks
+from sim.frames import Event, EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.safety import Conflicts, conflicts
 
 MIN_FRAMES: Final = 3
 """Fewest frames for annotations: the shortest motion with a change of speed."""
+
+RULES: Final = {
+    EventKind.RED_RUN: False,
+    EventKind.STOP_ROLLED: False,
+    EventKind.NOT_YIELDED: False,
+    EventKind.WRONG_WAY: False,
+    EventKind.STOPPED: True,
+    EventKind.YIELDED: True,
+}
+"""The events in which a rule applied, and whether it was kept."""
 
 MAX_STEP_S: Final = 1.0
 """Longest time between frames for annotations, s; traits last one second and more."""
@@ -60,8 +72,18 @@ def annotate(tracks: Tracks, road: Road, *, recorded: bool = False) -> Annotatio
     events = incidents(tracks, road, observed, inputs, met, recorded=recorded)
     seen = observed.lane, observed.s, observed.leader, observed.gap
     del observed  # a fifth of the memory, which the detectors need
-    inputs = with_encounters(tracks.ids, inputs, events)
-    return Annotations(inputs, events, shown_traits(tracks.ids, inputs), *seen, met)
+    index = {int(agent): i for i, agent in enumerate(tracks.ids)}
+    encounters = tuple(
+        RuleEncounter(index[event.agent], event.time_s, RULES[event.kind])
+        for event in events
+        if event.kind in RULES and event.agent in index
+    )
+    inputs = replace(inputs, encounters=encounters)
+    ids = np.append(tracks.ids, -1)  # index -1: nobody
+    shown = tuple(
+        replace(one, agent=int(ids[one.agent]), other=int(ids[one.other])) for one in detect(inputs)
+    )
+    return Annotations(inputs, events, shown, *seen, met)
 
 
 def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annotations]]:
@@ -85,11 +107,3 @@ def annotate_recording(
         events += found.events
         shown += found.shown_traits
     return tuple(events), tuple(shown)
-
-
-def shown_traits(ids: IntArray, inputs: DetectorInputs) -> tuple[ShownTrait, ...]:
-    """Every trait that was shown, in order of time; ``agent`` and ``other`` are ids (-1: none)."""
-    return tuple(
-        replace(one, agent=int(ids[one.agent]), other=int(ids[one.other]) if one.other >= 0 else -1)
-        for one in detect(inputs)
-    )

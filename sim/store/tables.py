@@ -235,7 +235,7 @@ def read_tables(
     state = _codes(signals, "state", SIGNALS)
     checks: tuple[tuple[TableName, Any, str], ...] = (
         ("frames", time_s.size == entry.frames, f"{entry.frames} times"),
-        ("frames", (np.diff(time_s) > 0).all(), "each time after the one before"),
+        ("frames", (np.diff(time_s) > 0).all(), "times that increase"),
         ("agents", (np.diff(ids) > 0).all(), "agents by id"),
         ("steps", agent.size == entry.agent_steps, f"{entry.agent_steps} rows"),
         ("steps", np.array_equal(ids[seen][row], agent), "rows by agent, each of a known one"),
