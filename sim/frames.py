@@ -166,6 +166,10 @@ class Frame:
         return np.asarray(self.kind != PEDESTRIAN)
 
 
+MOVING: Final = ("xy", "heading", "speed")
+OF_AGENTS: Final = ("kind", "length", "width")
+"""Fields of frames that change with time, and those that are the agents' own."""
+
 _NOBODY: Final = Frame(0.0, [], np.empty((0, 2)), [], [], [], [], [])  # type: ignore[arg-type]
 
 BREAK_S: Final = 1.0
@@ -323,9 +327,8 @@ class Tracks:
         index = self.rows.index
         if index.agents * index.times > MAX_CELLS:
             raise InputError(
-                f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected "
-                f"agents times times at most {MAX_CELLS} where all are looked at together: cut "
-                "the recording in time"
+                f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected a "
+                f"product of at most {MAX_CELLS}: cut the recording in time"
             )
         filled = np.full((index.agents, index.times, *values.shape[1:]), empty, values.dtype)
         filled[index.agent, index.step] = values
@@ -367,16 +370,12 @@ class Tracks:
             classes = tuple(dict.fromkeys((*BEHAVIORS, *(b for b in labels if b is not None))))
             codes = np.array([-1 if b is None else classes.index(b) for b in labels], dtype=np.int8)
         return cls(
-            rows=TrackRows(index, *(joined(name)[order] for name in ("xy", "heading", "speed"))),
+            rows=TrackRows(index, *(joined(name)[order] for name in MOVING)),
             ids=ids,
             names=tuple((names or {}).get(int(i), str(int(i))) for i in ids),
-            kind=joined("kind")[last],
-            length=joined("length")[last],
-            width=joined("width")[last],
+            **{name: joined(name)[last] for name in OF_AGENTS},
             time_s=np.array([f.time_s for f in seq], dtype=np.float64),
-            signals=np.stack([f.signals for f in seq], axis=1)
-            if seq
-            else np.zeros((0, 0), dtype=np.int8),
+            signals=np.stack([f.signals for f in seq or [_NOBODY]], axis=1)[:, : len(seq)],
             behavior=codes,
             events=tuple(e for f in seq for e in f.events),
             classes=classes,
@@ -386,18 +385,13 @@ class Tracks:
         """The frame at index ``step``: the agents that are valid there."""
         time_s = float(self.time_s[step])
         before = float(self.time_s[step - 1]) if step > 0 else -np.inf
-        seen = self.rows
-        at = seen.index.at(step)
-        rows = seen.index.agent[at]
+        at = self.rows.index.at(step)
+        rows = self.rows.index.agent[at]
         return Frame(
             time_s=time_s,
             ids=self.ids[rows],
-            xy=seen.xy[at],
-            heading=seen.heading[at],
-            speed=seen.speed[at],
-            length=self.length[rows],
-            width=self.width[rows],
-            kind=self.kind[rows],
+            **{name: getattr(self.rows, name)[at] for name in MOVING},
+            **{name: getattr(self, name)[rows] for name in OF_AGENTS},
             signals=self.signals[:, step],
             events=tuple(e for e in self.events if before < e.time_s <= time_s),
         )
@@ -430,9 +424,7 @@ class Tracks:
             rows=self.rows.taken(*self.rows.index.part(rows, columns)),
             ids=self.ids[rows],
             names=tuple(self.names[i] for i in rows),
-            kind=self.kind[rows],
-            length=self.length[rows],
-            width=self.width[rows],
+            **{name: getattr(self, name)[rows] for name in OF_AGENTS},
             time_s=self.time_s[columns],
             signals=self.signals[:, columns],
             behavior=None if self.behavior is None else self.behavior[rows],

@@ -9,7 +9,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.row_index import RowIndex, find_sorted
-from sim.frames import KINDS, MAX_MAGNITUDE, SIGNALS, Frame, TrackRows, Tracks
+from sim.frames import KINDS, MAX_MAGNITUDE, MOVING, OF_AGENTS, SIGNALS, Frame, TrackRows, Tracks
 
 MAX_TIME_S: Final = MAX_MAGNITUDE
 """Latest time, s (as of recordings: 30 years; far later ones have no next step)."""
@@ -91,15 +91,12 @@ class FrameBuffer:
         step = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[rows]
         index = RowIndex.of_rows(agent[rows], step, len(last), len(frames))
         moved = (
-            np.concatenate([getattr(frame, name) for frame in frames])[rows]
-            for name in ("xy", "heading", "speed")
+            np.concatenate([getattr(frame, name) for frame in frames])[rows] for name in MOVING
         )
         return Tracks(
             ids=last.ids,
             names=tuple(map(str, last.ids.tolist())),
-            kind=last.kind,
-            length=last.length,
-            width=last.width,
+            **{name: getattr(last, name) for name in OF_AGENTS},
             time_s=np.array([frame.time_s for frame in frames]),
             rows=TrackRows(index, *moved),
             signals=np.stack([frame.signals for frame in frames], axis=1),

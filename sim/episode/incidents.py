@@ -78,7 +78,8 @@ def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Eve
     for link in road.connections:
         stops[road.lane_index[link.from_lane]] |= link.must_stop
     row_index, distance = tracks.rows.index, observed.stop_distance
-    red = observed.signal == Signal.RED.code
+    red, first = observed.signal == Signal.RED.code, observed.gap > distance
+    stands = tracks.rows.speed < ROLLING_MPS
     grace = round(GRACE_S / tracks.step_s)
     passed = (distance[:-1] >= 0) & (distance[:-1] < 10.0) & ~row_index.begins[1:]
     passed &= (distance[1:] < 0) | (distance[1:] > 30.0)
@@ -89,7 +90,7 @@ def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Eve
         agent, time_s = int(tracks.ids[number]), float(tracks.time_s[column + 1])
         if row_index.over(red, number, max(column - grace, 0), column + 1, False).all():
             found.append(Event(EventKind.RED_RUN, time_s, agent))
-        elif _stood_at_red(tracks, observed, zone):
+        elif (stands[zone] & red[zone] & first[zone]).any():
             found.append(Event(EventKind.STOPPED, time_s, agent, rule="red light"))
         if stops[observed.lane[row]]:
             rolled = tracks.rows.speed[zone].min() > ROLLING_MPS
@@ -106,13 +107,6 @@ def _zones(row_index: RowIndex, distance: FloatArray, last: IntArray) -> list[sl
     first = np.flatnonzero(comes_near)
     begins = first[np.searchsorted(first, last, side="right") - 1]
     return [slice(b, row + 1) for b, row in zip(begins.tolist(), last.tolist(), strict=True)]
-
-
-def _stood_at_red(tracks: Tracks, observed: Observables, zone: slice) -> bool:
-    """Whether the agent stood first in line at a red light before it passed the line."""
-    red = observed.signal[zone] == Signal.RED.code
-    first = observed.gap[zone] > observed.stop_distance[zone]
-    return bool((red & first & (tracks.rows.speed[zone] < ROLLING_MPS)).any())
 
 
 def _wrong_way(tracks: Tracks, observed: Observables) -> list[Event]:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import BoolArray, FloatArray, Frame, IntArray, Tracks
+from sim.frames import MOVING, OF_AGENTS, BoolArray, FloatArray, Frame, IntArray, Tracks
 
 DEFAULT_RADIUS_M: Final = 100.0
 """Distance from an ego within which others count, m (what drivers react to)."""
@@ -79,10 +79,9 @@ class Window:
         if inside.all():
             return frame
         here = set(frame.ids[inside].tolist())
-        names = ("ids", "xy", "heading", "speed", "length", "width", "kind")
         return dataclasses.replace(
             frame,
-            **{name: getattr(frame, name)[inside] for name in names},
+            **{name: getattr(frame, name)[inside] for name in ("ids", *MOVING, *OF_AGENTS)},
             events=tuple(event for event in frame.events if event.agent in here),
         )
 

@@ -84,7 +84,9 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
         walks = _walks(tracks, crossing, walkers)
         if not walks:
             continue
-        near = driving[_near(crossing, xy, longest / 2)]
+        line, reach = crossing.centerline, crossing.width_m + longest / 2
+        near = (xy >= line.min(axis=0) - reach) & (xy <= line.max(axis=0) + reach)
+        near = driving[near.all(axis=1)]
         facing = tracks.rows.heading[near]
         forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
         front = tracks.rows.xy[near] + 0.5 * tracks.length[row_index.agent[near], None] * forward
@@ -101,13 +103,6 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
                 agent, time_s = tracks.agent_and_time(run.start)
                 found.append(Event(verdict[0], time_s, agent, verdict[1]))
     return found
-
-
-def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> IntArray:
-    """(k,) indices of the places in a crossing's bounding box, widened by ``beyond_m``."""
-    reach = crossing.width_m + beyond_m
-    low, high = crossing.centerline.min(axis=0) - reach, crossing.centerline.max(axis=0) + reach
-    return np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
 
 
 def _walks(tracks: Tracks, crossing: Crossing, walkers: IntArray) -> list[Walk]:
