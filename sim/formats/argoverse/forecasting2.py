@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterator
-from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,13 +23,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sim.files import whole_folder
-from sim.formats.common.columns import Columns
 from sim.formats.common.recording import Recording, left_out, recorded
+from sim.formats.common.tables import among, read_table, rows_of
 from sim.formats.common.windows import behavior_words, focal_windows, labels_beside
-from sim.frames import KINDS, AgentKind, Tracks
+from sim.frames import KINDS, AgentKind, FloatArray, Tracks
+from sim.geometry import borders
 from sim.input_files import stem
 from sim.road import Road
-from sim.road.maps.argoverse2 import read_map, static_map
+from sim.road.maps.argoverse2 import read_map
 
 OBSERVED_STEPS: Final = 50
 STEPS: Final = 110
@@ -92,38 +93,29 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
 """Columns of the file beside the official ones that holds the behaviours, which the format cannot
 hold."""
 
-COLUMNS: Final = Columns(
-    id=("track_id",), t="timestep", xy=("position_x", "position_y"), heading="heading",
-    speed=("velocity_x", "velocity_y"), kind="object_type", kinds=OBJECT_TYPES,
-)  # fmt: skip
+COLUMNS: Final = {
+    "id": "track_id", "t": "timestep", "x": "position_x", "y": "position_y", "heading": "heading",
+    "vx": "velocity_x", "vy": "velocity_y", "kind": "object_type",
+}  # fmt: skip
+NUMBERS: Final = ("timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y")
 """Columns that are read."""
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one scenario file; numbers are kept to the last digit.
-
-    Args:
-        path: ``scenario_<id>.parquet``; its map and its labels are looked for beside it.
-
-    Yields:
-        One recording, labelled where there are labels.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column.
-    """
-    table = COLUMNS.read(path)
-    road_agents, others = table.among("object_type", OBJECT_TYPES)
-    rows = COLUMNS.rows(table.part(road_agents), rate_hz=10.0)
+    """The recording of one scenario, with the map and the labels beside it."""
+    table = read_table(path, NUMBERS, ("track_id", "object_type"))
+    table, others = among(table, "object_type", OBJECT_TYPES)
+    rows = rows_of(table, COLUMNS, OBJECT_TYPES)
+    rows["t"] /= 10.0
     name = stem(path).removeprefix("scenario_")
-    labels = labels_beside(path.with_name(f"behavior_{name}.parquet"), rows.names)
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
     notes += left_out(others)
     archive = path.with_name(f"log_map_archive_{name}.json")
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    rows = replace(rows, behavior=labels)
-    yield recorded(path, name, rows, notes, road, own_road=True)
+    labels = labels_beside(path.with_name(f"behavior_{name}.parquet"))
+    yield recorded(name, rows, notes, road, own_road=True).with_codes(labels)
 
 
 # --- writing ------------------------------------------------------------------------------------
@@ -206,3 +198,55 @@ def _labels(window: Tracks, identity: str) -> pa.Table:
         "width_m": window.width,
     }
     return pa.table(columns, schema=BEHAVIOR_SCHEMA)
+
+
+def static_map(road: Road | None) -> dict[str, Any]:
+    """The map of a road as the official package reads it; an empty one of none."""
+    segments, areas, crossings = dict[str, Any](), dict[str, Any](), dict[str, Any]()
+    written = {
+        "drivable_areas": areas,
+        "lane_segments": segments,
+        "pedestrian_crossings": crossings,
+    }
+    if road is None:
+        return written
+    number = {lane.id: i + 1 for i, lane in enumerate(road.lanes) if not lane.walking}
+    chains = [(c.from_lane, *c.via, c.to_lane) for c in road.connections]
+    follows = [p for chain in chains for p in pairwise(chain) if number.keys() >= {*p}]
+    by_place = {(lane.edge, lane.index): lane.id for lane in road.lanes if not lane.walking}
+    for lane in road.lanes:
+        if lane.walking:
+            continue
+        identity = number[lane.id]
+        left, right = borders(lane.centerline, lane.width_m)
+        segment = {
+            "id": identity,
+            "is_intersection": lane.internal,
+            "lane_type": "VEHICLE",
+            "centerline": _points(lane.centerline),
+            "left_lane_boundary": _points(left),
+            "right_lane_boundary": _points(right),
+        }
+        beside = {
+            side: by_place.get((lane.edge, lane.index + step))
+            for side, step in (("left", 1), ("right", -1))
+        }
+        for side, other in beside.items():
+            segment[f"{side}_neighbor_id"] = None if other is None else number[other]
+        for side, other in beside.items():
+            line = "SOLID_WHITE" if other is None else "DASHED_WHITE"
+            segment[f"{side}_lane_mark_type"] = "NONE" if lane.internal else line
+        segment["predecessors"] = sorted({number[a] for a, b in follows if b == lane.id})
+        segment["successors"] = sorted({number[b] for a, b in follows if a == lane.id})
+        segments[str(identity)] = segment
+        boundary = np.concatenate([left, right[::-1]])
+        areas[str(identity)] = {"id": identity, "area_boundary": _points(boundary)}
+    for identity, crossing in enumerate(road.crossings, len(road.lanes) + 1):
+        left, right = borders(crossing.centerline[[0, -1]], crossing.width_m)
+        edges = {"edge1": _points(left), "edge2": _points(right)}
+        crossings[str(identity)] = {"id": identity, **edges}
+    return written
+
+
+def _points(line: FloatArray) -> list[dict[str, float]]:
+    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
