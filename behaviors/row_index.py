@@ -140,12 +140,13 @@ class RowIndex:
         return np.bincount(self.step, minlength=self.times)
 
     @cached_property
-    def _cells(self) -> IntArray:
+    def cells(self) -> IntArray:
+        """(m,) number of each row's agent and time, in an array of all agents at all times."""
         return self.agent * self.times + self.step
 
     def find(self, agent: IntArray, step: IntArray) -> tuple[IntArray, BoolArray]:
         """The row for each agent and time, and whether there is one; if none, the row is any."""
-        return find_sorted(self._cells, np.asarray(agent * self.times + step))
+        return find_sorted(self.cells, np.asarray(agent * self.times + step))
 
     def part(self, agents: IntArray, times: slice | IntArray) -> tuple[IntArray, RowIndex]:
         """The rows of some agents at some of the times, both ascending, and their own index."""

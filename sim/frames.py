@@ -330,9 +330,10 @@ class Tracks:
                 f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected a "
                 f"product of at most {MAX_CELLS}: cut the recording in time"
             )
-        filled = np.full((index.agents, index.times, *values.shape[1:]), empty, values.dtype)
-        filled[index.agent, index.step] = values
-        return frozen(filled)
+        tail = values.shape[1:]
+        filled = np.full((index.agents * index.times, *tail), empty, values.dtype)
+        filled[index.cells] = values
+        return frozen(filled.reshape(index.agents, index.times, *tail))
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickled state: the fields without the dense arrays."""

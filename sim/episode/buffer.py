@@ -91,7 +91,8 @@ class FrameBuffer:
         step = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[rows]
         index = RowIndex.of_rows(agent[rows], step, len(last), len(frames))
         moved = (
-            np.concatenate([getattr(frame, name) for frame in frames])[rows] for name in MOVING
+            np.concatenate([getattr(frame, name) for frame in frames]).take(rows, axis=0)
+            for name in MOVING
         )
         return Tracks(
             ids=last.ids,
