@@ -14,11 +14,11 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
+from experiments.score.labels import beliefs
 from experiments.score.predictions import (
     HISTORY_S,
     HORIZONS_S,
     LEAST_SEEN_S,
-    beliefs,
     future,
     instants,
 )

@@ -56,13 +56,7 @@ MOST_NOISE_M: Final = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedPlace:
-    """One recording.
-
-    Attributes:
-        dataset: name of the folder it is from.
-        tracks: what was recorded.
-        road: the map that came with it, or None.
-    """
+    """One recording, the name of its dataset's folder, and the map that came with it, or None."""
 
     dataset: str
     tracks: Tracks

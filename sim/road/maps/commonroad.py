@@ -22,8 +22,7 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import FloatArray, Signal
-from sim.road import Road, SignalPlan
-from sim.road.checks import MAX_COORDINATE_M
+from sim.road import MAX_COORDINATE_M, Road, SignalPlan
 from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.xml_tree import read_tree, whole_number
 
