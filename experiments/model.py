@@ -170,10 +170,18 @@ def _train_predictors(work: Path, jobs: int) -> None:
             f"{', '.join(OPEN_DATA)} in {RECORDINGS}\n"
         )
         return
+    train_on_recordings([*recordings, *simulated_like_recordings(work, jobs)], weights)
+
+
+def simulated_like_recordings(
+    work: Path, jobs: int | None = None, quiet: bool = False
+) -> list[Path]:
+    """Generate the simulated traffic that the predictor for recordings learns from, too."""
     worlds = _made(
-        work, "recorded-worlds", jobs, scenarios=(RANDOM_WORLD,), episodes=WORLDS, seed=WORLDS_SEED
-    )
-    train_on_recordings([*recordings, worlds, *generate_roads(work, jobs)], weights)
+        work, "recorded-worlds", jobs, quiet, scenarios=(RANDOM_WORLD,), episodes=WORLDS,
+        seed=WORLDS_SEED,
+    )  # fmt: skip
+    return [worlds, *generate_roads(work, jobs, quiet)]
 
 
 def generate_roads(work: Path, jobs: int | None = None, quiet: bool = False) -> list[Path]:

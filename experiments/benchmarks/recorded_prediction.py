@@ -1,11 +1,11 @@
 """Predictors on recordings that nothing was trained on: each dataset is left out in turn.
 
-The networks for recordings are trained on all others (``left-out``) and predict the one left out;
-the base, the Kalman filter, constant velocity and the weights that ship stand beside them, with and
-without the map, once with the past as recorded and once with noise added to it. Errors are means up
-to a horizon, over those of constant velocity with the same past. Standing, slow, free and following
-vehicles have rows of their own (`experiments.training.recordings.classes_of`). Intervals resample
-vehicles.
+The networks for recordings are trained on all others and on simulated traffic (``left-out``), and
+predict the one left out. The base, the Kalman filter, constant velocity and the weights that ship
+stand beside them, with and without the map, with the past as recorded and with noise added to it.
+Errors are means up to a horizon, over those of constant velocity with the same past. Standing,
+slow, free and following vehicles have rows of their own
+(`experiments.training.recordings.classes_of`). Intervals resample vehicles.
 
 Shipped weights were trained on some open recordings (their card says which); their rows for those
 datasets say nothing about new places.
@@ -13,6 +13,7 @@ datasets say nothing about new places.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import Final
 
 import numpy as np
 
+from experiments.model import simulated_like_recordings
 from experiments.score.metrics import bootstrap, ratio, summed
 from experiments.score.rows import Cell, Row, tidy_row
 from experiments.training.recorded import PER_DATASET, fit_network, gather_examples, with_noise
@@ -68,26 +70,38 @@ _STEPS: Final = int(_AT[-1]) + 1
 
 
 def measure(
-    data: Path, epochs: int = 4, seed: int = 0, per_dataset: int = PER_DATASET
-) -> Iterator[list[Row]]:
+    data: Path, epochs: int = 4, seed: int = 0, per_dataset: int = PER_DATASET,
+    simulate: bool = False,
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of each dataset of recordings in a folder, left out of the training in its turn.
 
-    If there is one dataset alone, nothing is trained. About ``per_dataset`` agents at instants are
-    learned from in each.
+    If ``simulate``, the simulated traffic that the shipped weights learn from is generated and
+    learned from, too. About ``per_dataset`` agents at instants are learned from in each dataset. If
+    there is one dataset of recordings alone, nothing is trained.
     """
-    parts: dict[str, list[RecordedPlace]] = {}
-    for one in read_sources([data]):
-        parts.setdefault(one.dataset, []).append(one)
-    names = sorted(parts)
+    recorded = _by_dataset([data])
+    names = sorted(recorded)
+    every = dict(recorded)
+    if simulate and len(names) > 1:
+        with tempfile.TemporaryDirectory() as work:
+            every |= _by_dataset(simulated_like_recordings(Path(work), quiet=True))
     examples = {
         name: found
-        for number, name in enumerate(names if len(names) > 1 else ())
-        if (found := gather_examples(parts[name], number, seed, per_dataset)) is not None
+        for number, name in enumerate(sorted(every) if len(names) > 1 else ())
+        if (found := gather_examples(every[name], number, seed, per_dataset)) is not None
     }
     for name in names:
         others = [found for other, found in examples.items() if other != name]
         network = fit_network(others, epochs, seed) if others else None
-        yield list(_dataset_rows(parts[name], network, seed))
+        yield list(_dataset_rows(recorded[name], network, seed))
+
+
+def _by_dataset(sources: Sequence[Path]) -> dict[str, list[RecordedPlace]]:
+    """Recordings or episodes by their dataset."""
+    found: dict[str, list[RecordedPlace]] = {}
+    for one in read_sources(sources):
+        found.setdefault(one.dataset, []).append(one)
+    return found
 
 
 def _base(history: Tracks, road: Road | None) -> Prediction:

@@ -112,7 +112,7 @@ def real_data(
     parts = {
         "behavior": lambda: behavior.measure(data, views, tasks, jobs),
         "classification": lambda: recorded_beliefs.measure(data, jobs=jobs),
-        "prediction": lambda: prediction.measure(data, 1 if quick else 4),
+        "prediction": lambda: prediction.measure(data, 1 if quick else 4, simulate=not quick),
     }
     show_parts("bench real-data", lookup(parts, task, "task")(), json)
 
