@@ -74,10 +74,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def __init__(self, network: HighwayNetwork) -> None:
         self.network = network
         self.np_random = np.random.RandomState(0)
-        self.cars, self.people = (
-            Crowd(self, state.VEHICLE, ProfileVehicle),
-            Crowd(self, state.WALKER, Walker),
-        )
+        self.cars = Crowd(self, state.VEHICLE, ProfileVehicle)
+        self.people = Crowd(self, state.WALKER, Walker)
         self.behaviors: dict[int, Behavior | None] = {}
         self.events: list[Event] = []
         self.footways: list[Footway] = []
@@ -192,14 +190,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
         return Scene(
-            net=net,
-            routes=self._route_table(),
-            footways=footways_of(self.footways),
-            signals=self.signals,
-            signal_since=self.signal_since,
-            vehicles=self.cars.rows,
-            walkers=self.people.rows,
-            now=self._now,
+            net, self._route_table(), footways_of(self.footways), self.signals, self.signal_since,
+            self.cars.rows, self.people.rows, self._now,
             on_first=np.zeros(net.lanes.size + 1, np.int64),
             on=np.zeros(entries, state.ON),
             unsorted=np.zeros(entries, state.ON),
@@ -212,7 +204,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), state.ARRIVAL),
             pairs=np.zeros(4 * (n + m) + 16, state.PAIR),
             events=np.zeros(8 * (n + m), state.EVENT),
-        )
+        )  # fmt: skip
 
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
