@@ -61,9 +61,7 @@ class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
     lanes: dict[LaneIndex, PolylineLane]
     onward: dict[tuple[LaneIndex, Stretch], LaneIndex]  # the path from a lane to each next stretch
     exit_of: dict[LaneIndex, LaneIndex]  # the lane on which each junction path ends
-    edges: dict[
-        str, tuple[Stretch, float]
-    ]  # the stretch of each edge, and where it begins
+    edges: dict[str, tuple[Stretch, float]]  # the stretch of each edge, and where it begins
     arrays: Net = field(init=False)
 
     @cached_property
