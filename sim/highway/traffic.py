@@ -82,9 +82,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         self.routes: list[tuple[Stretch, ...]] = []
         self.signals = np.full(len(network.road.signal_groups), Signal.OFF.code, dtype=np.int8)
         self.signal_since = np.zeros(self.signals.size)
-        self._shown = frozen(self.signals.copy())
         self._now = np.zeros(1, state.NOW)
-        self._plan_due_s = np.zeros(len(network.road.signal_plans))
+        self._plan_due_s, self._due_s = np.zeros(len(network.road.signal_plans)), -math.inf
         self._numbers: dict[tuple[Any, ...], int] = {}
         self._egos: list[Any] = []
         self._touching: set[tuple[int, int]] = set()
@@ -234,7 +233,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
         plans, now_s = self.network.road.signal_plans, self.time_s
-        if not plans or self._plan_due_s.min() > now_s:
+        if now_s < self._due_s:
             return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
             plan = plans[number]
@@ -244,6 +243,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 if self.signals[group] != shown:
                     self.signals[group], self.signal_since[group] = shown, now_s
         self._shown = frozen(self.signals.copy())
+        self._due_s = float(self._plan_due_s.min(initial=math.inf))
 
     def take_events(self) -> tuple[Event, ...]:
         """The events since the last call."""
