@@ -23,10 +23,10 @@ from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
+from sim.highway.pedestrians import Footway, find_footway, footways_of
 from sim.highway.places import locate, read_motion
 from sim.highway.state import Scene, blank_vehicles
 from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
-from sim.highway.walkers import Footway, find_footway, footways_of
 
 PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
