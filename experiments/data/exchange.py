@@ -271,7 +271,7 @@ def _claim(out: Path, name: str, dataset: Dataset) -> None:
     if known and marker.read_text(encoding="utf-8", errors="replace") == identity:
         return
     try:
-        other = recording_files(out, name)[0][0]
+        other = recording_files(out, name)[0]
     except InputError:  # there is none
         write_whole(marker, identity.encode())
         return

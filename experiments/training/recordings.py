@@ -158,7 +158,7 @@ def read_place_folder(folder: Path, maps: bool = True) -> Iterator[RecordedPlace
         sys.stderr.write(f"graphrqi: left out: {error}\n")
         return
     roads: dict[Path, Road] = {}
-    for file in recording_files(folder, form)[0]:
+    for file in recording_files(folder, form):
         place = dataset
         if folder.is_dir() and file.parent != folder:
             place = f"{dataset}/{file.parent.relative_to(folder).parts[0]}"

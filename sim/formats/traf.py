@@ -107,22 +107,21 @@ def _boxes(path: Path) -> IntArray:
         for number, line in enumerate(file, 1):
             if not line.strip():
                 continue
-            where = f"{path}: line {number}"
             try:
                 frame, count, *fields = map(int, line.split(b","))
-                found = np.array(fields, dtype=np.int64)
+                found = np.array(fields, dtype=np.int64).reshape(count, 5)
             except (ValueError, OverflowError):
-                raise InputError(f"{where}: found {line[:40]!r}, expected whole numbers") from None
-            if found.size != 5 * count:
                 raise InputError(
-                    f"{where}: found {found.size} fields of {count} boxes, expected 5 for each"
-                )
+                    f"{path}: line {number}: found {line[:40]!r}, expected whole numbers: a frame, "
+                    "a count, and five for each box"
+                ) from None
             if parts and frame <= parts[-1][0, 0]:
                 raise InputError(
-                    f"{where}: found frame {frame}, expected one after {parts[-1][0, 0]}"
+                    f"{path}: line {number}: found frame {frame}, expected one after "
+                    f"{parts[-1][0, 0]}"
                 )
             if count:
-                parts.append(np.insert(found.reshape(-1, 5), 0, frame, axis=1))
+                parts.append(np.insert(found, 0, frame, axis=1))
     if not parts:
         raise InputError(f"{path}: found no boxes, expected some")
     return np.concatenate(parts)
@@ -186,7 +185,7 @@ class Sheet:
 
 
 def read_sheet(path: Path) -> Sheet:
-    """Read one annotator's sheet, ``<letter><video>.xlsx``.
+    """One annotator's sheet, ``<letter><video>.xlsx``.
 
     Raises:
         InputError: naming file and row, if the sheet is broken.
@@ -198,29 +197,23 @@ def read_sheet(path: Path) -> Sheet:
         table = pandas.read_excel(path, header=None, engine="openpyxl").dropna(how="all")
     traits: dict[int, tuple[Trait, ...]] = {}
     for number, cells in zip(table.index + 1, table.to_numpy(object).tolist(), strict=True):
-        where = f"{path}: row {number}"
-        agent = _whole(where, "A", cells)
-        count = 0 if len(cells) < 4 or pandas.isna(cells[3]) else _whole(where, "D", cells)
-        if agent in traits:
-            raise InputError(f"{where}: found agent {agent} a second time, expected it once")
-        if not 0 <= count <= max(len(cells) - 4, 0):
+        try:
+            agent, count = (int(float(cell)) for cell in (cells[0], _count(cells)))
+            noted = tuple(TRAIT_CODES[int(cell)] for cell in map(float, cells[4 : 4 + count]))
+        except (ValueError, KeyError, OverflowError):
+            noted, agent, count = (), 0, 1
+        if len(noted) != count or agent in traits:
             raise InputError(
-                f"{where}, column D: found {count} traits, expected 0 to {max(len(cells) - 4, 0)}"
+                f"{path}: row {number}: found {cells!r:.80}, expected an agent that is not above, "
+                "a type, a flag, a number of traits and their codes"
             )
-        codes = [_whole(where, chr(ord("E") + i), cells) for i in range(count)]
-        unknown = [code for code in codes if code not in TRAIT_CODES]
-        if unknown:
-            raise InputError(f"{where}: found trait code {unknown[0]}, expected one of the table")
-        traits[agent] = tuple(TRAIT_CODES[code] for code in codes)
+        traits[agent] = noted
     return Sheet(name[1], int(name[2]), {agent: noted for agent, noted in traits.items() if noted})
 
 
-def _whole(where: str, column: str, cells: list[object]) -> int:
-    """A cell of a row as a whole number."""
-    text = str(cells[ord(column) - ord("A")]).strip()
-    if not re.fullmatch(r"-?[0-9]{1,9}(\.0+)?", text):
-        raise InputError(f"{where}, column {column}: found {text!r:.60}, expected a number")
-    return int(float(text))
+def _count(cells: list[object]) -> object:
+    """The cell with the number of traits; 0 where it is missing or empty."""
+    return 0 if len(cells) < 4 or pandas.isna(cells[3]) else cells[3]
 
 
 def sheets_of(folder: Path, video: int) -> tuple[Sheet, ...]:
@@ -248,15 +241,12 @@ def sheets_beside(path: Path) -> tuple[Sheet, ...]:
 
 
 def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:
-    """The resolved label of each agent of a video.
+    """(N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
 
     Args:
         tracks: of the video; agents are found by their names.
         sheets: of the same video.
         rule: how conflicts are resolved.
-
-    Returns:
-        (N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
     """
     out = np.full(tracks.ids.size, -1, dtype=np.int8)
     for row, name in enumerate(tracks.names):

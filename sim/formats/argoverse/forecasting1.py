@@ -9,6 +9,7 @@ References:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -33,8 +34,8 @@ LABELS_SUFFIX: Final = ".behavior"
 """Ending of the file beside each recording that holds the behaviours, which the format cannot
 hold."""
 
-FORMULA: Final = "=+-@"
-"""First characters of what spreadsheets take for a formula."""
+FORMULA: Final = re.compile(r"[=+@]|-(?![\d.]+(?:e[-+]?\d+)?$)", re.IGNORECASE)
+"""Beginning of what spreadsheets take for a formula; negative numbers are none."""
 
 CITY: Final = "PIT"
 """The format allows Pittsburgh and Miami only; what we write is neither."""
@@ -48,35 +49,18 @@ def read(path: Path) -> Iterator[Recording]:
     yield recorded(stem(path), rows, notes).with_codes(labels)
 
 
-def _is_number(label: str) -> bool:
-    """Whether a spreadsheet takes a text for a number."""
-    try:
-        float(label)
-    except ValueError:
-        return False
-    return True
-
-
 def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:
     """Write an episode as files of 5 s; behaviours go into a file beside each.
 
     The vehicle that travels farthest of those seen all the time is the AGENT, the next one the AV.
-
-    Args:
-        folder: where; it must exist.
-        name: how the files' names begin.
-        tracks: the episode, its step a divisor of 0.1 s.
-        road: not used; the format has no map.
-
-    Returns:
-        The files written.
+    The format has no map.
 
     Raises:
         NoWindowError: if no 5 s without a gap have a vehicle that is seen all the time.
         InputError: if the step does not fit, or an agent has a name that CSV files should not hold.
     """
     for label in tracks.names:
-        if not label.isprintable() or (label[:1] in FORMULA and not _is_number(label)):
+        if not label.isprintable() or FORMULA.match(label):
             raise InputError(
                 f"{name}: found agent {label!r:.60}, which a spreadsheet could run or a reader not "
                 "read back, expected a plain id"
@@ -88,17 +72,18 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
         role[focal[:2]] = ("AGENT", "AV")[: len(focal)]
         x, y = window.xy[row, step].T
         labels = np.array(window.names, dtype=object)
-        text = pandas.DataFrame(
-            {"TIMESTAMP": window.time_s[step], "TRACK_ID": labels[row], "OBJECT_TYPE": role[row],
-             "X": x, "Y": y, "CITY_NAME": CITY}
-        ).to_csv(index=False, lineterminator="\n")  # fmt: skip
-        kinds = [KINDS[kind].value for kind in window.kind]
-        known = pandas.DataFrame(
-            {"TRACK_ID": labels, "KIND": kinds, "BEHAVIOR": behavior_words(window)}
-        )
-        path = folder / f"{name}-{number:04d}.csv"
-        write_whole(path, text.encode())
-        beside = known.to_csv(index=False, lineterminator="\n")
-        write_whole(path.with_suffix(LABELS_SUFFIX), beside.encode())
-        written += [path, path.with_suffix(LABELS_SUFFIX)]
+        tables = {
+            folder / f"{name}-{number:04d}.csv": {
+                "TIMESTAMP": window.time_s[step], "TRACK_ID": labels[row], "OBJECT_TYPE": role[row],
+                "X": x, "Y": y, "CITY_NAME": CITY,
+            },
+            folder / f"{name}-{number:04d}{LABELS_SUFFIX}": {
+                "TRACK_ID": labels, "KIND": [KINDS[kind].value for kind in window.kind],
+                "BEHAVIOR": behavior_words(window),
+            },
+        }  # fmt: skip
+        for path, columns in tables.items():
+            text = pandas.DataFrame(columns).to_csv(index=False, lineterminator="\n")
+            write_whole(path, text.encode())
+            written.append(path)
     return written

@@ -7,7 +7,6 @@ exchanged. Nothing is guessed: what was found is said, beside the cause that exp
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -120,31 +119,23 @@ def doubts_of(tracks: Tracks, heading: FloatArray, *, sizes: bool) -> list[str]:
     Returns:
         The doubts; [] where everything fits.
     """
-    steps = _Steps.of(tracks)
+    steps = _Steps(tracks)
     found = [*_times(steps), *_places(tracks, steps)]
     if sizes:
         found += _sizes(tracks)
     return found + _headings(tracks, steps, heading)
 
 
-@dataclass(frozen=True)
 class _Steps:
     """The steps of agents from one time to the next at which they are seen."""
 
-    row: NDArray[np.int64]
-    agent: NDArray[np.int64]
-    time_s: FloatArray
-    moved: FloatArray
-    way: FloatArray
-
-    @classmethod
-    def of(cls, tracks: Tracks) -> _Steps:
-        rows = tracks.rows
-        agent, step = rows.index.agent, rows.index.step
-        at = np.flatnonzero(~rows.index.begins[1:])
-        moved = rows.xy[at + 1] - rows.xy[at]
-        time_s = tracks.time_s[step[at + 1]] - tracks.time_s[step[at]]
-        return cls(at, agent[at], time_s, moved, np.hypot(moved[:, 0], moved[:, 1]))
+    def __init__(self, tracks: Tracks) -> None:
+        index, xy = tracks.rows.index, tracks.rows.xy
+        self.row = np.flatnonzero(~index.begins[1:])
+        self.agent = index.agent[self.row]
+        self.moved = xy[self.row + 1] - xy[self.row]
+        self.time_s = tracks.time_s[index.step[self.row + 1]] - tracks.time_s[index.step[self.row]]
+        self.way = np.hypot(self.moved[:, 0], self.moved[:, 1])
 
 
 def _times(steps: _Steps) -> list[str]:
@@ -281,7 +272,7 @@ def _displacement_over_speed(tracks: Tracks) -> float:
     """The median over agents of how far they go, over speed times time; NaN if too little moves."""
     if tracks.time_s.size < 2:
         return float("nan")
-    steps, speed, n = _Steps.of(tracks), tracks.rows.speed, len(tracks.names)
+    steps, speed, n = _Steps(tracks), tracks.rows.speed, len(tracks.names)
     before, after = speed[steps.row], speed[steps.row + 1]
     stated = (before + after) / 2 * steps.time_s
     # nobody knows how an agent went that was lost during a break
