@@ -79,7 +79,7 @@ LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
 """Tables that accompany the tracks of inD, rounD and highD."""
 
 IND: Final = Format(
-    ("*_tracks.csv",), reader="sim.formats.levelx:read_ind", own_names=True, beside=LEVELX_BESIDE,
+    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind", own_names=True, beside=LEVELX_BESIDE,
     columns=(("trackid", "xcenter", "ycenter", "heading"),),
 )  # fmt: skip
 """inD and rounD, which look the same."""
@@ -90,38 +90,38 @@ FORMATS: Final[Registry[Format]] = Registry(
     {
         "argoverse2": Format(
             ("scenario_*.parquet",),
-            reader="sim.formats.argoverse.forecasting2:read",
-            writer="sim.formats.argoverse.forecasting2:write",
+            reader="sim.formats.argoverse:read_scenario",
+            writer="sim.formats.argoverse:write_scenarios",
             own_names=True, beside=("log_map_archive_*.json", "behavior_*.parquet"),
             columns=(("track_id", "object_type", "timestep", "position_x"),),
         ),
         "argoverse2-log": Format(
             ("annotations.feather", "annotations_with_ego.feather"),
-            reader="sim.formats.argoverse.sensor_log:read",
+            reader="sim.formats.argoverse:read_log",
             clock=True, own_names=True, beside=("map/*.json", "log_map_archive_*.json"),
             columns=(("timestamp_ns", "track_uuid", "category"),), one=True,
         ),
         "argoverse1": Format(
             ("*.csv", "*.parquet"),
-            reader="sim.formats.argoverse.forecasting1:read",
-            writer="sim.formats.argoverse.forecasting1:write",
+            reader="sim.formats.argoverse:read_csv",
+            writer="sim.formats.argoverse:write_csv",
             columns=(("timestamp", "track_id", "object_type", "x", "y"),),
         ),
         "ngsim": Format(
             ("*.csv", "*.txt", "*.parquet"),
             re.compile(rb"^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"),
-            "sim.formats.ngsim:read",
+            "sim.formats.recorded_tables:read_ngsim",
             clock=True, columns=(("vehicle_id", "local_x", "local_y"),),
         ),
         "ind": IND,
         "round": IND,
         "highd": Format(
-            ("*_tracks.csv",), reader="sim.formats.levelx:read_highd", own_names=True,
+            ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_highd", own_names=True,
             beside=LEVELX_BESIDE, columns=(("frame", "id", "width", "height", "xvelocity"),),
         ),
         "interaction": Format(
             ("vehicle_tracks_*.csv", "*_train.csv", "*_val.csv", "*_obs.csv"),
-            reader="sim.formats.interaction:read",
+            reader="sim.formats.recorded_tables:read_interaction",
             own_names=True,
             beside=("pedestrian_tracks_*.csv", "map_*.xml", "meta_data.csv", "signal_phases_*.csv",
                     "log_map_archive_*.json"),
@@ -153,7 +153,7 @@ FORMATS: Final[Registry[Format]] = Registry(
             "sim.formats.argo:read", beside=("*_labels.csv",),
         ),
         "pairs": Format(
-            ("*.csv",), reader="sim.formats.pairs:read",
+            ("*.csv",), reader="sim.formats.recorded_tables:read_pairs",
             columns=(("t", "x_follower", "v_follower", "x_leader", "v_leader"),),
         ),
         "womd": Format(
