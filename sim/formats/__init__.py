@@ -79,8 +79,8 @@ LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
 """Tables that accompany the tracks of inD, rounD and highD."""
 
 IND: Final = Format(
-    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind", own_names=True, beside=LEVELX_BESIDE,
-    columns=(("trackid", "xcenter", "ycenter", "heading"),),
+    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind", own_names=True,
+    beside=LEVELX_BESIDE, columns=(("trackid", "xcenter", "ycenter", "heading"),),
 )  # fmt: skip
 """inD and rounD, which look the same."""
 
