@@ -29,9 +29,9 @@ from sim.formats import (
     read_formats,
     recording_files,
 )
+from sim.formats.argoverse import NoWindowError
 from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
-from sim.formats.common.windows import NoWindowError
 from sim.formats.own_table import check_columns
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import Dataset, open_dataset

@@ -78,15 +78,9 @@ def read_labels(path: Path) -> dict[str, DriverLabel]:
 
 
 def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The rotation and shift that most points follow from one frame to the next.
+    """The rotation and shift that most of (n, 2) points follow from one frame to the next.
 
-    Args:
-        before: (n, 2) m.
-        after: (n, 2) the same agents a step later, m.
-
-    Returns:
-        (2, 2) rotation and (2,) shift with ``after @ rotation.T + shift`` near ``before`` for at
-        least half of the points.
+    ``after @ rotation.T + shift`` is near ``before`` for at least half of the points.
 
     Examples:
         >>> still = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 9.0], [7.0, 7.0]])

@@ -43,9 +43,6 @@ def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
     Args:
         columns: name in the file of each of ``NUMBERS`` and ``WORDS``.
         units: of some of ``NUMBERS``.
-
-    Raises:
-        InputError: naming the first that is wrong.
     """
     for key in columns:
         if key not in (*NUMBERS, *WORDS):

@@ -138,14 +138,11 @@ def _tracks_of(boxes: IntArray) -> list[IntArray]:
 
     Each box continues the nearest track; a box without a track begins a new one.
     """
-    frames, counts = np.unique(boxes[:, 0], return_counts=True)
+    _, counts = np.unique(boxes[:, 0], return_counts=True)
     if counts.max() == 1:
         return [boxes]
     if counts.max() > MAX_TWINS:
-        raise InputError(
-            f"frame {frames[counts.argmax()]}: found more than {MAX_TWINS} boxes of id "
-            f"{boxes[0, 5]}, expected one"
-        )
+        raise InputError(f"found {counts.max()} boxes of id {boxes[0, 5]} in a frame, expected one")
     centres = _centres(boxes)
     tracks: list[list[int]] = []
     for here in np.split(np.arange(len(boxes)), np.cumsum(counts)[:-1]):
@@ -198,7 +195,8 @@ def read_sheet(path: Path) -> Sheet:
     traits: dict[int, tuple[Trait, ...]] = {}
     for number, cells in zip(table.index + 1, table.to_numpy(object).tolist(), strict=True):
         try:
-            agent, count = (int(float(cell)) for cell in (cells[0], _count(cells)))
+            agent, said = int(float(cells[0])), float(cells[3]) if len(cells) > 3 else math.nan
+            count = 0 if math.isnan(said) else int(said)  # rows of agents that nobody annotated
             noted = tuple(TRAIT_CODES[int(cell)] for cell in map(float, cells[4 : 4 + count]))
         except (ValueError, KeyError, OverflowError):
             noted, agent, count = (), 0, 1
@@ -211,12 +209,7 @@ def read_sheet(path: Path) -> Sheet:
     return Sheet(name[1], int(name[2]), {agent: noted for agent, noted in traits.items() if noted})
 
 
-def _count(cells: list[object]) -> object:
-    """The cell with the number of traits; 0 where it is missing or empty."""
-    return 0 if len(cells) < 4 or pandas.isna(cells[3]) else cells[3]
-
-
-def sheets_of(folder: Path, video: int) -> tuple[Sheet, ...]:
+def sheets_of(folder: Path, video: int | None) -> tuple[Sheet, ...]:
     """All annotators' sheets on one video, in alphabetical order; empty if there are none."""
     return tuple(read_sheet(path) for path in sorted(folder.glob(f"[a-z]{video}.xlsx")))
 
@@ -234,9 +227,9 @@ def video_number(path: Path) -> int | None:
 
 def sheets_beside(path: Path) -> tuple[Sheet, ...]:
     """The sheets of a video: beside its tracks, or in a folder ``annotations`` there or nearby."""
-    number, folder = video_number(path), path.resolve().parent
+    folder = path.resolve().parent
     places = (folder, folder / "annotations", folder.parent / "annotations")
-    every = () if number is None else (sheets_of(place, number) for place in places)
+    every = (sheets_of(place, video_number(path)) for place in places)
     return next((found for found in every if found), ())
 
 

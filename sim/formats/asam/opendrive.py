@@ -126,15 +126,7 @@ class RoadFile:
 
 
 def opendrive(road: Road, name: str) -> RoadFile:
-    """A road as OpenDRIVE.
-
-    Args:
-        road: any; what a map does not tell is left out.
-        name: what the file calls it.
-
-    Returns:
-        The file's content, and where its signals are.
-    """
+    """A road as OpenDRIVE; what a map does not tell is left out."""
     roads = _roads_of_edges(road)
     junctions = _meet(road, roads)
     signals: list[list[str]] = [[] for _ in road.signal_groups]
