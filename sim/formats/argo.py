@@ -20,7 +20,7 @@ from behaviors.labels import Behavior, Style
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
 from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
-from sim.formats.common.tables import read_rows, read_table, words_in
+from sim.formats.common.tables import read_columns, read_table, rows_of, words_in
 from sim.frames import FloatArray, Tracks
 from sim.input_files import beside, plain_name, stem
 
@@ -45,7 +45,8 @@ MIN_AGENTS: Final = 3
 
 def read(path: Path) -> Iterator[Recording]:
     """The recording of one file, with the labels beside it."""
-    rows = read_rows(path, {"id": "id", "t": "frame", "x": "x", "y": "y"})
+    columns = {"id": "id", "t": "frame", "x": "x", "y": "y"}
+    rows = rows_of(read_columns(path, columns), columns)
     rows["t"] /= FRAME_RATE_HZ
     notes = [
         "the recording vehicle's motion was estimated from those that stand, and taken out",

@@ -43,12 +43,12 @@ from sim.formats.common.tables import (
     among,
     kinds_in,
     names_in,
-    read_rows,
+    read_columns,
     read_table,
     rows_of,
     whole,
     words_in,
-)
+)  # fmt: skip
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, FloatArray, Tracks
 from sim.input_files import beside, broken_as_one_line, stem
 from sim.road import Road
@@ -196,15 +196,13 @@ COLUMNS: Final = {
     "id": "track_id", "t": "timestep", "x": "position_x", "y": "position_y", "heading": "heading",
     "vx": "velocity_x", "vy": "velocity_y", "kind": "object_type",
 }  # fmt: skip
-NUMBERS: Final = ("timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y")
 """Columns that are read."""
 
 
 def read_scenario(path: Path) -> Iterator[Recording]:
     """The recording of one scenario, with the map and the labels beside it."""
-    table = read_table(path, NUMBERS, ("track_id", "object_type"))
-    table, others = among(table, "object_type", OBJECT_TYPES)
-    rows = rows_of(table, COLUMNS, OBJECT_TYPES)
+    table, others = among(read_columns(path, COLUMNS), "object_type", OBJECT_TYPES)
+    rows = rows_of(table, COLUMNS, kinds=OBJECT_TYPES)
     rows["t"] /= 10.0
     name = stem(path).removeprefix("scenario_")
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
@@ -311,7 +309,7 @@ CITY: Final = "PIT"
 def read_csv(path: Path) -> Iterator[Recording]:
     """The recording of one file, with the labels beside it; its first time is 0."""
     columns = {"id": "track_id", "t": "timestamp", "x": "x", "y": "y"}
-    rows = read_rows(path, columns, from_zero=True)
+    rows = rows_of(read_columns(path, columns), columns, from_zero=True)
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
     labels = labels_beside(path.with_suffix(LABELS_SUFFIX))
     yield recorded(stem(path), rows, notes).with_codes(labels)
@@ -364,19 +362,11 @@ POSES: Final = "city_SE3_egovehicle.feather"
 
 CATEGORIES: Final[dict[str, AgentKind]] = {
     "REGULAR_VEHICLE": AgentKind.CAR,
-    "LARGE_VEHICLE": AgentKind.TRUCK,
-    "TRUCK": AgentKind.TRUCK,
-    "BOX_TRUCK": AgentKind.TRUCK,
-    "TRUCK_CAB": AgentKind.TRUCK,
-    "BUS": AgentKind.BUS,
-    "SCHOOL_BUS": AgentKind.BUS,
-    "ARTICULATED_BUS": AgentKind.BUS,
-    "RAILED_VEHICLE": AgentKind.BUS,
+    **dict.fromkeys(("LARGE_VEHICLE", "TRUCK", "BOX_TRUCK", "TRUCK_CAB"), AgentKind.TRUCK),
+    **dict.fromkeys(("BUS", "SCHOOL_BUS", "ARTICULATED_BUS", "RAILED_VEHICLE"), AgentKind.BUS),
     "MOTORCYCLIST": AgentKind.MOTORCYCLE,
-    "BICYCLIST": AgentKind.BICYCLE,
-    "WHEELED_RIDER": AgentKind.BICYCLE,
-    "PEDESTRIAN": AgentKind.PEDESTRIAN,
-    "OFFICIAL_SIGNALER": AgentKind.PEDESTRIAN,
+    **dict.fromkeys(("BICYCLIST", "WHEELED_RIDER"), AgentKind.BICYCLE),
+    **dict.fromkeys(("PEDESTRIAN", "OFFICIAL_SIGNALER"), AgentKind.PEDESTRIAN),
 }
 """Categories that are road-agents. The others are left out: things, animals, trailers, and
 two-wheelers and devices, whose riders have boxes of their own."""

@@ -33,16 +33,8 @@ IN_SECONDS: Final = frozenset({"2017a", "2018a"})
 """Versions that give obstacles' times in seconds."""
 
 TYPES: Final[dict[str, AgentKind]] = {
-    "car": AgentKind.CAR,
-    "taxi": AgentKind.CAR,
-    "parkedVehicle": AgentKind.CAR,
-    "priorityVehicle": AgentKind.CAR,
-    "truck": AgentKind.TRUCK,
-    "bus": AgentKind.BUS,
-    "motorcycle": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
-    "unknown": AgentKind.CAR,
+    **{kind.value: kind for kind in AgentKind},
+    **dict.fromkeys(("taxi", "parkedVehicle", "priorityVehicle", "unknown"), AgentKind.CAR),
 }
 """Types of obstacles that are road-agents; the others (buildings, pillars, ...) are left out."""
 

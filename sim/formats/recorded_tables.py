@@ -50,7 +50,7 @@ from sim.formats.common.tables import (
     finite,
     kinds_in,
     names_in,
-    read_rows,
+    read_columns,
     read_table,
     read_text,
     rows_of,
@@ -75,10 +75,8 @@ NGSIM: Final = {
     "id": "vehicle_id", "t": "global_time", "x": "local_x", "y": "local_y", "speed": "v_vel",
     "length": "v_length", "width": "v_width",
 }  # fmt: skip
-NGSIM_UNITS: Final = dict.fromkeys(("x", "y", "length", "width"), "ft") | {
-    "speed": "ft/s",
-    "t": "ms",
-}
+_FEET: Final = dict.fromkeys(("x", "y", "length", "width"), "ft")
+NGSIM_UNITS: Final = {**_FEET, "speed": "ft/s", "t": "ms"}
 NGSIM_NUMBERS: Final = (*NGSIM.values(), "total_frames", "v_class")
 """Columns that are read."""
 
@@ -108,7 +106,7 @@ def read_ngsim(path: Path) -> Iterator[Recording]:
 
 def _of_ngsim(name: str, table: pandas.DataFrame) -> Recording:
     """The recording of one period."""
-    rows = rows_of(table, NGSIM, units=NGSIM_UNITS, from_zero=True)
+    rows = rows_of(table, NGSIM, NGSIM_UNITS, from_zero=True)
     rows["id"] = _agents(table)
     kind = table["v_class"].map({code: kind.code for code, kind in NGSIM_CLASSES.items()})
     if kind.isna().any():
@@ -153,19 +151,6 @@ def _agents(table: pandas.DataFrame) -> pandas.Categorical:
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second where no ``XX_recordingMeta.csv`` says otherwise."""
 
-CLASSES: Final[dict[str, AgentKind]] = {
-    "car": AgentKind.CAR,
-    "van": AgentKind.CAR,
-    "trailer": AgentKind.TRUCK,
-    "truck": AgentKind.TRUCK,
-    "truck_bus": AgentKind.TRUCK,
-    "bus": AgentKind.BUS,
-    "motorcycle": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
-}
-"""``class`` in ``XX_tracksMeta.csv``, in lower case."""
-
 IND: Final = {
     "id": "trackid", "t": "frame", "x": "xcenter", "y": "ycenter", "heading": "heading",
     "vx": "xvelocity", "vy": "yvelocity", "length": "length", "width": "width",
@@ -179,14 +164,14 @@ HIGHD: Final = {
 
 def read_ind(path: Path) -> Iterator[Recording]:
     """The recording of one ``XX_tracks.csv`` of inD or rounD."""
-    rows = read_rows(path, IND, units={"heading": "deg"}, optional=("length", "width"))
-    several = read_table(path, (), ("recordingid",), ("recordingid",))
-    if "recordingid" in several and several["recordingid"].nunique() > 1:
-        found = " and ".join(several["recordingid"].unique()[:2])
+    table = read_columns(path, IND, ("recordingid",), ("recordingid", "length", "width"))
+    if "recordingid" in table and table["recordingid"].nunique() > 1:
+        found = " and ".join(table["recordingid"].unique()[:2])
         raise InputError(
             f"{path}: column recordingid: found {found}, expected one recording in a file: each "
             "counts frames and ids from its own start"
         )
+    rows = rows_of(table, IND, {"heading": "deg"})
     notes = _with_metadata(path, rows, "trackid")
     if (rows.filter(["length", "width"]) == 0).any(axis=None):
         notes.append("pedestrians and bicycles without a size have the usual one")
@@ -195,7 +180,7 @@ def read_ind(path: Path) -> Iterator[Recording]:
 
 def read_highd(path: Path) -> Iterator[Recording]:
     """The recording of one ``XX_tracks.csv`` of highD; y is minus the image's, so it points up."""
-    rows = read_rows(path, HIGHD)
+    rows = rows_of(read_columns(path, HIGHD), HIGHD)
     notes = _with_metadata(path, rows, "id")
     rows["x"] += 0.5 * rows["length"]
     rows["y"] = -(rows["y"] + 0.5 * rows["width"])
@@ -220,7 +205,7 @@ def _with_metadata(path: Path, rows: pandas.DataFrame, id_column: str) -> list[s
         return [f"{name} is not there: all are taken for cars"]
     with broken_as_one_line(facts, "a table of agents"):
         meta = read_table(facts, (), (id_column, "class"))
-        kinds = dict(zip(names_in(meta[id_column]), kinds_in(meta["class"], CLASSES), strict=True))
+        kinds = dict(zip(names_in(meta[id_column]), kinds_in(meta["class"]), strict=True))
     missing = next((one for one in rows["id"].cat.categories if one not in kinds), None)
     if missing is not None:
         raise InputError(f"{facts}: found no row of agent {missing}, expected one")
@@ -230,25 +215,10 @@ def _with_metadata(path: Path, rows: pandas.DataFrame, id_column: str) -> list[s
 
 # --- INTERACTION ----------------------------------------------------------------------------------
 
-TYPES: Final[dict[str, AgentKind]] = {
-    "car": AgentKind.CAR,
-    "bus": AgentKind.BUS,
-    "truck": AgentKind.TRUCK,
-    "motorcycle": AgentKind.MOTORCYCLE,
-    "van": AgentKind.CAR,
-    "bicycle": AgentKind.BICYCLE,
-    "bike": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
-    "pedestrian/bicycle": AgentKind.PEDESTRIAN,
-}
-"""``agent_type``, in lower case."""
-
 INTERACTION: Final = {
     "id": "track_id", "t": "timestamp_ms", "x": "x", "y": "y", "heading": "psi_rad", "vx": "vx",
     "vy": "vy", "length": "length", "width": "width", "kind": "agent_type",
 }  # fmt: skip
-_MEASURED: Final = ("timestamp_ms", "x", "y", "psi_rad", "vx", "vy", "length", "width")
-_NAMES: Final = ("track_id", "agent_type", "case_id")
 _OPTIONAL: Final = ("psi_rad", "length", "width", "case_id")
 """Columns of both files, and those that may be missing."""
 
@@ -260,12 +230,12 @@ def read_interaction(path: Path) -> Iterator[Recording]:
     """
     walkers = beside(path, plain_name(path).replace("vehicle_tracks", "pedestrian_tracks"))
     files = [path] if walkers is None else [path, walkers]
-    tables = [read_table(file, _MEASURED, _NAMES, _OPTIONAL) for file in files]
+    tables = [read_columns(file, INTERACTION, ("case_id",), _OPTIONAL) for file in files]
     table = tables[0] if walkers is None else pandas.concat(tables, ignore_index=True)
     found, origin = map_beside(path), _origin(path)
     road = None if found is None else read_road_file(found, origin=origin)
     for case, part in by_word(table, "case_id"):
-        rows = rows_of(part, INTERACTION, TYPES, {"t": "ms"})
+        rows = rows_of(part, INTERACTION, {"t": "ms"})
         rows["id"] = _told_apart(part)
         notes = []
         sizes = rows.reindex(columns=["length", "width"])

@@ -44,22 +44,12 @@ MAX_TWINS: Final = 32
 frame before."""
 
 TRAIT_CODES: Final[dict[int, Trait]] = {
-    100: Trait.OVERTAKING,
-    101: Trait.OVER_SPEEDING,
-    102: Trait.TAILGATING,
-    103: Trait.WEAVING,
-    104: Trait.CUTTING_IN,
-    105: Trait.DRIVING_CLOSE,
-    106: Trait.WRONG_DIRECTION,
-    107: Trait.JAYWALKING,
-    108: Trait.BREAKING_RULES,
-    0: Trait.KEEPING_NEIGHBORS,
-    1: Trait.UNIFORM_SPEED,
-    2: Trait.FOLLOWING_RULES,
-    3: Trait.NOT_MOVING,
-    4: Trait.SLOWING,
+    100: Trait.OVERTAKING, 101: Trait.OVER_SPEEDING, 102: Trait.TAILGATING, 103: Trait.WEAVING,
+    104: Trait.CUTTING_IN, 105: Trait.DRIVING_CLOSE, 106: Trait.WRONG_DIRECTION,
+    107: Trait.JAYWALKING, 108: Trait.BREAKING_RULES, 0: Trait.KEEPING_NEIGHBORS,
+    1: Trait.UNIFORM_SPEED, 2: Trait.FOLLOWING_RULES, 3: Trait.NOT_MOVING, 4: Trait.SLOWING,
     5: Trait.WAITING,
-}
+}  # fmt: skip
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 

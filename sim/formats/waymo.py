@@ -44,11 +44,7 @@ PERIOD_S: Final = 0.1
 KINDS: Final = {1: AgentKind.CAR, 2: AgentKind.PEDESTRIAN, 3: AgentKind.BICYCLE}
 """Types of objects that are road-agents; 0 and 4 (unset, other) are left out."""
 
-WORDS: Final = {
-    "vehicle": AgentKind.CAR,
-    "pedestrian": AgentKind.PEDESTRIAN,
-    "cyclist": AgentKind.BICYCLE,
-}
+WORDS: Final = dict(zip(("vehicle", "pedestrian", "cyclist"), KINDS.values(), strict=True))
 """The same in Nocturne's words."""
 
 _EXAMPLE: Final = re.compile(

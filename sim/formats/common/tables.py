@@ -43,6 +43,16 @@ EMPTY: Final = ("", "NA", "null", "None")
 NEEDED: Final = ("id", "t", "x", "y")
 """What the rows of every recording have."""
 
+KINDS: Final = {
+    **{kind.value: kind for kind in AgentKind},
+    **dict.fromkeys(("vehicle", "van"), AgentKind.CAR),
+    **dict.fromkeys(("trailer", "truck_bus"), AgentKind.TRUCK),
+    **dict.fromkeys(("cyclist", "bike"), AgentKind.BICYCLE),
+    **dict.fromkeys(("walker", "person", "pedestrian/bicycle"), AgentKind.PEDESTRIAN),
+    "motorbike": AgentKind.MOTORCYCLE,
+}
+"""The kind that each word of a table stands for, whatever its format."""
+
 MOST_EMPTY: Final = 0.5
 """Share of the fields of a column of numbers that may be empty or infinite."""
 
@@ -290,23 +300,24 @@ def _each_once(names: Sequence[str], wanted: Sequence[str], optional: Collection
 # --- rows ---------------------------------------------------------------------------------------
 
 
-def read_rows(
-    path: Path, columns: Mapping[str, str], kinds: Mapping[str, AgentKind] | None = None,
-    units: Mapping[str, str] | None = None, optional: Collection[str] = (), *,
-    from_zero: bool = False,
+def read_columns(
+    path: Path, columns: Mapping[str, str], words: Collection[str] = (),
+    optional: Collection[str] = (),
 ) -> pandas.DataFrame:  # fmt: skip
-    """Rows of a table as `rows_of` makes them of its columns."""
+    """The columns of a table that `rows_of` takes, and further ones of text."""
     texts = [columns[key] for key in ("id", "kind") if key in columns]
     numbers = [name for key, name in columns.items() if key not in ("id", "kind")]
-    table = read_table(path, numbers, texts, optional)
-    return rows_of(table, columns, kinds, units, from_zero=from_zero)
+    return read_table(path, numbers, [*texts, *words], optional)
 
 
 def rows_of(
-    table: pandas.DataFrame, columns: Mapping[str, str],
-    kinds: Mapping[str, AgentKind] | None = None, units: Mapping[str, str] | None = None, *,
+    table: pandas.DataFrame,
+    columns: Mapping[str, str],
+    units: Mapping[str, str] | None = None,
+    kinds: Mapping[str, AgentKind] = KINDS,
+    *,
     from_zero: bool = False,
-) -> pandas.DataFrame:  # fmt: skip
+) -> pandas.DataFrame:
     """Rows of a recording in SI units, as `sim.formats.common.recording.recorded` takes them.
 
     Args:
@@ -314,8 +325,8 @@ def rows_of(
         columns: name in the table of ``id``, ``t``, ``x``, ``y``, and of any of ``heading``,
             ``speed``, ``vx``, ``vy``, ``length``, ``width``, ``kind``. Those that the table does
             not have are left out.
-        kinds: the kind that each word of the column ``kind`` stands for.
         units: of columns that are in no SI unit, as `sim.units.in_si` takes them.
+        kinds: the kind that each word of the column ``kind`` stands for.
         from_zero: whether the first time becomes 0.
 
     Returns:
@@ -331,7 +342,7 @@ def rows_of(
         if key == "id":
             rows[key] = names_in(table[name])
         elif key == "kind":
-            rows[key] = kinds_in(table[name], kinds or {})
+            rows[key] = kinds_in(table[name], kinds)
         else:
             values = table[name].to_numpy(np.float64)
             if from_zero and key == "t":
@@ -365,7 +376,7 @@ def words_in(column: Any) -> list[str | None]:
     return [words[k] if k >= 0 else None for k in code.tolist()]
 
 
-def kinds_in(column: pandas.Series, known: Mapping[str, AgentKind]) -> NDArray[np.int8]:
+def kinds_in(column: pandas.Series, known: Mapping[str, AgentKind] = KINDS) -> NDArray[np.int8]:
     """(m,) codes of the kinds that words stand for, in upper or lower case; all must be known."""
     lower = {word.lower(): kind.code for word, kind in known.items()}
     code, words = codes_in(column)
