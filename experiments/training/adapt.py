@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.guard import guarded_call
-from experiments.score.labels import Answered, answer_episodes
+from experiments.score.labels import answer_episodes
 from experiments.score.rows import Row, tidy_row
+from experiments.score.tables import CHANCES
 from graphrqi.model_files import check_model_folder, load_model, save_model
 from graphrqi.places.adaptation import from_labels
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from sim.formats.common.label_file import DriverLabels, read_driver_labels
 from sim.frames import BoolArray, FloatArray
 from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
 
 LABELLED: Final = (10, 30, 100)
 """Numbers of labelled drivers that are reported."""
@@ -33,20 +37,9 @@ LEAST_SCORED: Final = 10
 def adapt(
     model: str | Path, recordings: Path, out: Path, labels: Path, quiet: bool = False
 ) -> list[Row]:
-    """Adapt a model to the place of some recordings.
+    """Adapt a model to the place of a dataset of recordings, and save it in the folder ``out``.
 
-    Args:
-        model: a shipped model's name or a folder.
-        recordings: folder of a dataset.
-        out: folder of the adapted model.
-        labels: labels of some drivers, see `sim.formats.common.label_file`.
-        quiet: whether to show no progress.
-
-    Returns:
-        Rows on the fit, and accuracy on other labelled drivers before and after.
-
-    Raises:
-        InputError: if no driver is labelled, or ``out`` is not a model's folder.
+    Returned are rows on the fit, and accuracy on other labelled drivers before and after.
     """
     trained = dataclasses.replace(load_model(model), adaptation=None)
     check_model_folder(out)
@@ -57,10 +50,10 @@ def adapt(
             "graphrqi train on such data makes one for them"
         )
     given = guarded_call(labels, read_driver_labels, labels)
-    datasets = [open_dataset(recordings)]
-    answered = answer_episodes(trained, datasets, traffic="recorded", quiet=quiet)
-    drivers = sum(one.table.num_rows for one in answered)
-    probability, allowed = _labelled(answered, given)
+    dataset = open_dataset(recordings)
+    answered = answer_episodes(trained, [dataset], traffic="recorded", quiet=quiet)
+    drivers = len(answered)
+    probability, allowed = _labelled(dataset.episodes(), answered, given)
     given.check()
     if not len(allowed):
         raise InputError(
@@ -82,14 +75,15 @@ def adapt(
     return rows
 
 
-def _labelled(answered: list[Answered], given: DriverLabels) -> tuple[FloatArray, BoolArray]:
+def _labelled(
+    entries: Sequence[EpisodeEntry], answered: pd.DataFrame, given: DriverLabels
+) -> tuple[FloatArray, BoolArray]:
     """The last answers (n, 6) about labelled drivers, and the behaviours (n, 6) labels allow."""
     answers, allowed = [], []
-    for one in answered:
-        names, entry = one.table["name"].to_pylist(), one.entry
-        columns = [one.table[f"p_{b!s}"].to_numpy() for b in BEHAVIORS]
-        found = given.of(names, entry.name, entry.file, entry.id)
-        for label, answer in zip(found, np.stack(columns, axis=1), strict=True):
+    for entry in entries:
+        own = answered[answered["episode"] == entry.id]
+        found = given.of(own["name"].tolist(), entry.name, entry.file, entry.id)
+        for label, answer in zip(found, own[CHANCES].to_numpy(), strict=True):
             if label is not None:
                 answers.append(answer)
                 allowed.append(label.allowed)
@@ -99,35 +93,31 @@ def _labelled(answered: list[Answered], given: DriverLabels) -> tuple[FloatArray
 
 def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:
     """Scores of styles of labelled drivers that were left out of a random choice of so many."""
+    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
+
     style: BoolArray = np.asarray(allowed[:, AGGRESSIVE].any(axis=1))
     rows: list[Row] = []
     for count in LABELLED:
-        if len(known) < count + LEAST_SCORED:
-            continue
-        scores: dict[str, list[dict[str, float]]] = {}
-        for split in range(SPLITS):
+        scores: dict[tuple[str, str], list[float]] = {}
+        for split in range(SPLITS if len(known) >= count + LEAST_SCORED else 0):
             order = np.random.default_rng(split).permutation(len(known))
             learned, left = order[:count], order[count:]
-            if len(set(style[learned])) < 2 or len(set(style[left])) < 2:
+            truth = style[left]
+            if len(set(style[learned])) < 2 or len(set(truth)) < 2:
                 continue
             adapted = from_labels(known[learned], allowed[learned]).applied(known[left])
             for name, answer in (("as it was", known[left]), ("adapted", adapted)):
-                found = _scored(aggressive_share(answer), style[left])
-                scores.setdefault(name, []).append(found)
-        for name, each in scores.items():
-            keys = {"labelled": count, "model": name}
-            for metric in each[0]:
-                value = float(np.mean([one[metric] for one in each]))
-                rows.append(tidy_row(keys, metric, value, n=len(each)))
+                share = aggressive_share(answer)
+                for metric, value in (
+                    ("style_balanced_accuracy", balanced_accuracy_score(truth, share > 0.5)),
+                    ("style_auc", roc_auc_score(truth, share)),
+                    ("style_log_loss", log_loss(truth, share.clip(1e-6, 1.0 - 1e-6))),
+                ):
+                    scores.setdefault((name, metric), []).append(float(value))
+        rows += [
+            tidy_row(
+                {"labelled": count, "model": name}, metric, float(np.mean(values)), n=len(values)
+            )
+            for (name, metric), values in scores.items()
+        ]  # fmt: skip
     return rows
-
-
-def _scored(probability: FloatArray, style: BoolArray) -> dict[str, float]:
-    """Figures of the probability of the aggressive style."""
-    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
-
-    return {
-        "style_balanced_accuracy": balanced_accuracy_score(style, probability > 0.5),
-        "style_auc": roc_auc_score(style, probability),
-        "style_log_loss": log_loss(style, probability.clip(1e-6, 1.0 - 1e-6)),
-    }

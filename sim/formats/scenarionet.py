@@ -31,7 +31,8 @@ from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind, FloatArray, Signal, Tracks
 from sim.input_files import read_bytes, stem
 from sim.road import Road
-from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane
+from sim.road.maps.lanelets import Lanelet
+from sim.units import in_si
 
 # --- reading ------------------------------------------------------------------------------------
 
@@ -59,11 +60,11 @@ READ_KINDS: Final = {
 }
 """Types of objects that are road-agents; cones, barriers and the like are left out."""
 
-LANES: Final = {
-    "LANE_UNKNOWN": 0, "LANE_FREEWAY": 1, "LANE_SURFACE_STREET": 2, "LANE_BIKE_LANE": 3,
-    "LANE_SURFACE_UNSTRUCTURE": 2,
-}  # fmt: skip
-"""Types of lanes, by Waymo's numbers; an unstructured one is a way across a junction."""
+BIKE_LANE: Final = "LANE_BIKE_LANE"
+LANES: Final = frozenset({
+    "LANE_UNKNOWN", "LANE_FREEWAY", "LANE_SURFACE_STREET", BIKE_LANE, "LANE_SURFACE_UNSTRUCTURE",
+})  # fmt: skip
+"""Types of lanes; an unstructured one is a way across a junction."""
 
 LIGHTS: Final = (
     ("RED", Signal.RED), ("STOP", Signal.RED), ("YELLOW", Signal.YELLOW),
@@ -213,33 +214,34 @@ def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]
         return tuple(numbers[word] for word in words if word in numbers)
 
     for name, lane in lanes.items():
-        unstructured = lane["type"] == "LANE_SURFACE_UNSTRUCTURE"
         before, after, left, right = (
             known(tuple(lane.get(key) or ())[:16])
             for key in ("entry_lanes", "exit_lanes", "left_neighbor", "right_neighbor")
         )
-        limit_kmh, width = lane.get("speed_limit_kmh"), lane.get("width")
+        # converters write none or 0 for an unknown limit, and mostly a width at every point
+        limit_mph, limit_kmh = (
+            float(lane.get(f"speed_limit_{unit}") or math.nan) for unit in ("mph", "kmh")
+        )
+        limits = in_si(limit_mph, "mph"), in_si(limit_kmh, "km/h")
+        width = lane.get("width")
+        width_m = math.nan if width is None or np.ndim(width) else float(width)
+        if not (math.isnan(width_m) or 0.0 < width_m <= 100.0):
+            raise InputError(f"map_features: found a width of {width_m:g} m, expected up to 100")
+        unstructured = lane["type"] == "LANE_SURFACE_UNSTRUCTURE"
         scene.lanes.append(
-            WaymoLane(
+            Lanelet(
                 id=numbers[name],
-                line=_points(lane["polyline"]),
-                # converters write no limit, None or 0 where it is unknown
-                limit_mph=float(
-                    lane.get("speed_limit_mph")
-                    or (float(limit_kmh) / 3.6 / MPS_PER_MPH if limit_kmh else math.nan)
-                ),
-                type=LANES[lane["type"]],
-                interpolating=unstructured or bool(lane.get("interpolating", False)),
-                before=before,
-                after=after,
+                centerline=_points(lane["polyline"]),
+                limit_mps=limits[1] if math.isnan(limit_mph) else limits[0],
+                cars=lane["type"] != BIKE_LANE,
+                internal=unstructured or bool(lane.get("interpolating", False)),
+                predecessors=before,
+                successors=after,
                 left=left[0] if left else None,
                 right=right[0] if right else None,
-                # ours says the width; converters mostly give one at every point
-                width_m=math.nan if width is None or np.ndim(width) else float(width),
+                width_m=width_m,
             )
         )
-        if not (math.isnan(scene.lanes[-1].width_m) or 0.0 < scene.lanes[-1].width_m <= 100.0):
-            raise InputError(f"map_features: found a width of {width} m, expected up to 100")
     for name, feature in features.items():
         if _word(feature["type"]) == "CROSSWALK" and "polygon" in feature:
             scene.crosswalks[_word(name)] = _points(feature["polygon"])

@@ -36,13 +36,17 @@ from sim.formats.common.driving_scene import DrivingScene, recording_of
 from sim.formats.common.recording import Recording
 from sim.frames import AgentKind, FloatArray
 from sim.input_files import opened, plain_name, read_bytes, stem
-from sim.road.maps.waymo import WaymoLane
+from sim.road.maps.lanelets import Lanelet
+from sim.units import in_si
 
 PERIOD_S: Final = 0.1
 """Time between two steps where the file does not say it, s."""
 
 KINDS: Final = {1: AgentKind.CAR, 2: AgentKind.PEDESTRIAN, 3: AgentKind.BICYCLE}
 """Types of objects that are road-agents; 0 and 4 (unset, other) are left out."""
+
+BIKE_LANE: Final = 3
+"""The type of lanes for bicycles."""
 
 WORDS: Final = dict(zip(("vehicle", "pedestrian", "cyclist"), KINDS.values(), strict=True))
 """The same in Nocturne's words."""
@@ -225,17 +229,18 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
         if feature.HasField("lane"):
             lane = feature.lane
             scene.lanes.append(
-                WaymoLane(
+                Lanelet(
                     id=feature.id,
-                    line=np.array([(p.x, p.y) for p in lane.polyline]).reshape(-1, 2),
-                    limit_mph=lane.speed_limit_mph,
-                    type=lane.type,
-                    interpolating=lane.interpolating,
-                    before=tuple(lane.entry_lanes)[:16],
-                    after=tuple(lane.exit_lanes)[:16],
+                    centerline=np.array([(p.x, p.y) for p in lane.polyline]).reshape(-1, 2),
+                    width_m=math.nan,
+                    limit_mps=in_si(lane.speed_limit_mph, "mph") or math.nan,
+                    cars=lane.type != BIKE_LANE,
+                    internal=lane.interpolating,
+                    predecessors=tuple(lane.entry_lanes)[:16],
+                    successors=tuple(lane.exit_lanes)[:16],
                     left=lane.left_neighbors[0].feature_id if lane.left_neighbors else None,
                     right=lane.right_neighbors[0].feature_id if lane.right_neighbors else None,
-                    stops=feature.id in stops,
+                    must_stop=feature.id in stops,
                 )
             )
         elif feature.HasField("crosswalk"):
@@ -311,7 +316,7 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     for index, road in enumerate(found.get("roads") or []):
         identity, line = road.get("id", index), road.get("geometry")
         if isinstance(line, list) and road["type"] == "lane":
-            scene.lanes.append(WaymoLane(id=int(identity), line=_xy(line)))
+            scene.lanes.append(Lanelet(int(identity), _xy(line), math.nan))
         elif isinstance(line, list) and road["type"] == "crosswalk":
             scene.crosswalks[str(identity)] = _xy(line)
     known = {lane.id for lane in scene.lanes}

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, recorded
 from sim.frames import AgentKind, FloatArray, Signal
-from sim.road.maps.waymo import WaymoLane, waymo_road
+from sim.road.maps.lanelets import Lanelet
+from sim.road.maps.waymo import waymo_road
 
 STATES: Final = (
     Signal.OFF, Signal.RED, Signal.YELLOW, Signal.GREEN, Signal.RED, Signal.YELLOW, Signal.GREEN,
@@ -40,7 +41,7 @@ class DrivingScene:
         time_s: (T,) of the steps, s.
         agents: name and kind of each road-agent, the (k,) steps at which it is seen, and its
             (k, 6) `VALUES` there.
-        lanes: of the map.
+        lanes: of the map; an unknown width is NaN.
         crosswalks: (P, 2) outline of each, m, by id.
         lights: what the lights show at each step: index into `STATES` by lane.
         behaviors: codes into ``BEHAVIORS``, by agent's name.
@@ -51,7 +52,7 @@ class DrivingScene:
     name: str
     time_s: FloatArray
     agents: list[tuple[str, AgentKind, NDArray[np.int64], FloatArray]] = field(default_factory=list)
-    lanes: list[WaymoLane] = field(default_factory=list)
+    lanes: list[Lanelet] = field(default_factory=list)
     crosswalks: dict[str, FloatArray] = field(default_factory=dict)
     lights: list[dict[int, int]] = field(default_factory=list)
     behaviors: dict[str, int] = field(default_factory=dict)
