@@ -17,7 +17,7 @@ from experiments.generate.worlds.population import Population, draw_population
 from experiments.generate.worlds.roads import WorldRoad, draw_road
 from experiments.generate.worlds.sensor import Sensor, draw_sensor
 from sim.frames import AgentKind
-from sim.sumo.settings import LAWS, SumoSettings
+from sim.sumo.vehicle_types import LAWS, SumoSettings
 
 DURATION_S: Final = 120.0
 """Length of a world's episode, s."""
