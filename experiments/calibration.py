@@ -22,25 +22,18 @@ from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
 from experiments.score.rows import Cell, Row
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
-from graphrqi.calibrate.following import RecordedDriver, Stretch, recorded_drivers
+from graphrqi.calibrate.following import RecordedDriver, recorded_drivers
 from sim.files import new_folder
 from sim.store.dataset import open_dataset
 
 SCHEMA: Final = pa.schema(
-    [
-        ("recording", pa.string()),
-        ("agent", pa.int64()),
-        ("name", pa.string()),
-        ("seconds", pa.float64()),
-        ("law", pa.string()),
-        ("error_m", pa.float64()),
-        ("number", pa.string()),
-        ("median", pa.float64()),
-        ("low", pa.float64()),
-        ("high", pa.float64()),
-        ("known", pa.bool_()),
-    ]
-)
+    {
+        "recording": pa.string(), "agent": pa.int64(), "name": pa.string(),
+        "seconds": pa.float64(), "law": pa.string(), "error_m": pa.float64(),
+        "number": pa.string(), "median": pa.float64(), "low": pa.float64(), "high": pa.float64(),
+        "known": pa.bool_(),
+    }
+)  # fmt: skip
 """Columns of ``drivers.parquet``: a law's position error, a number with its 90 % interval, and
 whether the recording identifies it."""
 
@@ -53,14 +46,7 @@ LEAST_HALF_S: Final = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """Drivers of recordings under both laws.
-
-    Attributes:
-        source: what was calibrated, in words.
-        recording: (N,) name of the recording of each driver.
-        drivers: (N,) their ids.
-        laws: the calibration under each law.
-    """
+    """The N drivers of recordings, the recording of each, and their calibration under each law."""
 
     source: str
     recording: tuple[str, ...]
@@ -93,10 +79,6 @@ def write_calibration(
     """Calibrate all drivers of a dataset or of recordings, and write a new or empty folder.
 
     Format and net are those of `experiments.data.exchange.as_dataset`.
-
-    Raises:
-        InputError: if there is nothing to calibrate or ``out`` holds anything.
-        OSError: if something cannot be written.
     """
     with new_folder(out) as folder:
         names: list[str] = []
@@ -130,22 +112,22 @@ def write_calibration(
 
 def _drivers_table(calibrated: Calibrated) -> pa.Table:
     """A row for each law, driver and number; columns as `SCHEMA`."""
-    parts = []
-    count, numbers = len(calibrated.drivers), len(NUMBERS)
+    drivers, parts = calibrated.drivers, []
     for law, fitted in calibrated.laws.items():
         margin = NORMAL_90 * fitted.deviation
-        each = {
+        of_drivers = {
             "recording": calibrated.recording,
-            **{
-                name: [getattr(driver, name) for driver in calibrated.drivers]
-                for name in ("agent", "name", "seconds")
-            },
-            "law": [str(law)] * count,
+            "agent": [driver.agent for driver in drivers],
+            "name": [driver.name for driver in drivers],
+            "seconds": [driver.seconds for driver in drivers],
+            "law": [str(law)] * len(drivers),
             "error_m": fitted.error_m,
         }
         columns = {
-            **{name: np.repeat(np.asarray(values), numbers) for name, values in each.items()},
-            "number": list(NUMBERS) * count,
+            **{
+                name: np.repeat(np.asarray(each), len(NUMBERS)) for name, each in of_drivers.items()
+            },
+            "number": list(NUMBERS) * len(drivers),
             "median": np.exp(fitted.logs).ravel(),
             "low": np.exp(fitted.logs - margin).ravel(),
             "high": np.exp(fitted.logs + margin).ravel(),
@@ -161,8 +143,12 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
     ``error_m`` is the median position error, ``second_half_m`` that of gaps predicted from the
     first half. None if no driver follows one leader for 10 s.
     """
-    longest = [_longest_following(driver) for driver in calibrated.drivers]
-    halved = [stretch for stretch in longest if stretch is not None]
+    halved = []
+    for driver in calibrated.drivers:
+        behind = [one for one in driver.stretches if np.isfinite(one.leader[0])]
+        longest = max(behind, key=lambda one: one.seconds, default=None)
+        if longest is not None and longest.seconds >= 2.0 * LEAST_HALF_S:
+            halved.append(longest)
     rows: list[Row] = []
     for law, fitted in calibrated.laws.items():
         population = calibrated.population(law)
@@ -181,13 +167,6 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
             for k, number in enumerate(NUMBERS)
         ]
     return rows
-
-
-def _longest_following(driver: RecordedDriver) -> Stretch | None:
-    """A driver's longest stretch behind one leader, if it is long enough to be halved."""
-    behind = [one for one in driver.stretches if np.isfinite(one.leader[0])]
-    longest = max(behind, key=lambda one: one.seconds, default=None)
-    return longest if longest is not None and longest.seconds >= 2.0 * LEAST_HALF_S else None
 
 
 def quantile_rows(population: Population) -> list[Row]:

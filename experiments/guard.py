@@ -8,19 +8,15 @@ happens to the child is one line that names the file. Python programs call reade
 from __future__ import annotations
 
 import os
-import pickle
 import resource
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, Final, TypeVar
-
-from experiments.console.notices import LOGGER
 
 T = TypeVar("T")
 
@@ -46,77 +42,58 @@ def guarding() -> Iterator[None]:
         _GUARDING.reset(token)
 
 
-def is_guarding() -> bool:
-    """Whether `guarded` uses a child process here."""
-    return _GUARDING.get()
-
-
 def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: Any) -> Iterator[Any]:
-    """Yields of a function that runs in a child process with limits, inside a block of `guarding`.
+    """Yields of a module's function that runs in a child process, inside a block of `guarding`.
 
-    Args:
-        source: the file or folder that the function reads; its size decides the limits.
-        function: of a module; a path that it yields names the file that it reads next and is not
-            handed on.
-        arguments: of the function; they are pickled, as is each answer.
+    The size of the file or folder ``source`` decides the limits. A path that the function yields
+    names the file that it reads next, and is not handed on.
 
     Raises:
         InputError: the function's own, or one line that names the file and says what happened.
     """
+    from multiprocessing import Pipe
+
     from behaviors.errors import InputError  # which imports numpy
 
-    if not is_guarding():
+    if not _GUARDING.get():
         yield from (one for one in function(*arguments) if not isinstance(one, Path))
         return
     files = source.rglob("*") if source.is_dir() else [source]
     size = sum(file.stat().st_size for file in files if file.is_file())
-    time_s, file, late = TIME_S + TIME_S_PER_BYTE * size, source, threading.Event()
-    child = subprocess.Popen(
-        [sys.executable, "-c", "from experiments.guard import child; child()"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        env=os.environ | THREADS | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    time_s, file = TIME_S + TIME_S_PER_BYTE * size, source
+    wanted = "expected a file that can be read"
+    answers, far_end = Pipe()
+    command = f"from experiments.guard import child; child({far_end.fileno()})"
+    path = os.pathsep.join(filter(None, sys.path))
+    process = subprocess.Popen(
+        [sys.executable, "-c", command], pass_fds=[far_end.fileno()], stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | THREADS | {"PYTHONPATH": path},
     )  # fmt: skip
-    assert child.stdin is not None
-    assert child.stdout is not None
-
-    def stop() -> None:
-        late.set()
-        child.kill()
-
+    far_end.close()
     try:
-        with child.stdin as request:
-            pickle.dump(MEMORY_BYTES + MEMORY_PER_BYTE * size, request)
-            pickle.dump((function, arguments), request)
+        answers.send(MEMORY_BYTES + MEMORY_PER_BYTE * size)
+        answers.send((function, arguments))
         while True:
-            timer = threading.Timer(time_s, stop)
-            timer.start()
-            try:
-                what, found = pickle.load(child.stdout)
-            except (EOFError, pickle.UnpicklingError):
-                number = -child.wait()
-                ended = signal.Signals(number).name if number > 0 else f"exit code {-number}"
-                why = f"took more than {time_s:.0f} s" if late.is_set() else f"broke off ({ended})"
-                raise InputError(
-                    f"{file}: reading {why}, expected a file that can be read"
-                ) from None
-            finally:
-                timer.cancel()
+            if not answers.poll(time_s):
+                raise InputError(f"{file}: reading took more than {time_s:.0f} s, {wanted}")
+            what, found = answers.recv()
             if what == "end":
                 return
             if what == "file":
                 file = found
-            elif what == "error":
-                raise InputError(found)
-            elif what == "broken":
-                LOGGER.debug("%s: %s", file, found)
-                last = found.strip().splitlines()[-1]
-                raise InputError(f"{file}: found a broken file ({last:.200})")
-            else:
+            elif what == "answer":
                 yield found
+            else:
+                raise InputError(found if what == "error" else f"{file}: found a broken {found}")
+    except (EOFError, ConnectionError):
+        number = -process.wait()
+        ended = signal.Signals(number).name if number > 0 else f"exit code {-number}"
+        raise InputError(f"{file}: reading broke off ({ended}), {wanted}") from None
     finally:
-        child.kill()
-        child.wait()
-        child.stdout.close()
+        process.kill()
+        process.wait()
+        answers.close()
 
 
 def guarded_call(source: Path, function: Callable[..., T], *arguments: Any) -> T:
@@ -129,31 +106,25 @@ def _once(function: Callable[..., T], *arguments: Any) -> Iterator[T]:
     yield function(*arguments)
 
 
-def child() -> None:
-    """Answer the one request on stdin; the main function of a child process."""
+def child(descriptor: int) -> None:
+    """Answer the one request that comes through a pipe; the main function of a child process."""
+    from multiprocessing.connection import Connection
+
     from behaviors.errors import InputError
 
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # text printed by libraries is not part of the answer
-
-    def send(what: str, found: Any = None) -> None:
-        pickle.dump((what, found), answers, protocol=pickle.HIGHEST_PROTOCOL)
-        answers.flush()
-
-    memory = pickle.load(sys.stdin.buffer)
+    request = Connection(descriptor)
+    memory = request.recv()
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
     try:
-        function, arguments = pickle.load(sys.stdin.buffer)
+        function, arguments = request.recv()
         for one in function(*arguments):
-            send("file" if isinstance(one, Path) else "answer", one)
+            request.send(("file" if isinstance(one, Path) else "answer", one))
+        request.send(("end", None))
     except InputError as error:
-        send("error", str(error))
+        request.send(("error", str(error)))
     except MemoryError:
-        send("broken", f"it needs more than {memory / 2**30:.2g} GB of memory")
-    except Exception:  # of a broken file, anything may come
-        import traceback
-
-        send("broken", traceback.format_exc())
-    else:
-        send("end")
+        request.send(("broken", f"file (it needs more than {memory / 2**30:.2g} GB of memory)"))
+    except Exception as error:  # of a broken file, anything may come
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        request.send(("broken", f"file ({said:.200})"))

@@ -27,7 +27,6 @@ from experiments.training.classifier import TRAINING_LIMITS_MPS, train_on
 from experiments.training.other_traffic import train_on_worlds
 from experiments.training.predictor import calibrate_drivers, train_predictors
 from experiments.training.recorded import train_on_recordings
-from experiments.training.roads import generate_roads
 from graphrqi.model_files import FILE, MODELS, load_model, save_model
 from graphrqi.networks.portable_torch import leave_onednn_out
 from graphrqi.networks.weights import load_weights, save_weights
@@ -69,6 +68,24 @@ NETWORK_SEED, NETWORK_S = 2023, 150.0
 WORLDS_EPISODES: Final = {7000: 700, 31000: 1500, 52000: 2000}
 """Random worlds that the networks for other traffic learn from, by their seed."""
 
+ROUNDABOUTS: Final = ((13.0, 1), (20.0, 1), (20.0, 2), (30.0, 2), (45.0, 2))
+"""Radius of the ring, m, and lanes of each roundabout (from the smallest that a bus can pass to
+those of country roads)."""
+
+ROUNDABOUT_EPISODES, ROUNDABOUT_ENGINE = 2, "sumo-idm"
+"""Episodes of each roundabout, and which law drives there."""
+
+ROUNDABOUT_LIMITS_MPS: Final = (13.89, 8.33, 11.11, 16.67)
+"""Limits of the roundabouts' arms, which their episodes take in turn, m/s."""
+
+MOTORWAYS: Final = ("motorway", "motorway_ramps")
+MOTORWAY_EPISODES: Final = 8
+MOTORWAY_LIMITS_MPS: Final = (22.22, 50.0, 27.78, 36.11)
+"""Episodes of each motorway, and the limits that they take in turn, m/s."""
+
+ROAD_S: Final = 60.0
+"""Length of the episodes of roundabouts and motorways, s."""
+
 OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
 """Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
 
@@ -76,42 +93,41 @@ NETWORKS: Final = "networks.safetensors"
 """File of the trained networks in the working folder, beside the folder of the classifier."""
 
 
+def _made(work: Path, name: str, jobs: int | None, quiet: bool = False, **options: Any) -> Path:
+    """The folder of a dataset in the working folder, made with these options."""
+    generate(GenerateConfig(**options), work / name, jobs, quiet)
+    return work / name
+
+
 def _train_classifier(work: Path, jobs: int) -> None:
     """Generate the classifier's data and train it."""
-    folders = []
-    for engine, scenarios in CLASSIFIER_EPISODES.items():
-        for scenario, episodes in scenarios.items():
-            folders.append(work / f"classifier-{engine}-{scenario}")
-            config = GenerateConfig(
-                scenarios=(scenario,),
-                episodes=episodes,
-                seed=CLASSIFIER_SEEDS[engine],
-                engine=engine,
-                limits_mps=TRAINING_LIMITS_MPS,
-            )
-            generate(config, folders[-1], jobs)
+    folders = [
+        _made(
+            work, f"classifier-{engine}-{scenario}", jobs, scenarios=(scenario,),
+            episodes=episodes, seed=CLASSIFIER_SEEDS[engine], engine=engine,
+            limits_mps=TRAINING_LIMITS_MPS,
+        )
+        for engine, scenarios in CLASSIFIER_EPISODES.items()
+        for scenario, episodes in scenarios.items()
+    ]  # fmt: skip
     train_on(folders, BEST_METHOD, work / BEST_METHOD, jobs=jobs, per_moment=CLASSIFIER_PER_MOMENT)
     _put_together(work)
 
 
-def _worlds_of(count: int, seed: int) -> GenerateConfig:
-    """Configuration of this many random worlds."""
-    return GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=count, seed=seed)
-
-
 def _train_networks(work: Path, jobs: int) -> None:
     """Generate simulated traffic and random worlds, and train the networks for other traffic."""
-    simulated = []
-    for name, options in NETWORK_EPISODES.items():
-        simulated.append(work / f"networks-{name}")
-        config = GenerateConfig(
-            **{"scenarios": SCENARIOS, **options}, seed=NETWORK_SEED, duration_s=NETWORK_S
-        )
-        generate(config, simulated[-1], jobs)
-    worlds = []
-    for seed, count in WORLDS_EPISODES.items():
-        worlds.append(work / f"networks-worlds-{seed}")
-        generate(_worlds_of(count, seed), worlds[-1], jobs)
+    usual: dict[str, Any] = {
+        "scenarios": SCENARIOS, "seed": NETWORK_SEED, "duration_s": NETWORK_S
+    }  # fmt: skip
+    simulated = [
+        _made(work, f"networks-{name}", jobs, **usual, **options)
+        for name, options in NETWORK_EPISODES.items()
+    ]
+    worlds = [
+        _made(work, f"networks-worlds-{seed}", jobs, scenarios=(RANDOM_WORLD,), episodes=count,
+              seed=seed)
+        for seed, count in WORLDS_EPISODES.items()
+    ]  # fmt: skip
     learned, about = train_on_worlds(
         [open_dataset(folder) for folder in simulated],
         [open_dataset(folder) for folder in worlds],
@@ -140,9 +156,10 @@ def _put_together(work: Path) -> None:
 
 def _train_predictors(work: Path, jobs: int) -> None:
     """Generate the predictors' data, and train them; weights for recordings need the recordings."""
-    data = work / "predictor"
-    config = GenerateConfig(scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES, seed=PREDICTOR_SEED)
-    generate(config, data, jobs)
+    data = _made(
+        work, "predictor", jobs, scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES,
+        seed=PREDICTOR_SEED,
+    )  # fmt: skip
     weights = Path(graphrqi.predict.__file__).parent / "weights"
     calibrate_drivers(data, SHIPPED)
     train_predictors(data, BEST_METHOD, weights)
@@ -153,10 +170,33 @@ def _train_predictors(work: Path, jobs: int) -> None:
             f"{', '.join(OPEN_DATA)} in {RECORDINGS}\n"
         )
         return
-    worlds = work / "recorded-worlds"
-    generate(_worlds_of(WORLDS, WORLDS_SEED), worlds, jobs)
-    roads = generate_roads(work, WORLDS_SEED, False)
-    train_on_recordings([*recordings, worlds, *roads], weights)
+    worlds = _made(
+        work, "recorded-worlds", jobs, scenarios=(RANDOM_WORLD,), episodes=WORLDS, seed=WORLDS_SEED
+    )
+    train_on_recordings([*recordings, worlds, *generate_roads(work, jobs)], weights)
+
+
+def generate_roads(work: Path, jobs: int | None = None, quiet: bool = False) -> list[Path]:
+    """Generate episodes of free motorways and of roundabouts; needs netconvert.
+
+    Random worlds have straight roads, ramps and right-angled junctions. Recordings also cover
+    roundabouts, where lanes bend, and nearly empty motorways.
+    """
+    rings = []
+    for radius_m, lanes in ROUNDABOUTS:
+        rings.append(work / f"roundabout-{radius_m:g}-{lanes}.toml")
+        options = f"lanes = {lanes}\noptions = {{ radius_m = {radius_m} }}\n"
+        rings[-1].write_text(f'scenario = "roundabout"\n{options}', encoding="utf-8")
+    free = _made(
+        work, "recorded-free", jobs, quiet, scenarios=MOTORWAYS, episodes=MOTORWAY_EPISODES,
+        seed=WORLDS_SEED + 1, duration_s=ROAD_S, flow="light", limits_mps=MOTORWAY_LIMITS_MPS,
+    )  # fmt: skip
+    roundabouts = _made(
+        work, "recorded-roundabouts", jobs, quiet, scenarios=tuple(map(str, rings)),
+        episodes=ROUNDABOUT_EPISODES, seed=WORLDS_SEED, engine=ROUNDABOUT_ENGINE,
+        duration_s=ROAD_S, limits_mps=ROUNDABOUT_LIMITS_MPS,
+    )  # fmt: skip
+    return [free, roundabouts]
 
 
 PARTS: Final[dict[str, Callable[[Path, int], None]]] = {

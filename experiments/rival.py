@@ -44,14 +44,16 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
     those of the map; without one, leaders are found by position and lane changes are unknown.
     """
     found = np.full((tracks.ids.size, len(NAMES)), np.nan)
+    if tracks.time_s.size < 2:
+        return found
     gap = _gaps(tracks) if road is None else np.full(tracks.valid.shape, np.inf)
     changes = np.full(tracks.ids.size, np.nan)
-    if road is not None and tracks.time_s.size > 1:
+    if road is not None:
         index, seen = tracks.rows.index, observe(tracks, road)
         gap[index.agent, index.step] = seen.gap
         agent = index.agent[lane_changes(detector_inputs(tracks, road, seen))]
         changes = np.bincount(agent, minlength=tracks.ids.size).astype(np.float64)
-    half = max(1, round(0.25 / tracks.step_s)) if tracks.time_s.size > 1 else 1
+    half = max(1, round(0.25 / tracks.step_s))
     for row in range(tracks.ids.size):
         here = tracks.valid[row]
         xy, time_s = tracks.xy[row, here], tracks.time_s[here]
@@ -129,9 +131,7 @@ def whole_tracks(dataset: Dataset, split: Split | None = None, jobs: int | None 
 class PlainRival:
     """A random forest of scikit-learn on `nine_numbers`; unknown numbers are left to its trees.
 
-    Args:
-        training: labelled drivers, from `whole_tracks`.
-        seed: of the forest.
+    It learns from labelled drivers, as from `whole_tracks`.
     """
 
     def __init__(self, training: Samples, seed: int = 0) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -14,6 +14,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
+from experiments.generate.dataset import generate
 from experiments.generate.episode import Task
 from experiments.score.answers import known_answers, score_answers
 from experiments.score.labels import note_unknown
@@ -22,7 +23,8 @@ from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import get_engine
 from sim.episode.window import DEFAULT_RADIUS_M, Window
 from sim.frames import EventKind, Frame, Tracks
-from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.scenario import sample_agents
+from sim.store.dataset import open_dataset
 
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
@@ -48,20 +50,13 @@ def run_scenario(
 ) -> list[Row]:
     """Run the first episode that a configuration generates.
 
-    Args:
-        config: scenario, engine, options and seed.
-        model: name or folder of the model that classifies; None not to classify.
-        predict: whether to predict too, and score it.
-        quiet: whether to show no progress.
-        window: which agents are classified and predicted; None for everybody.
-        out: folder for the episode as a dataset; None not to keep it.
+    Without a model, the name or folder of one, nothing is classified; ``predict`` scores
+    predictions, too. Only agents in the window, if there is one, are classified and predicted. The
+    episode is kept as a dataset in the folder ``out``, if it is given.
 
     Returns:
         Tidy rows of the traffic and of the time per frame, then the scores of the last answers and
         of the predictions.
-
-    Raises:
-        InputError: if an option is wrong or the engine cannot run.
     """
     task = Task(config, config.scenarios[0], 0)
     scenario = config.scenario(task.scenario)
@@ -77,8 +72,14 @@ def run_scenario(
     frames = collisions = 0
     started, spent_s, due_s, time_s = time.monotonic(), 0.0, WARM_UP_S, 0.0
     steps = round(scenario.duration_s / scenario.step_s)
+    if out is None:
+        made = get_engine(config.engine)(scenario, agents, task.seed)
+    else:
+        generate(config, out, 1, True)
+        dataset = open_dataset(out)
+        made = dataset.read(dataset.episodes()[0]).tracks.frames()
     with Progress(f"{scenario.name}: frames", steps, quiet) as progress:
-        for frame in _frames(config, task, scenario, agents, out):
+        for frame in made:
             frames, time_s = frames + 1, frame.time_s
             entered.update(frame.ids.tolist())
             collisions += sum(event.kind is EventKind.COLLISION for event in frame.events)
@@ -131,22 +132,6 @@ def _last_answers(
     return answers.assign(behavior=answers["behavior"].where(labelled), domain=domain)
 
 
-def _frames(
-    config: GenerateConfig, task: Task, scenario: Scenario, agents: tuple[AgentSpec, ...],
-    out: Path | None,
-) -> Iterator[Frame]:  # fmt: skip
-    """The frames of the episode, from the engine or from the dataset that is made of it."""
-    if out is None:
-        yield from get_engine(config.engine)(scenario, agents, task.seed)
-        return
-    from experiments.generate.dataset import generate
-    from sim.store.dataset import open_dataset
-
-    generate(config, out, 1, True)
-    dataset = open_dataset(out)
-    yield from dataset.read(dataset.episodes()[0]).tracks.frames()
-
-
 def shown(rows: Sequence[Row]) -> list[Row]:
     """The main figures from `run_scenario` for people: a line with what, and how much, for each."""
     lines: list[Row] = []
@@ -165,9 +150,6 @@ def read_window(text: str | None) -> Window | None:
     """A window as an option says it; None where it says nothing.
 
     The text is an agent's id, with an optional distance, m, or an area's bounds, m.
-
-    Raises:
-        InputError: if it is neither, or nothing can be in the window.
 
     Examples:
         >>> read_window("17:80").around, read_window("0,0,100,50").region

@@ -14,14 +14,12 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sim.frames import FloatArray, IntArray
 
 GRAZE_M: Final = 0.15
 """Overlap of outlines without a contact, m, since cars' corners are rounded and recorded positions
 are inexact."""
-
 
 LEAST_PIECE_M: Final = 1e-9
 """Shorter pieces of a line have no direction, m."""
@@ -31,10 +29,8 @@ class Pieces(NamedTuple):
     """The straight pieces of a line; points that coincide make none.
 
     Attributes:
-        start: (G, 2) where each begins, m.
-        direction: (G, 2) unit vectors.
-        length: (G,) m.
-        at: (G,) distance along the line at which each begins, m.
+        start, direction: (G, 2) where each begins, m, and unit vectors.
+        length, at: (G,) m, and the distance along the line at which each begins, m.
     """
 
     start: FloatArray
@@ -63,12 +59,7 @@ def distances_along(line: FloatArray) -> FloatArray:
 
 
 def points_at(line: FloatArray, along_m: FloatArray) -> FloatArray:
-    """(n, 2) points at distances (n,) along a line, m; its ends for distances beyond them.
-
-    Examples:
-        >>> points_at(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([1.0, 9.0])).tolist()
-        [[1.0, 0.0], [4.0, 0.0]]
-    """
+    """(n, 2) points at distances (n,) along a line, m; its ends for distances beyond them."""
     at = distances_along(line)
     return np.stack([np.interp(along_m, at, line[:, axis]) for axis in (0, 1)], axis=1)
 
@@ -80,6 +71,11 @@ def offset_line(line: FloatArray, left_m: float) -> FloatArray:
     mean = np.concatenate([direction[:1], direction[:-1] + direction[1:], direction[-1:]])
     mean = mean / np.maximum(np.hypot(mean[:, 0], mean[:, 1]), LEAST_PIECE_M)[:, None]
     return line + np.stack([-mean[:, 1], mean[:, 0]], axis=1) * left_m
+
+
+def borders(line: FloatArray, width_m: float) -> tuple[FloatArray, FloatArray]:
+    """The left and right border (P, 2) of a band along a line (P, 2), m."""
+    return offset_line(line, width_m / 2), offset_line(line, -width_m / 2)
 
 
 def to_own_frame(xy: FloatArray, origin: FloatArray, heading: FloatArray) -> FloatArray:
@@ -120,15 +116,10 @@ class Meeting(NamedTuple):
 
 
 def meeting(line: FloatArray, other: FloatArray) -> Meeting | None:
-    """Where a line meets another one; None where it does not, or they are parallel.
+    """Where a line (P, 2) meets another (Q, 2), m; None where it does not, or they are parallel.
 
-    Args:
-        line: (P, 2) m.
-        other: (Q, 2) m.
-
-    Returns:
-        The first place along the other line; of several on one piece of it the first along the
-        line.
+    Of several places it is the first along the other line; of those on one piece of it the first
+    along the line.
 
     Examples:
         >>> meeting(np.array([[0.0, 0.0], [4.0, 0.0]]), np.array([[1.0, -2.0], [1.0, 2.0]]))
@@ -136,12 +127,12 @@ def meeting(line: FloatArray, other: FloatArray) -> Meeting | None:
     """
     step, step_other = np.diff(line, axis=0), np.diff(other, axis=0)
     size, size_other = np.hypot(*step.T), np.hypot(*step_other.T)
-    det = step[:, 0] * step_other[:, 1, None] - step[:, 1] * step_other[:, 0, None]
     both = size * size_other[:, None]
-    gap = other[:-1, None] - line[None, :-1]
+    (dx, dy), (ex, ey) = step.T, step_other.T[:, :, None]
+    x, y = np.moveaxis(other[:-1, None] - line[None, :-1], -1, 0)
+    det = dx * ey - dy * ex
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = (gap[..., 0] * step_other[:, 1, None] - gap[..., 1] * step_other[:, 0, None]) / det
-        u = (gap[..., 0] * step[:, 1] - gap[..., 1] * step[:, 0]) / det
+        t, u = (x * ey - y * ex) / det, (x * dy - y * dx) / det
     hit = (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
     hit &= np.abs(det) >= 1e-9 * np.maximum(both, 1e-9)
     if not hit.any():
@@ -159,8 +150,7 @@ class Outlines(NamedTuple):
     """Rectangles.
 
     Attributes:
-        centre: (n, 2) m.
-        forward: (n, 2) unit vectors along their length.
+        centre, forward: (n, 2) m, and unit vectors along their length.
         half: (n, 2) half the length and half the width, m.
     """
 
@@ -176,7 +166,7 @@ class Outlines(NamedTuple):
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
         return cls(xy, forward, np.stack([length, width], axis=1) / 2.0)
 
-    def rows(self, which: NDArray[np.int64]) -> Outlines:
+    def rows(self, which: IntArray) -> Outlines:
         """The outlines at the given rows, in that order; a row may be given more than once."""
         return Outlines(self.centre[which], self.forward[which], self.half[which])
 

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
+from scipy.optimize import approx_fprime
 from scipy.stats import binomtest
 
 from behaviors.driver_models import idm_desired_gap, idm_free_acceleration, idm_interaction
@@ -79,17 +80,10 @@ slows for them if its speed falls below this share (our choice)."""
 
 
 def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict[str, FloatArray]:
-    """Drive a platoon and measure it.
+    """Drive a platoon of an engine, whose first driver is slower and brakes for no reason.
 
-    Args:
-        profile: of the followers; the first driver is slower and brakes for no reason.
-        engine: a key of ``ENGINES``.
-        seed: of the episode.
-        duration_s: its length, s.
-
-    Returns:
-        ``reaction_s`` of the second driver to each braking, ``headway_autocorrelation`` of each
-        follower, and ``collisions``, their number.
+    Returned are ``reaction_s`` of the second driver to each braking, ``headway_autocorrelation`` of
+    each follower, and ``collisions``, their number. The followers have the numbers of ``profile``.
     """
     road = get_scenario("straight_road")(
         lanes=1, crossing=False, pedestrians_per_h=0.0, length_m=5000.0, duration_s=duration_s
@@ -100,10 +94,8 @@ def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict
     )
     length, width, _ = DIMENSIONS_M[AgentKind.CAR]
     agents = [
-        AgentSpec(
-            i, AgentKind.CAR, Behavior.CAREFUL, profile if i else first, route, 3.0 * i, length,
-            width, seed=1000 * seed + i,
-        )
+        AgentSpec(i, AgentKind.CAR, Behavior.CAREFUL, profile if i else first, route, 3.0 * i,
+                  length, width, seed=1000 * seed + i)
         for i in range(FOLLOWERS + 1)
     ]  # fmt: skip
     frames = list(get_engine(engine)(road, agents, seed))
@@ -133,25 +125,11 @@ def _correlation(values: FloatArray, lag: int) -> float:
 
 
 def encounters(
-    what: str,
-    behavior: Behavior,
-    probability: float,
-    engine: str,
-    seed: int,
-    duration_s: float,
+    what: str, behavior: Behavior, probability: float, engine: str, seed: int, duration_s: float
 ) -> tuple[int, int]:
-    """Drive drivers of one behaviour who overlook others.
+    """How many encounters drivers of one behaviour ignored, and how many there were.
 
-    Args:
-        what: a key of `ENCOUNTERS`.
-        behavior: whose numbers they have, but for the overlook probability.
-        probability: that probability.
-        engine: a key of ``ENGINES``.
-        seed: of the episode.
-        duration_s: its length, s.
-
-    Returns:
-        How many encounters they ignored, and how many there were.
+    They overlook others with a probability; ``what`` they meet is a key of `ENCOUNTERS`.
     """
     name, options = ENCOUNTERS[what]
     own = {"overlooking": behavior.table() | {"overlook_probability": probability}}
@@ -201,17 +179,11 @@ def _pedestrians(tracks: Tracks, road: Road) -> tuple[int, int]:
 
 
 def idm_delay_limit_s(profile: Profile) -> float:
-    """The longest delay at which IDM is linearly string stable.
+    """The longest delay at which IDM is linearly string stable, s; 0 if it never is.
 
     A delay d multiplies the response by exp(-i w d); the limit is where the gain from a leader's
     speed to the follower's first exceeds 1 at some frequency w. The undisturbed traffic drives at
     `CROWDED` of the desired speed.
-
-    Args:
-        profile: the drivers' numbers.
-
-    Returns:
-        s; 0 if the law is unstable without delay.
 
     Examples:
         >>> relaxed = dataclasses.replace(Behavior.CAREFUL.profile, time_headway_s=3.0)
@@ -221,7 +193,8 @@ def idm_delay_limit_s(profile: Profile) -> float:
     p, desired = profile, LIMIT_MPS * profile.speed_factor
     speed = CROWDED * desired
 
-    def accel(gap: float, own: float, leader: float) -> float:
+    def accel(state: FloatArray) -> float:
+        gap, own, leader = state.tolist()
         wanted = idm_desired_gap(
             own, leader, p.min_gap_m, p.time_headway_s, p.max_accel_mps2, p.comfort_decel_mps2
         )
@@ -229,37 +202,21 @@ def idm_delay_limit_s(profile: Profile) -> float:
         return free - p.max_accel_mps2 * idm_interaction(gap, wanted)
 
     gap = (p.min_gap_m + speed * p.time_headway_s) / np.sqrt(1.0 - CROWDED**4)
-    h = 1e-4
-    by_gap = (accel(gap + h, speed, speed) - accel(gap - h, speed, speed)) / (2 * h)
-    by_own = (accel(gap, speed + h, speed) - accel(gap, speed - h, speed)) / (2 * h)
-    by_leader = (accel(gap, speed, speed + h) - accel(gap, speed, speed - h)) / (2 * h)
-    w = np.geomspace(1e-3, 10.0, 2000)
-    stable = 0.0
-    for delay in np.arange(0.0, 3.0, 0.01):
-        late = np.exp(-1j * w * delay)
-        gain = (by_gap + 1j * w * by_leader) * late
-        gain /= -(w**2) + (by_gap - 1j * w * by_own) * late
-        if (np.abs(gain) > 1.0 + 1e-6).any():
-            break
-        stable = float(delay)
-    return stable
+    by_gap, by_own, by_leader = approx_fprime(np.array([gap, speed, speed]), accel)
+    w, delays_s = np.geomspace(1e-3, 10.0, 2000), np.arange(0.0, 3.0, 0.01)
+    late = np.exp(-1j * w * delays_s[:, None])
+    gain = (by_gap + 1j * w * by_leader) * late / (-(w**2) + (by_gap - 1j * w * by_own) * late)
+    unstable = np.append((np.abs(gain) > 1.0 + 1e-6).any(axis=1), True)
+    return float(delays_s[max(int(unstable.argmax()) - 1, 0)])
 
 
 def measure(
     behavior: Behavior, engine: str, seeds: int, duration_s: float, jobs: int | None
 ) -> Iterator[list[Row]]:
-    """Measure platoons for every reaction time, and what drivers ignore who overlook others.
+    """Rows of platoons by ``reaction_time_s``, of the law's limit, and of what is overlooked.
 
-    Args:
-        behavior: whose numbers the drivers have, but for what is varied.
-        engine: a key of ``ENGINES``.
-        seeds: episodes of each reaction time and of each overlook probability.
-        duration_s: length of each, s.
-        jobs: processes; None for one per core.
-
-    Yields:
-        Rows by ``reaction_time_s``; the law's own limit; rows by what is met and the
-        ``overlook_probability``.
+    Each figure is of so many seeds' episodes with drivers of one behaviour. The last rows are by
+    what is met and the ``overlook_probability``.
     """
     keys: dict[str, Cell] = {"engine": engine, "behavior": str(behavior)}
     for reaction_s in REACTION_TIMES_S:

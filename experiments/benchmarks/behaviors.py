@@ -119,28 +119,23 @@ def count_scenario(
 
 
 def _counted(
-    tracks: Tracks,
-    seen: DetectorInputs,
-    events: Sequence[Event],
-    traits_shown: Sequence[ShownTrait],
+    tracks: Tracks, seen: DetectorInputs, events: Sequence[Event], traits: Sequence[ShownTrait]
 ) -> DriverCounts:
     """Count what the labelled drivers of an episode did."""
     labels = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
     table = {name: np.zeros(tracks.ids.size) for name in COUNTS}
     row = {int(agent): i for i, agent in enumerate(tracks.ids)}
     table["drivers"][:] = 1.0
-    row_index, headway = seen.row_index, seen.headway
+    row_index = seen.row_index
 
     def in_all(values: NDArray[np.float64] | NDArray[np.bool_]) -> NDArray[np.float64]:
         counts = np.bincount(row_index.agent, values, minlength=tracks.ids.size)
         return np.asarray(counts, dtype=np.float64)
 
     table["km"] = in_all(seen.speed) * seen.step_s / 1000.0
-    steady = (np.abs(seen.closing) < 1.5) & (headway < FREE_HEADWAY_S)
-    for i in range(tracks.ids.size):
-        rows = row_index.rows(i)
-        values = headway[rows][steady[rows]]
-        table["headway"][i] = np.median(values) if values.size else np.nan
+    steady = (np.abs(seen.closing) < 1.5) & (seen.headway < FREE_HEADWAY_S)
+    followed = pd.Series(np.where(steady, seen.headway, np.nan)).groupby(row_index.agent).median()
+    table["headway"] = followed.reindex(range(tracks.ids.size)).to_numpy()
     np.add.at(table["lane_changes"], row_index.agent[lane_changes(seen)], 1.0)
     free = _free(seen)
     table["free_s"] = in_all(free) * seen.step_s
@@ -157,21 +152,19 @@ def _counted(
         elif event.kind is EventKind.COLLISION and event.other is not None:
             walks = not seen.drives[row[event.other]]
             table["pedestrians_hit" if walks else "collisions"][i] += 1.0
-    shown: dict[int, list[ShownTrait]] = {i: [] for i in row.values()}
-    for found in traits_shown:
+    for found in traits:
         i = row[found.agent]
-        shown[i].append(found)
         if found.trait in SHOWN:
             table[SHOWN[found.trait]][i] += 1.0
         elif found.trait is Trait.WRONG_DIRECTION:
             table["wrong_way_m"][i] += found.value
-    for i, mine in shown.items():
-        label = label_from_traits(mine)
+    for agent, i in row.items():
+        label = label_from_traits([found for found in traits if found.agent == agent])
         table["agrees"][i] = label is not None and label.code == labels[i]
     drivers = pd.DataFrame({"behavior": labels, **table})
     return DriverCounts(
         drivers[(labels >= 0) & seen.drives],
-        jaywalks=sum(e.trait is Trait.JAYWALKING for e in traits_shown),
+        jaywalks=sum(e.trait is Trait.JAYWALKING for e in traits),
         walkers=int((~seen.drives).sum()),
     )
 
@@ -234,14 +227,10 @@ def measure(
     jobs: int | None = 1,
     behaviors: str | None = None,
 ) -> Iterator[list[Row]]:
-    """Measure every behaviour against every trait.
+    """Rows of every behaviour and trait in each scenario; last, of several together, as ``all``.
 
     Scenarios are keys of ``SCENARIOS`` (() for all), each with an episode of ``duration_s`` for
     every seed. Behaviours of one's own, as `read_behaviors` takes them, drive beside the six.
-
-    Yields:
-        The rows of each scenario; last, where there are several, those of all together, as
-        scenario ``all``.
     """
     names = [get_scenario(name).name for name in scenarios] or list(SCENARIOS)
     everything: list[DriverCounts] = []

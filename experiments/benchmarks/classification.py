@@ -31,7 +31,7 @@ import pandas as pd
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
-from experiments.data.disturbances import DISTURBANCES
+from experiments.data import disturbances
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import gather, measured
 from experiments.generate.configuration import GenerateConfig
@@ -44,13 +44,14 @@ from experiments.training.classifier import (
     TRAINING_LIMITS_MPS,
     TRAINING_PER_MOMENT,
 )
-from graphrqi.classify import CLASSIFIERS, Classifier
+from graphrqi.classify import CLASSIFIERS
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
+from graphrqi.posterior import Posterior
 from graphrqi.samples import WINDOWS_S as TRAINING_WINDOWS_S
 from graphrqi.samples import Samples
 from graphrqi.stream import BehaviorStream
-from sim.frames import FloatArray, Tracks
+from sim.frames import FloatArray
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -87,29 +88,21 @@ SCORED_EVERY_S: Final = 2.0
 ASKED_EVERY_S: Final = 1.0
 """A stream takes every frame, and is asked this often, s."""
 
-NOISE: Final = (
-    *(("position noise", level) for level in (0.03, 0.1, 0.25, 0.5)),
-    *(("correlated noise", level) for level in (0.03, 0.1, 0.25, 0.5)),
-    *(("dropped frames", level) for level in (0.05, 0.15, 0.3)),
-    *(("frame rate", level) for level in (25.0, 5.0, 2.5)),
-)  # fmt: skip
-"""Keys of ``DISTURBANCES`` with deviations in m, shares of frames, and Hz."""
+NOISE: Final[dict[str, tuple[disturbances.Disturbance, tuple[float, ...]]]] = {
+    "position noise": (disturbances.position_noise, (0.03, 0.1, 0.25, 0.5)),
+    "correlated noise": (disturbances.correlated_noise, (0.03, 0.1, 0.25, 0.5)),
+    "dropped frames": (disturbances.dropped_frames, (0.05, 0.15, 0.3)),
+    "frame rate": (disturbances.frame_rate, (25.0, 5.0, 2.5)),
+}
+"""Disturbances with their levels: deviations in m, shares of frames, and Hz."""
 
 CEILING_DRIVERS: Final = 600
 """Most training drivers of the ceiling, so that ceilings of datasets of other sizes can be
 compared."""
 
-_Disturbance = tuple[str, float] | None
-"""A key of ``DISTURBANCES`` and a level; None leaves recordings as they are."""
-
 
 class Recordings:
-    """A dataset as this benchmark sees it: windows, whole tracks, and streams' answers.
-
-    Args:
-        dataset: where from.
-        jobs: processes; None for one per core.
-    """
+    """A dataset as this benchmark sees it: windows, whole tracks, and streams' answers."""
 
     def __init__(self, dataset: Dataset, jobs: int | None = None) -> None:
         self.dataset, self._jobs = dataset, jobs
@@ -175,26 +168,26 @@ class Recordings:
             validation = None if validation is None else self.of(scenario, validation)
         return train(method, training, validation), _majority_of(training)
 
-    def streamed(
-        self, model: Model, disturbance: _Disturbance = None
-    ) -> tuple[Samples, FloatArray]:
-        """A stream's answers (n, 6) about all drivers, and samples without features."""
+    def answers(self, probability: FloatArray, samples: Samples) -> pd.DataFrame:
+        """Answers (n, 6) to samples with the truth, scenario, driver and length of observation."""
+        return known_answers(probability, samples.codes, samples.episode).assign(
+            scenario=self.scenario[samples.episode], window_s=samples.window_s,
+            driver=drivers(samples),
+        )  # fmt: skip
+
+    def streamed(self, model: Model, given: tuple[str, float] | None = None) -> pd.DataFrame:
+        """A stream's answers about all drivers, who are seen with a disturbance of a level."""
         entries = self.dataset.manifest.episodes
-        calls = [(self.dataset.path, e, i, model, disturbance) for i, e in enumerate(entries)]
+        calls = [(self.dataset.path, e, i, model, given) for i, e in enumerate(entries)]
         samples, answers = zip(*in_parallel(_streamed, calls, self._jobs), strict=True)
-        return Samples.join(list(samples)), np.concatenate(answers)
+        return self.answers(np.concatenate(answers), Samples.join(list(samples)))
 
 
 @dataclasses.dataclass(frozen=True)
 class Data:
-    """The datasets, each made when first asked for.
+    """The datasets, each made in a folder when first asked for, and the methods, `OURS` first.
 
-    Attributes:
-        folder: where datasets are made, and used again.
-        methods: compared with one another, `OURS` first.
-        episodes: of each scenario that are learned from; others are made in proportion.
-        duration_s: of each, s.
-        jobs: processes; None for one per core.
+    Of each scenario, so many ``episodes`` are learned from; others are made in proportion.
     """
 
     folder: Path
@@ -249,39 +242,29 @@ def _majority_of(samples: Samples) -> int:
     return int(np.bincount(samples.codes, minlength=len(BEHAVIORS)).argmax())
 
 
-def _answered(model: Model | Classifier | PlainRival, samples: Samples) -> pd.DataFrame:
-    """The answers to samples, with the truth."""
-    classifier = model.classifier if isinstance(model, Model) else model
-    probability = classifier.posterior(samples.features.astype(np.float64))
-    return known_answers(probability, samples.codes, samples.episode)
+def _rows(
+    data: Recordings, answers: pd.DataFrame, protocol: str, variation: str, method: str,
+    majority: int | None = None, rival: PlainRival | None = None,
+) -> list[Row]:  # fmt: skip
+    """Rows of a method's answers in each scenario after each observation.
 
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Keys:
-    """What rows of a protocol have in common."""
-
-    protocol: str
-    scenario: str
-    variation: str = ""
-
-    def rows(self, answers: pd.DataFrame, majority: int, method: str, window_s: float) -> list[Row]:
-        """Rows of a method's answers after an observation; none if no driver was asked about."""
-        if not len(answers):
-            return []
-        whole = np.isinf(window_s)
-        about = ", ".join(filter(None, ("whole track" if whole else "", self.variation)))
+    The rival answers about the same drivers, whose whole tracks are scored.
+    """
+    rows: list[Row] = []
+    for (scenario, window_s), some in answers.groupby(["scenario", "window_s"]):
+        whole = window_s == WHOLE
         keys: dict[str, Cell] = {
-            "protocol": self.protocol, "scenario": self.scenario, "method": method,
-            "window_s": None if whole else window_s, "variation": about,
+            "protocol": protocol, "scenario": scenario, "method": method,
+            "window_s": None if whole else window_s,
+            "variation": ", ".join(filter(None, ("whole track" if whole else "", variation))),
         }  # fmt: skip
-        return score_answers(answers, keys, majority, breakdown=False)
-
-    def rival(
-        self, rival: PlainRival, data: Recordings, asked: Samples, majority: int
-    ) -> list[Row]:
-        """The rival's rows on these drivers, whose whole tracks are scored."""
-        same = data.all_tracks.where(np.isin(drivers(data.all_tracks), drivers(asked)))
-        return self.rows(_answered(rival, same), majority, RIVAL, WHOLE)
+        rows += score_answers(some, keys, majority, breakdown=False)
+    if rival is not None:
+        asked = answers["driver"][answers["window_s"] == WHOLE]
+        same = data.all_tracks.where(np.isin(drivers(data.all_tracks), asked))
+        theirs = data.answers(rival.posterior(same.features.astype(np.float64)), same)
+        rows += _rows(data, theirs, protocol, variation, RIVAL, majority)
+    return rows
 
 
 def _model_rows(
@@ -290,85 +273,48 @@ def _model_rows(
     scenarios: Sequence[str] = (),
 ) -> list[Row]:  # fmt: skip
     """Rows of a trained method, and of the rival beside it, in each scenario."""
-    rows: list[Row] = []
     samples = data.scored(model.method.name, windows_s, everything)
-    for scenario in scenarios or data.dataset.scenarios:
-        here, keys = data.of(scenario, samples), _Keys(protocol, scenario, variation)
-        for window_s in windows_s:
-            part = here.where(here.window_s == window_s)
-            if len(part):
-                rows += keys.rows(_answered(model, part), majority, model.method.name, window_s)
-        whole = here.where(np.isinf(here.window_s))
-        if rival is not None and len(whole):
-            rows += keys.rival(rival, data, whole, majority)
-    return rows
-
-
-def _streamed_rows(
-    data: Recordings, model: Model, rival: PlainRival | None, protocol: str, variation: str,
-    disturbance: _Disturbance = None,
-) -> list[Row]:  # fmt: skip
-    """Rows of a stream's answers at each age, in each scenario."""
-    samples, probability = data.streamed(model, disturbance)
-    answers = known_answers(probability, samples.codes, samples.episode)
-    rows: list[Row] = []
-    for scenario in data.dataset.scenarios:
-        chosen, keys = (
-            data.scenario[samples.episode] == scenario,
-            _Keys(protocol, scenario, variation),
-        )
-        for age_s in AGES_S:
-            here = chosen & (samples.window_s == age_s)
-            if here.any():
-                majority = _majority_of(samples.where(here))
-                rows += keys.rows(answers[here], majority, model.method.name, age_s)
-        whole = data.of(scenario, samples.where(np.isinf(samples.window_s)))
-        if rival is not None and len(whole):
-            rows += keys.rival(rival, data, whole, _majority_of(whole))
-    return rows
+    probability = model.classifier.posterior(samples.features.astype(np.float64))
+    answers = data.answers(probability, samples)
+    if scenarios:
+        answers = answers[answers["scenario"].isin(scenarios)]
+    return _rows(data, answers, protocol, variation, model.method.name, majority, rival)
 
 
 def _streamed(
-    folder: Path, entry: EpisodeEntry, number: int, model: Model, disturbance: _Disturbance
+    folder: Path, entry: EpisodeEntry, number: int, model: Model, given: tuple[str, float] | None
 ) -> tuple[Samples, FloatArray]:
-    """A stream's answers on one episode, which is seen with a disturbance."""
+    """A stream's answers on one episode, seen with a disturbance, and samples without features.
+
+    There is one for each labelled driver and each of `AGES_S` that it reaches.
+    """
     tracks = measured(open_dataset(folder).read(entry))
-    if disturbance is not None:
-        name, level = disturbance
-        tracks = DISTURBANCES[name](tracks, level, np.random.default_rng(number))
-    return _looked(tracks, BehaviorStream(model), number)
-
-
-def _looked(tracks: Tracks, stream: BehaviorStream, number: int) -> tuple[Samples, FloatArray]:
-    """Samples without features for each labelled driver and reached age, and the answers."""
-    n = tracks.ids.size
-    codes = np.full(n, -1, dtype=np.int8) if tracks.behavior is None else tracks.behavior
-    first_s, at_s = np.full(n, np.nan), np.full((n, len(AGES_S)), np.nan)
-    found = np.zeros((n, len(AGES_S), len(BEHAVIORS)))
-    asked_s = -np.inf
+    if given is not None:
+        tracks = NOISE[given[0]][0](tracks, given[1], np.random.default_rng(number))
+    stream, asked = BehaviorStream(model), list[tuple[float, Posterior]]()
     for frame in tracks.frames():
         stream.push(frame)
-        rows = np.searchsorted(tracks.ids, frame.ids)
-        first_s[rows] = np.fmin(first_s[rows], frame.time_s)
-        if frame.time_s < asked_s + ASKED_EVERY_S - 1e-6:
-            continue
-        asked_s = frame.time_s
-        answer = stream.posterior()
-        rows = np.searchsorted(tracks.ids, answer.ids)
-        age_s = frame.time_s - first_s[rows]
-        for column, wanted_s in enumerate(AGES_S):
-            last = wanted_s == WHOLE
-            due = age_s >= (AGES_S[0] if last else wanted_s) - 1e-6
-            due &= last | np.isnan(at_s[rows, column])
-            at_s[rows[due], column] = frame.time_s
-            found[rows[due], column] = answer.probability[due]
-    row, at = np.nonzero(np.isfinite(at_s) & (codes >= 0)[:, None])
-    window_s = np.array(AGES_S)[at]
+        if not asked or frame.time_s >= asked[-1][0] + ASKED_EVERY_S - 1e-6:
+            asked.append((frame.time_s, stream.posterior()))
+    probability = np.concatenate([one.probability for _, one in asked])
+    row = np.searchsorted(tracks.ids, np.concatenate([one.ids for _, one in asked]))
+    at_s = np.repeat([time_s for time_s, _ in asked], [one.ids.size for _, one in asked])
+    age_s = at_s - tracks.time_s[tracks.valid.argmax(axis=1)][row]
+    codes = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
+    chosen = []
+    for wanted_s in AGES_S:  # the first answer at an age, and the last one of all
+        due = np.flatnonzero((age_s >= wanted_s - 1e-6) & (codes[row] >= 0))
+        if wanted_s == WHOLE:
+            due = np.flatnonzero((age_s >= AGES_S[0] - 1e-6) & (codes[row] >= 0))[::-1]
+        chosen.append(due[np.unique(row[due], return_index=True)[1]])
+    at = np.concatenate(chosen)
+    window_s = np.repeat(AGES_S, [each.size for each in chosen])
     samples = Samples(
-        np.empty((row.size, 0), dtype=np.float32), codes[row], np.full(row.size, number),
-        tracks.ids[row], at_s[row, at], window_s, window_s, np.ones(row.size, dtype=bool),
+        np.empty((at.size, 0), dtype=np.float32), codes[row[at]].astype(np.int8),
+        np.full(at.size, number), tracks.ids[row[at]], at_s[at], window_s, window_s,
+        np.ones(at.size, dtype=bool),
     )  # fmt: skip
-    return samples, found[row, at]
+    return samples, probability[at]
 
 
 def shipped(data: Data) -> Iterator[list[Row]]:
@@ -376,8 +322,8 @@ def shipped(data: Data) -> Iterator[list[Row]]:
     model = load_model(OURS)
     rival = PlainRival(data.base.training_tracks)
     others = {"": data.usual, **data.traffic, "highway engine": data.engines["highway"]}
-    for name, recordings in others.items():
-        yield _streamed_rows(recordings, model, rival, "shipped", name)
+    for name, seen in others.items():
+        yield _rows(seen, seen.streamed(model), "shipped", name, OURS, rival=rival)
 
 
 def inductive(data: Data) -> Iterator[list[Row]]:
@@ -401,11 +347,8 @@ def ceiling(data: Recordings) -> list[Row]:
     known = known.where(np.isin(np.arange(len(known)), chosen))
     forest = CLASSIFIERS["forest"](len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
     forest.fit(known.features.astype(np.float64), known.codes, None, 0)
-    rows: list[Row] = []
-    for scenario in data.dataset.scenarios:
-        answers = _answered(forest, data.of(scenario, asked))
-        rows += _Keys("inductive", scenario).rows(answers, _majority_of(known), "ceiling", WHOLE)
-    return rows
+    answers = data.answers(forest.posterior(asked.features.astype(np.float64)), asked)
+    return _rows(data, answers, "inductive", "", "ceiling", _majority_of(known))
 
 
 def _profiles(data: Recordings, split: Split) -> Samples:
@@ -458,9 +401,10 @@ def across_engines(data: Data) -> Iterator[list[Row]]:
 def noise(data: Data) -> Iterator[list[Row]]:
     """Usual traffic seen by worse sensors, by what ships."""
     model = load_model(OURS)
-    for disturbance in (None, *NOISE):
-        about = "undisturbed" if disturbance is None else f"{disturbance[0]} {disturbance[1]:g}"
-        yield _streamed_rows(data.usual, model, None, "noise", about, disturbance)
+    levels = ((name, level) for name, (_, levels) in NOISE.items() for level in levels)
+    for given in (None, *levels):
+        about = "undisturbed" if given is None else f"{given[0]} {given[1]:g}"
+        yield _rows(data.usual, data.usual.streamed(model, given), "noise", about, OURS)
 
 
 def leak_probe(data: Data) -> Iterator[list[Row]]:
@@ -469,20 +413,16 @@ def leak_probe(data: Data) -> Iterator[list[Row]]:
     A number and a time together give the time in sight, and slow drivers stay longer. When its
     first window ends, each has been in sight for as long.
     """
-    many = data.many
     known, asked = (
         dataclasses.replace(part, features=np.stack([part.agent, part.time_s], 1).astype("f4"))
-        for part in (many.training("majority"), many.scored("majority", MAIN_S[:1]))
+        for part in (data.many.training("majority"), data.many.scored("majority", MAIN_S[:1]))
     )
     forest = CLASSIFIERS["forest"](len(BEHAVIORS), feature_share=1.0)
     forest.fit(known.features.astype(np.float64), known.codes, None, 0)
-    for scenario in many.dataset.scenarios:
-        here = many.of(scenario, asked)
-        first = np.zeros(len(here), dtype=bool)
-        first[np.unique(drivers(here), return_index=True)[1]] = True  # they are in order of time
-        for variation, part in (("", here), ("first window", here.where(first))):
-            keys, majority = _Keys("leak-probe", scenario, variation), _majority_of(known)
-            yield keys.rows(_answered(forest, part), majority, "leak-probe", MAIN_S[0])
+    answers = data.many.answers(forest.posterior(asked.features.astype(np.float64)), asked)
+    _, first = np.unique(answers["driver"], return_index=True)  # windows are in order of time
+    for variation, some in (("", answers), ("first window", answers.iloc[first])):
+        yield _rows(data.many, some, "leak-probe", variation, "leak-probe", _majority_of(known))
 
 
 PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
@@ -504,18 +444,12 @@ def measure(
     jobs: int | None = None,
     out: Path | None = None,
 ) -> Iterator[list[Row]]:
-    """Measure protocol after protocol.
+    """Rows of protocol after protocol, by ``protocol, scenario, method, window_s, variation``.
 
     Keys of `PROTOCOLS` and ``METHODS`` are chosen; () for all. Under all protocols but
     ``inductive`` the first method alone is measured. So many episodes of each scenario, each
     ``duration_s`` long, are learned from, and others are made in proportion. Datasets are made in
     the folder ``out``, and used again; None for a temporary one.
-
-    Yields:
-        Rows with the keys ``protocol, scenario, method, window_s, variation``.
-
-    Raises:
-        InputError: if a name is not known.
     """
     wanted = [lookup(PROTOCOLS, name, "protocol") for name in protocols or PROTOCOLS]
     for method in methods:

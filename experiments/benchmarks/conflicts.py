@@ -58,11 +58,7 @@ class SumoConflict(NamedTuple):
 
 
 def read_ssm(path: Path) -> list[SumoConflict]:
-    """The conflicts in an output file of SUMO's device, once for each pair and time.
-
-    Raises:
-        InputError: if the file is missing or no XML.
-    """
+    """The conflicts in an output file of SUMO's device, once for each pair and time."""
     found: list[SumoConflict] = []
     for element in read_tree(path).iter("conflict"):
         known = {m.tag: m.attrib for m in element if m.get("value", "NA") != "NA"}
@@ -90,11 +86,10 @@ def _kind(code: int) -> ConflictKind:
 
 
 def compare(ours: Conflicts, theirs: Sequence[SumoConflict]) -> pd.DataFrame:
-    """Match conflicts by pair and time.
+    """A line for each conflict, matched by pair and time: its ``kind`` and who it was ``found_by``.
 
-    Returns:
-        A line for each conflict: its ``kind``, who it was ``found_by`` and by which ``measure``,
-        and of those that both found the `MEASURES`, SUMO's less ours.
+    ``measure`` says by which one we alone found it. Of conflicts that both found, the `MEASURES`
+    are SUMO's less ours.
     """
     near_ttc = ours.ttc_s <= WITHIN_S
     values = np.stack([ours.ttc_s, np.where(near_ttc, ours.drac_mps2, np.nan), ours.pet_s], axis=1)

@@ -29,24 +29,12 @@ TIMED: Final = (*SCENARIOS, "city")
 """Those whose episodes are timed."""
 
 
-def episode_costs(scenario_name: str, index: int, duration_s: float) -> dict[str, float]:
-    """Costs of one episode at medium flow, in processor time.
-
-    Args:
-        scenario_name: a key of ``TIMED``.
-        index: which of its episodes.
-        duration_s: its length, s.
-
-    Returns:
-        The metrics of `measure`.
-    """
+def episode_costs(name: str, index: int, duration_s: float) -> dict[str, float]:
+    """Costs of one episode at medium flow, in processor time: the metrics of `measure`."""
     from sim.sumo.engine import step_bare
 
-    config = GenerateConfig(
-        scenarios=(scenario_name,), episodes=index + 1, seed=11, duration_s=duration_s
-    )
-    task = Task(config, scenario_name, index)
-    scenario = config.scenario(scenario_name)
+    config = GenerateConfig(scenarios=(name,), episodes=index + 1, seed=11, duration_s=duration_s)
+    task, scenario = Task(config, name, index), config.scenario(name)
     begin_s = time.process_time()
     step_bare(scenario, sample_agents(scenario, task.seed), task.seed)
     bare_s = time.process_time() - begin_s
@@ -71,17 +59,11 @@ def episode_costs(scenario_name: str, index: int, duration_s: float) -> dict[str
 
 
 def measure(repeats: int = 4, duration_s: float = 300.0, episodes: int = 8) -> Iterator[list[Row]]:
-    """Measure generation.
+    """Rows of each scenario, of some timed episodes; then the speed-up over whole datasets.
 
-    Args:
-        repeats: episodes per scenario that are timed.
-        duration_s: of each episode, s.
-        episodes: per scenario, of the datasets for the speedup.
-
-    Yields:
-        Rows of each scenario: CPU time of a written episode over that of bare SUMO steps, less 1,
-        that of its conflicts over that of everything else, and its costs per agent-step. Then steps
-        per second of the wall clock and the speedup.
+    First come the CPU time of a written episode over that of bare SUMO steps, less 1, and that of
+    its conflicts over that of everything else. Then come costs per agent-step, steps per second of
+    the wall clock, and the speed-up.
     """
     for name in TIMED:
         episode_costs(name, 0, duration_s)  # the first warms up

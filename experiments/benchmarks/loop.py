@@ -86,17 +86,12 @@ def _go_through(
 def measure_loop(
     engines: Sequence[str], duration_s: float = 180.0, repeats: int = 3
 ) -> Iterator[list[Row]]:
-    """Measure the loop on a straight road, and the engine's own speed.
+    """Rows of each engine on a straight road, and of the highway engine's own speed.
 
-    Args:
-        engines: keys of ``ENGINES``.
-        duration_s: simulated, s.
-        repeats: passes over the same frames; the least time of each stage of each frame counts.
-
-    Yields:
-        Rows of each engine: ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of
-        all together. Last, ``agent_steps_per_cpu_s`` of the highway engine and of highway-env's own
-        road and drivers, and ``ratio_to_stock``.
+    Of several passes over the same frames, the least time of each stage of each frame counts. The
+    metrics are ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of all
+    together. Last come ``agent_steps_per_cpu_s`` of the highway engine and of highway-env's own
+    road and drivers, and ``ratio_to_stock``.
     """
     scenario = get_scenario("straight_road")(flow=FLOW_PER_H, duration_s=duration_s)
     agents = sample_agents(scenario, 0)
@@ -111,15 +106,10 @@ def measure_loop(
 def measure_cities(
     engines: Sequence[str], blocks: Sequence[int], vehicles: Sequence[int]
 ) -> Iterator[list[Row]]:
-    """Measure the loop in cities.
+    """Rows as from `measure_loop` of each engine in cities.
 
-    Args:
-        engines: keys of ``ENGINES``.
-        blocks: junctions along the sides of the grids; all but 3 need netgenerate.
-        vehicles: numbers of vehicles, each on the largest grid; the smaller grids have the least.
-
-    Yields:
-        Rows of each city, as from `measure_loop`.
+    Grids have ``blocks`` junctions along their sides; all but 3 need netgenerate. Each number of
+    ``vehicles`` drives on the largest grid, and the least on the smaller ones.
     """
     *smaller, largest = sorted(blocks)
     sizes = [(b, min(vehicles)) for b in smaller] + [(largest, n) for n in sorted(vehicles)]
@@ -140,14 +130,14 @@ def _keys(engine: str, agents: float, scenario: Scenario) -> dict[str, Cell]:
 
 def _stage_rows(keys: Mapping[str, Cell], spent_ms: FloatArray, step_s: float) -> Iterator[Row]:
     """The costs of each stage and of all together."""
-    every = zip((*STAGES, "all"), [*spent_ms.T, spent_ms.sum(axis=1)], strict=True)
-    for stage, spans in every:
-        for metric, value in (
-            ("ms_median", np.median(spans)),
-            ("ms_p99", np.quantile(spans, 0.99)),
-            ("real_time_factor", 1e3 * step_s / max(float(np.mean(spans)), 1e-9)),
-        ):
-            yield tidy_row({**keys, "stage": stage}, metric, float(value), n=len(spans))
+    for stage, spans in zip((*STAGES, "all"), [*spent_ms.T, spent_ms.sum(axis=1)], strict=True):
+        figures = {
+            "ms_median": float(np.median(spans)),
+            "ms_p99": float(np.quantile(spans, 0.99)),
+            "real_time_factor": 1e3 * step_s / max(float(np.mean(spans)), 1e-9),
+        }
+        for metric, value in figures.items():
+            yield tidy_row({**keys, "stage": stage}, metric, value, n=len(spans))
 
 
 def _stock_rows(duration_s: float) -> list[Row]:
@@ -173,14 +163,13 @@ def _stock_rows(duration_s: float) -> list[Row]:
         stock_s = max(time.process_time() - begin, 1e-9)
         found.append((1e3 * sum(counts) / max(spent_ms, 1e-6), moved / stock_s))
     own, others = np.array(found[1:]).T  # the first one compiles
-    times = np.median(own) / np.median(others)
-    rows = []
-    for engine, metric, value, values in (
-        ("highway", "agent_steps_per_cpu_s", np.median(own), own),
-        ("highway-env's own", "agent_steps_per_cpu_s", np.median(others), others),
-        ("highway", "ratio_to_stock", times, own / others),
-    ):
-        keys: dict[str, Cell] = {**_keys(engine, cars, scenario), "stage": "simulate"}
-        least, most = float(values.min()), float(values.max())
-        rows.append(tidy_row(keys, metric, float(value), least, most, STOCK_REPEATS))
-    return rows
+    figures = {
+        ("highway", "agent_steps_per_cpu_s"): (np.median(own), own),
+        ("highway-env's own", "agent_steps_per_cpu_s"): (np.median(others), others),
+        ("highway", "ratio_to_stock"): (np.median(own) / np.median(others), own / others),
+    }
+    return [
+        tidy_row({**_keys(engine, cars, scenario), "stage": "simulate"}, metric, float(value),
+                 each.min(), each.max(), STOCK_REPEATS)
+        for (engine, metric), (value, each) in figures.items()
+    ]  # fmt: skip

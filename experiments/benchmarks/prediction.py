@@ -14,20 +14,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from sklearn.metrics import roc_auc_score
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.metrics import (
-    RESAMPLES,
-    RESAMPLING_SEED,
-    bootstrap,
-    ratio,
-    root_ratio,
-)
+from experiments.score.metrics import auc_over_episodes, bootstrap, ratio, root_ratio
 from experiments.score.predictions import (
     EVERY_S,
     HISTORY_S,
@@ -99,23 +91,18 @@ _Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
 
 
-def _true_beliefs(history: Tracks, posterior: Posterior) -> Posterior:
-    """Certain beliefs in the true behaviours: what perfect classification would give."""
-    if history.behavior is None:
-        raise InputError("beliefs: found no true behaviours, expected labelled tracks")
-    return Posterior(history.ids, certain(history.behavior.astype(np.int64)))
-
-
 BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "classifier": lambda history, posterior: posterior,
-    "truth": _true_beliefs,
+    "truth": lambda history, posterior: Posterior(
+        history.ids, certain(np.asarray(history.behavior, dtype=np.int64))
+    ),
     "shuffled": shuffled_posterior,
     "uniform": lambda history, posterior: Posterior(
         np.empty(0, np.int64), np.empty((0, len(BEHAVIORS)))
     ),
 }
 """Beliefs about the drivers present that predictors are given, from the classifier's
-posteriors."""
+posteriors. Episodes are labelled, so the truth is known."""
 
 
 def measure(
@@ -124,14 +111,10 @@ def measure(
     predictors: Sequence[str] = (),
     jobs: int | None = None,
 ) -> Iterator[list[Row]]:
-    """Predict on fresh episodes of both scenarios with several beliefs about the drivers.
+    """Rows of each scenario: errors with the road and without it, ratios, and who yields.
 
-    Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. An episode is
-    ``duration_s`` long; None for the scenario's own length.
-
-    Yields:
-        The rows of each scenario: errors with the road and without it; ratios; and how well
-        beliefs say who yields.
+    Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. They are given several
+    beliefs about the drivers of fresh episodes of ``duration_s``; None for a scenario's own length.
     """
     names = list(predictors or PREDICTORS)
     for name in names:
@@ -149,19 +132,19 @@ def measure(
                 *in_parallel(_predicted_episode, arguments, jobs), strict=True
             )
             rows: list[Row] = []
+            place = {"scenario": scenario, "split": "unseen"}
             for split, results in (("unseen", mapped), ("unseen, no map", map_free)):
                 for kind in BELIEFS:
                     chosen = [
                         {name: errors for (name, given), errors in one.items() if given == kind}
                         for one in results
                     ]
-                    keys = {"scenario": scenario, "split": split, "beliefs": kind}
                     if chosen[0]:
+                        keys = {**place, "split": split, "beliefs": kind}
                         rows += score_predictions(chosen, keys)
                 rows += compare(results, scenario, split)
             for kind in BELIEFS:
-                keys = {"scenario": scenario, "split": "unseen", "beliefs": kind}
-                rows += _auc_row([one[kind] for one in chances], keys)
+                rows += _auc_row([one[kind] for one in chances], {**place, "beliefs": kind})
             yield rows
 
 
@@ -218,8 +201,7 @@ def yield_chances(tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior
     Beliefs about the drivers are given by index of the frame after which they are held. What
     happened is 1 if the driver went on to yield, and 0 if not.
     """
-    met: set[int] = set()
-    found = []
+    met, found = set[int](), []
     for stop, posterior in posteriors.items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         if not history.ids.size:
@@ -245,12 +227,8 @@ def _auc_row(episodes: Sequence[FloatArray], keys: Mapping[str, Cell]) -> list[R
     chance, happened = np.concatenate(episodes).T
     if np.unique(happened).size < 2:
         return []
-    rng = np.random.default_rng(RESAMPLING_SEED)
-    draws = rng.integers(0, happened.size, (RESAMPLES // 4, happened.size))
-    areas = [roc_auc_score(happened[i], chance[i]) for i in draws if np.ptp(happened[i])]
-    low, high = np.quantile(areas, [0.025, 0.975])
-    value = float(roc_auc_score(happened, chance))
-    return [tidy_row(keys, "yield_auc", value, low, high, happened.size)]
+    found = auc_over_episodes(chance, happened == 1.0, np.arange(happened.size))
+    return [tidy_row(keys, "yield_auc", *found, happened.size)]
 
 
 def _approaching(scene: Scene) -> dict[int, float]:

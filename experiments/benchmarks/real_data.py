@@ -15,10 +15,9 @@ too few to resample.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -30,12 +29,11 @@ from behaviors.labels import BEHAVIORS, Style
 from experiments.data.parallel import in_parallel
 from experiments.rival import nine_numbers
 from experiments.score.metrics import (
-    RESAMPLES,
-    RESAMPLING_SEED,
     balanced_accuracy,
     bootstrap,
     confusion,
     macro_f1,
+    ratio,
     weighted_accuracy,
 )
 from experiments.score.rows import Cell, Row, tidy_row
@@ -65,30 +63,21 @@ LOOK_STEPS: Final = 5
 """Steps between looks at what an observer has gathered."""
 
 
-@dataclass(frozen=True, slots=True)
-class Video:
-    """One annotated video.
+class Video(NamedTuple):
+    """One annotated video: its labelled agents.
 
-    Attributes:
-        name: of the video.
-        codes: (n,) resolved labels of the labelled agents, codes into ``BEHAVIORS``.
-        features: (n, F) of each view, standardised over all agents of the video.
+    ``codes`` (n,) are the resolved labels, into ``BEHAVIORS``. ``features`` (n, F) of each view are
+    standardised over all agents of the video.
     """
 
-    name: str
     codes: CodeArray
     features: Mapping[str, FloatArray]
 
 
 def _identity(tracks: Tracks) -> FloatArray:
     """Number, first and last time: which must not help to say how someone drives."""
-    first = tracks.valid.argmax(axis=1)
     last = tracks.time_s.size - 1 - tracks.valid[:, ::-1].argmax(axis=1)
-    return np.stack([tracks.ids, first, last], axis=1).astype(np.float64)
-
-
-def _nothing(tracks: Tracks) -> FloatArray:
-    return np.zeros((tracks.ids.size, 1))
+    return np.stack([tracks.ids, tracks.valid.argmax(axis=1), last], axis=1).astype(np.float64)
 
 
 def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
@@ -124,19 +113,12 @@ def _metres_per_pixel(tracks: Tracks) -> float:
 _OBSERVED: Final = ("graphrqi", "graphrqi-invariant", "dane", "cheung", "graphrqi-plus")
 
 VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
-    "majority": _nothing,
+    "majority": lambda tracks: np.zeros((tracks.ids.size, 1)),
     "leak-probe": _identity,
     **{name: partial(_observed, METHODS[name].observer) for name in _OBSERVED},
     "nine-numbers": _nine,
 }
 """Features by name of the method whose they are."""
-
-
-def _standardised(values: FloatArray) -> FloatArray:
-    """Standardised columns, clipped at 4; zero where unknown."""
-    table = pd.DataFrame(values)
-    scaled = (table - table.mean()) / (table.std(ddof=0) + 1e-9)
-    return np.asarray(scaled.clip(-4.0, 4.0).fillna(0.0), dtype=np.float64)
 
 
 def _read_video(
@@ -149,10 +131,12 @@ def _read_video(
         return None
     tracks = next(iter(traf.read(path))).tracks
     codes = traf.labels(tracks, sheets, rule)
-    known = codes >= 0
-    features = {name: _standardised(lookup(VIEWS, name, "view")(tracks))[known] for name in views}
-    name = path.stem.removesuffix("_gt")
-    return Video(name, codes[known], features)
+    features = {}
+    for name in views:
+        table = pd.DataFrame(lookup(VIEWS, name, "view")(tracks))
+        scaled = (table - table.mean()) / (table.std(ddof=0) + 1e-9)
+        features[name] = scaled.clip(-4.0, 4.0).fillna(0.0).to_numpy(np.float64)[codes >= 0]
+    return Video(codes[codes >= 0], features)
 
 
 def read_traf(
@@ -260,25 +244,14 @@ def auc_within(
         >>> auc_within(np.array([0.9, 0.1, 0.95, 0.2, 0.1]), truth, where)[0].__round__(3)
         0.667
     """
-    rng = np.random.default_rng(RESAMPLING_SEED)
-    won, pairs = np.zeros(RESAMPLES + 1), np.zeros(RESAMPLES + 1)
-    for each in np.unique(group):
-        here = group == each
-        up, down = score[here & positive], score[here & ~positive]
-        beats = (up[:, None] > down) + 0.5 * (up[:, None] == down)
-        weights = [np.ones((RESAMPLES + 1, part.size)) for part in (up, down)]
-        for weight, part in zip(weights, (up, down), strict=True):
-            if part.size:
-                weight[1:] = rng.multinomial(
-                    part.size, np.full(part.size, 1.0 / part.size), size=RESAMPLES
-                )
-        won += ((weights[0] @ beats) * weights[1]).sum(axis=1)
-        pairs += weights[0].sum(axis=1) * weights[1].sum(axis=1)
-    if pairs[0] == 0:
-        return float("nan"), float("nan"), float("nan")
-    area = won / pairs
-    low, high = np.quantile(area[1:], [0.025, 0.975])
-    return float(area[0]), float(low), float(high)
+    pairs = (group[:, None] == group) & positive[:, None] & ~positive
+    won = pairs * ((score[:, None] > score) + 0.5 * (score[:, None] == score))
+
+    def area(drawn: FloatArray) -> FloatArray:
+        sums = [((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs.astype(np.float64))]
+        return ratio(np.stack(sums, axis=-1))
+
+    return bootstrap(area, np.eye(score.size))
 
 
 def measure(
@@ -287,16 +260,7 @@ def measure(
     tasks: Sequence[int] = tuple(TASKS),
     jobs: int | None = None,
 ) -> Iterator[list[Row]]:
-    """Score methods on the labelled recordings in the folder ``traf`` of a folder.
-
-    Views are keys of ``VIEWS``, and tasks of ``TASKS``.
-
-    Yields:
-        The rows of each view and task.
-
-    Raises:
-        InputError: if fewer than two videos are annotated.
-    """
+    """Rows of each view, a key of `VIEWS`, and task, on the recordings in a folder's ``traf``."""
     videos = read_traf(data / "traf", views, jobs=jobs)
     if len(videos) < 2:
         raise InputError(

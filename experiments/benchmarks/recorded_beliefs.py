@@ -17,6 +17,7 @@ import pandas as pd
 from scipy.stats import spearmanr
 
 from behaviors.errors import InputError
+from experiments.data.disturbances import pieces
 from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
 from experiments.training.recordings import RecordedPlace, read_sources
@@ -45,33 +46,20 @@ RESAMPLES: Final = 500
 """Bootstrap resamples of drivers."""
 
 
-def _cut_in_half(tracks: Tracks) -> tuple[Tracks, IntArray, IntArray]:
-    """The same scene, in which long drivers are new ones from the middle of their tracks on.
-
-    In these tracks the agent of row r has the id 2 r, and 2 r + 1 in its second half. Also
-    returned: the (n,) rows of halved agents, and the (n,) first column of each second half.
-    """
-    first, last = _ends(tracks)
-    begin_s, end_s = tracks.time_s[first], tracks.time_s[last]
-    long = tracks.valid.any(axis=1) & (tracks.kind != PEDESTRIAN)
-    rows = np.flatnonzero(long & (end_s - begin_s >= LEAST_TRACK_S - 1e-6))
-    middle = np.searchsorted(tracks.time_s, 0.5 * (begin_s + end_s)[rows])
-    late = np.zeros(tracks.valid.shape, dtype=bool)
-    late[rows] = np.arange(tracks.time_s.size) >= middle[:, None]
-    source = np.concatenate([np.arange(tracks.ids.size), rows])
-    ids = np.concatenate([2 * np.arange(tracks.ids.size), 2 * rows + 1])
-    valid = np.concatenate([tracks.valid & ~late, tracks.valid[rows] & late[rows]])
-    order = np.argsort(ids)
-    source = source[order]
-    each = {
-        name: getattr(tracks, name)[source]
-        for name in ("kind", "length", "width", "xy", "heading", "speed")
-    }
-    cut = tracks.with_dense(
-        **each, ids=ids[order], names=tuple(map(str, ids[order].tolist())), valid=valid[order],
-        behavior=None, events=(),
-    )  # fmt: skip
-    return cut, rows, middle
+def _last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
+    """(N,) last probability of the aggressive style, NaN if unknown, and whether it is labelled."""
+    stream, (_, last) = load_stream(model, traffic="recorded"), _ends(tracks)
+    style, labelled = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
+    for step, frame in enumerate(tracks.frames()):
+        stream.push(frame)
+        leaving = np.flatnonzero((last == step) & tracks.valid[:, step])
+        if leaving.size:
+            posterior = stream.posterior()
+            here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
+            at = np.searchsorted(posterior.ids, tracks.ids[here])
+            style[here] = aggressive_share(posterior.probability[at])
+            labelled[here] = posterior.labelled[at]
+    return style, labelled
 
 
 def _ends(tracks: Tracks) -> tuple[IntArray, IntArray]:
@@ -80,21 +68,32 @@ def _ends(tracks: Tracks) -> tuple[IntArray, IntArray]:
     return np.asarray(tracks.valid.argmax(axis=1)), np.asarray(last)
 
 
-def _last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
-    """(N,) last probability of the aggressive style, NaN if unknown, and whether it is labelled."""
-    stream, (_, last) = load_stream(model, traffic="recorded"), _ends(tracks)
-    style, labelled = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
-    for step, frame in enumerate(tracks.frames()):
-        stream.push(frame)
-        leaving = np.flatnonzero((last == step) & tracks.valid[:, step])
-        if not leaving.size:
-            continue
-        posterior = stream.posterior()
-        here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
-        at = np.searchsorted(posterior.ids, tracks.ids[here])
-        style[here] = aggressive_share(posterior.probability[at])
-        labelled[here] = posterior.labelled[at]
-    return style, labelled
+def _drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
+    """Beliefs about the drivers of one recording, and their motion.
+
+    (n, 3) aggressive style after each half, and later headway, of halved agents; (m, 2) final style
+    and whether it is known, of agents seen for `LEAST_SEEN_S`.
+    """
+    tracks = one.tracks
+    if tracks.time_s.size < 2:
+        return np.zeros((0, 3)), np.zeros((0, 2))
+    first, last = (tracks.time_s[column] for column in _ends(tracks))
+    long = tracks.valid.any(axis=1) & (tracks.kind != PEDESTRIAN)
+    rows = np.flatnonzero(long & (last - first >= LEAST_TRACK_S - 1e-6))
+    halves = np.zeros((0, 3))
+    if rows.size:  # their second halves are new drivers in the same scene
+        middle = np.searchsorted(tracks.time_s, 0.5 * (first + last)[rows])
+        late = np.zeros(tracks.valid.shape, dtype=bool)
+        late[rows] = np.arange(tracks.time_s.size) >= middle[:, None]
+        everyone = np.arange(tracks.ids.size)
+        valid = np.concatenate([tracks.valid & ~late, (tracks.valid & late)[rows]])
+        style, _ = _last_beliefs(pieces(tracks, np.concatenate([everyone, rows]), valid), model)
+        headway_s = _later_headways(tracks, rows, middle)
+        halves = np.column_stack([style[rows], style[everyone.size :], headway_s])
+    style, labelled = _last_beliefs(tracks, model)
+    seen_s = tracks.valid.sum(axis=1) * tracks.step_s
+    shown = np.isfinite(style) & (seen_s >= LEAST_SEEN_S - 1e-6)
+    return halves, np.column_stack([style, labelled])[shown]
 
 
 def _later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatArray:
@@ -108,27 +107,6 @@ def _later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatAr
         counts &= (speed > MOVING_MPS) & (headway < LONGEST_HEADWAY_S)
         seen.append(np.where(counts, headway, np.nan))
     return np.asarray(pd.DataFrame(seen).mean(), dtype=np.float64)
-
-
-def _drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
-    """Beliefs about the drivers of one recording, and their motion.
-
-    (n, 3) aggressive style after each half, and later headway, of halved agents; (m, 2) final style
-    and whether it is known, of agents seen for `LEAST_SEEN_S`.
-    """
-    tracks = one.tracks
-    if tracks.time_s.size < 2:
-        return np.zeros((0, 3)), np.zeros((0, 2))
-    cut, rows, middle = _cut_in_half(tracks)
-    halves = np.zeros((0, 3))
-    if rows.size:
-        style, _ = _last_beliefs(cut, model)
-        at = np.searchsorted(cut.ids, np.stack([2 * rows, 2 * rows + 1]))
-        halves = np.column_stack([*style[at], _later_headways(tracks, rows, middle)])
-    style, labelled = _last_beliefs(tracks, model)
-    seen_s = tracks.valid.sum(axis=1) * tracks.step_s
-    shown = np.isfinite(style) & (seen_s >= LEAST_SEEN_S - 1e-6)
-    return halves, np.column_stack([style, labelled])[shown]
 
 
 def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
@@ -147,14 +125,7 @@ def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
 
 
 def measure(data: Path, model: str = DEFAULT_MODEL, jobs: int | None = None) -> Iterator[list[Row]]:
-    """Measure beliefs about the drivers of recordings: a folder of datasets of them, or one.
-
-    Yields:
-        The rows of each dataset: shares labelled and aggressive, and the correlations.
-
-    Raises:
-        InputError: if there is nothing to read, or the model does not load.
-    """
+    """Rows of each dataset of recordings in a folder, or of one: shares and correlations."""
     load_model(model)
     places: dict[str, list[RecordedPlace]] = {}
     for one in read_sources([data], maps=False):

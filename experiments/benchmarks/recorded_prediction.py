@@ -30,6 +30,7 @@ from experiments.training.recordings import (
     happened,
     history_of,
     moving,
+    moving_s,
     read_sources,
     recorded_instants,
     scored,
@@ -68,16 +69,10 @@ _STEPS: Final = int(_AT[-1]) + 1
 def measure(
     data: Path, epochs: int = 4, seed: int = 0, per_dataset: int = PER_DATASET
 ) -> Iterator[list[Row]]:
-    """Score predictors on recordings, each dataset left out of the training in turn.
+    """Rows of each dataset of recordings in a folder, left out of the training in its turn.
 
-    The folder holds datasets of recordings; in one of them alone, nothing is trained. About
-    ``per_dataset`` agents at instants are learned from in each.
-
-    Yields:
-        The rows of each dataset.
-
-    Raises:
-        InputError: if there is nothing to read.
+    If there is one dataset alone, nothing is trained. About ``per_dataset`` agents at instants are
+    learned from in each.
     """
     parts: dict[str, list[RecordedPlace]] = {}
     for one in read_sources([data]):
@@ -94,6 +89,14 @@ def measure(
         yield list(_dataset_rows(parts[name], network, seed))
 
 
+def _base(history: Tracks, road: Road | None) -> Prediction:
+    """What the networks for recordings correct."""
+    motion = Motion.of(history)
+    time_s = np.arange(1, _STEPS + 1, dtype=np.float64) * STEP_S
+    xy = motion.from_own_frame(fading(motion, time_s))[:, None]
+    return Prediction(history.ids, time_s, xy, np.ones((history.ids.size, 1)))
+
+
 def _dataset_rows(
     places: Sequence[RecordedPlace], network: RecordedNetwork | None, seed: int
 ) -> Iterator[Row]:
@@ -101,7 +104,7 @@ def _dataset_rows(
     predictors: dict[str, _Predictor] = {
         "constant-velocity": lambda history, road: keep_velocity(history, _STEPS),
         "kalman": lambda history, road: keep_filtered_motion(history, _STEPS),
-        "base": lambda history, road: _base(history),
+        "base": _base,
         SHIPPED: lambda history, road: predict_recorded(history, _STEPS, road=road),
     }
     if network is not None:
@@ -119,21 +122,13 @@ def _dataset_rows(
             yield from _rows(keys, places, predictor, with_map, noise_m, seed)
 
 
-def _base(history: Tracks) -> Prediction:
-    """What the networks for recordings correct."""
-    motion = Motion.of(history)
-    time_s = np.arange(1, _STEPS + 1, dtype=np.float64) * STEP_S
-    xy = motion.from_own_frame(fading(motion, time_s))[:, None]
-    return Prediction(history.ids, time_s, xy, np.ones((history.ids.size, 1)))
-
-
 def _rows(
     keys: dict[str, Cell], places: Sequence[RecordedPlace], predictor: _Predictor, with_map: bool,
     noise_m: float, seed: int,
 ) -> Iterator[Row]:  # fmt: skip
     """The figures of a predictor, by class of vehicles and horizon."""
     cases: list[tuple[FloatArray, ...]] = []
-    every_s, first = _scored_every_s(places), 0
+    every_s, first = float(np.clip(moving_s(places) / SCORED_PER_DATASET, 1.0, 60.0)), 0
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, index))
         for stop in recorded_instants(one.tracks, every_s):
@@ -166,10 +161,3 @@ def _rows(
         here: dict[str, Cell] = {**keys, "class": name, "horizon_s": horizon_s}
         for metric, below in (("ratio_to_cv", theirs), ("ade_m", np.ones(n))):
             yield tidy_row(here, metric, *bootstrap(ratio, summed(vehicle, ours, below)), n)
-
-
-def _scored_every_s(places: Sequence[RecordedPlace]) -> float:
-    """Time between the instants of a dataset, s."""
-    tracks = [one.tracks for one in places if one.tracks.time_s.size > 1]
-    fast = [(one.valid & (np.nan_to_num(one.speed) >= 1.0)).sum() * one.step_s for one in tracks]
-    return float(np.clip(sum(fast) / SCORED_PER_DATASET, 1.0, 60.0))

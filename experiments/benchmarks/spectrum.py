@@ -17,6 +17,7 @@ from itertools import product
 from typing import Any, Final, cast
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import lookup
 from experiments.score.rows import Cell, Row, tidy_row
@@ -64,14 +65,9 @@ def graph_sequence(
 ) -> Iterator[TrafficGraph]:
     """Traffic graphs of d vehicles every 0.1 s, four neighbours, reset at 100.
 
-    Args:
-        layout: "road" (one way, three lanes, 20 m apart per lane on average, 25 m/s) or "crossing"
-            (four arms of three lanes, 12 m apart, three in ten standing).
-        kind: "instantaneous" or "accumulated".
-        d: vehicles.
-        steps: graphs wanted.
-        skip: observations before the first of them.
-        seed: of the places and speeds.
+    A "road" is one way with three lanes, 20 m apart per lane on average, at 25 m/s. A "crossing"
+    has four arms of three lanes, 12 m apart, and three in ten stand. The kind of graph is
+    "instantaneous" or "accumulated". There are so many ``steps`` after those that are skipped.
     """
     graph = TrafficGraph.empty(neighbors=4, reset=100, kind=cast(Any, kind))
     for step, xy in enumerate(_positions(layout, d, skip + steps, seed)):
@@ -120,18 +116,13 @@ def measure(
     solvers: Sequence[str] = (),
     steps: int = 60,
 ) -> Iterator[list[Row]]:
-    """Measure every solver on graphs of so many vehicles, in so many observations of each.
+    """Rows of every solver on graphs of so many vehicles, in so many observations of each.
 
-    A solver that would exceed ``STEP_BUDGET_S`` a step or its memory has one row: ``cpu_ms``
-    without a value. Solvers are keys of ``SOLVERS``, or "lapack-dsyevr"; () for all.
-
-    Yields:
-        Rows of each sequence: ``cpu_ms`` (median per step), ``residual_max``, ``missed_pairs``,
-        ``certified_share`` and ``ratio_to_eigh`` (speed over that of numpy's eigh). With ``d``
-        None, ``slope`` is that of log ``cpu_ms`` against log d.
-
-    Raises:
-        InputError: for an unknown name.
+    Solvers are keys of ``SOLVERS``, or "lapack-dsyevr"; () for all. The metrics of each sequence
+    are ``cpu_ms`` (median per step), ``residual_max``, ``missed_pairs``, ``certified_share`` and
+    ``ratio_to_eigh`` (speed over that of numpy's eigh). With ``d`` None, ``slope`` is that of log
+    ``cpu_ms`` against log d. A solver that would exceed ``STEP_BUDGET_S`` a step or its memory has
+    one row: ``cpu_ms`` without a value.
     """
     import scipy.linalg  # noqa: F401  # only libraries that are loaded can be limited to a thread
     from threadpoolctl import threadpool_limits
@@ -226,18 +217,17 @@ def _missed_pairs(reference: Spectrum, found: Spectrum) -> int:
 
 def table(rows: Sequence[Row]) -> list[Row]:
     """One line per solver and sequence: ms of every d, worst residual, missed pairs and slope."""
-    lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
-    names = ("graph", "kind", "end", "solver")
-    for row in rows:
-        key = tuple(row[name] for name in names)
-        line = lines.setdefault(key, dict(zip(names, key, strict=True)))
-        metric, value = str(row["metric"]), row["value"]
-        if metric == "cpu_ms":
-            line[f"{row['d']} (ms)"] = "skipped" if value is None else value
-        elif metric == "residual_max":
-            line["worst residual"] = max(float(line.get("worst residual") or 0), float(value or 0))
-        elif metric == "missed_pairs":
-            line["missed"] = int(line.get("missed") or 0) + int(value or 0)
-        elif metric == "slope":
-            line["slope"] = value
-    return list(lines.values())
+    lines: list[Row] = []
+    names = ["graph", "kind", "end", "solver"]
+    for key, some in pd.DataFrame([dict(row) for row in rows]).groupby(names, sort=False):
+        value = {metric: one.set_index("d")["value"] for metric, one in some.groupby("metric")}
+        line: dict[str, Any] = dict(zip(names, key, strict=True))
+        for d, ms in value["cpu_ms"].items():
+            line[f"{d:.0f} (ms)"] = "skipped" if np.isnan(ms) else ms
+        if "residual_max" in value:
+            line["worst residual"] = value["residual_max"].max()
+            line["missed"] = int(value["missed_pairs"].sum())
+        if "slope" in value:
+            line["slope"] = float(value["slope"].iloc[0])
+        lines.append(line)
+    return lines

@@ -143,7 +143,7 @@ def _say_size(out: Path) -> None:
     from sim.store.dataset import open_dataset
 
     dataset = open_dataset(out)
-    steps = sum(dataset.totals.column("agent_steps").to_pylist())
+    steps = sum(dataset.catalogue.column("agent_steps").to_pylist())
     say(f"{place_of(out).url}: {len(dataset)} episodes, {steps} agent-steps")
 
 

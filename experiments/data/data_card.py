@@ -47,11 +47,7 @@ drivers are what each driver was drawn to be.
 
 
 def write_data_card(path: Path) -> None:
-    """Write the card of a dataset, in a folder or at a URL, beside its data.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Write the card of a dataset, in a folder or at a URL, beside its data."""
     dataset = open_dataset(path)
     options = [entry.options.get("notes") for entry in dataset.manifest.episodes]
     notes = sorted({str(note) for some in options if isinstance(some, list) for note in some})

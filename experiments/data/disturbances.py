@@ -6,15 +6,13 @@ Each takes tracks, a level and a generator, and returns other tracks; labels sta
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from behaviors.elementwise import exponential
-from sim.frames import Tracks
+from sim.frames import BoolArray, IntArray, Tracks
 
 Disturbance = Callable[[Tracks, float, np.random.Generator], Tracks]
 
@@ -105,49 +103,29 @@ def renamed_tracks(
     """As `lost_tracks`, but an agent that is found again has a new id."""
     gaps = _gaps(tracks, per_minute, gap_s, rng)
     begins = gaps & ~np.pad(gaps, ((0, 0), (1, 0)))[:, :-1]
-    piece = np.where(tracks.valid & ~gaps, np.cumsum(begins, axis=1), -1)
-    rows: list[int] = []
-    parts = [np.zeros((0, tracks.time_s.size), dtype=bool)]
-    for row in range(tracks.ids.size):
-        numbers = np.unique(piece[row])
-        own = piece[row] == numbers[numbers >= 0, None]
-        rows += [row] * len(own)
-        parts.append(own)
-    return _pieces(tracks, rows, np.concatenate(parts))
+    number = np.where(tracks.valid & ~gaps, np.cumsum(begins, axis=1), -1)
+    found = [(row, i) for row, own in enumerate(number) for i in np.unique(own[own >= 0])]
+    source, piece = np.array(found, dtype=np.int64).reshape(-1, 2).T
+    return pieces(tracks, source, number[source] == piece[:, None])
 
 
-def _gaps(
-    tracks: Tracks, per_minute: float, gap_s: float, rng: np.random.Generator
-) -> NDArray[np.bool_]:
+def pieces(tracks: Tracks, rows: IntArray, valid: BoolArray) -> Tracks:
+    """Tracks of new agents, one for each of the rows (n,), at the times of ``valid`` (n, T)."""
+    names = ("kind", "length", "width", "xy", "heading", "speed")
+    return tracks.with_dense(
+        **{name: getattr(tracks, name)[rows] for name in names},
+        ids=np.arange(rows.size),
+        names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
+        valid=valid,
+        behavior=None if tracks.behavior is None else tracks.behavior[rows],
+        events=(),
+    )
+
+
+def _gaps(tracks: Tracks, per_minute: float, gap_s: float, rng: np.random.Generator) -> BoolArray:
     """(N, T) when each agent is lost."""
     n, t = tracks.valid.shape
     begins = rng.random((n, t)) < per_minute / 60.0 * tracks.step_s
     length_s = rng.exponential(gap_s, (n, t))
     end_s = np.where(begins, tracks.time_s + length_s, -np.inf)
     return np.asarray(np.maximum.accumulate(end_s, axis=1) > tracks.time_s)
-
-
-def _pieces(tracks: Tracks, rows: Sequence[int], valid: NDArray[np.bool_]) -> Tracks:
-    """Tracks of pieces: of the agent in each row, the times at which ``valid`` (n, T) holds."""
-    source = np.array(rows, dtype=np.int64)
-    names = ("kind", "length", "width", "xy", "heading", "speed")
-    return tracks.with_dense(
-        **{name: getattr(tracks, name)[source] for name in names},
-        ids=np.arange(source.size),
-        names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
-        valid=valid,
-        behavior=None if tracks.behavior is None else tracks.behavior[source],
-        events=(),
-    )
-
-
-DISTURBANCES: Final[dict[str, Disturbance]] = {
-    "position noise": position_noise,
-    "correlated noise": correlated_noise,
-    "dropped frames": dropped_frames,
-    "frame rate": frame_rate,
-    "lost detections": lost_detections,
-    "lost tracks": lost_tracks,
-    "renamed tracks": renamed_tracks,
-}
-"""Each disturbance by name; its level is a deviation in m, a share, Hz, or times per minute."""

@@ -15,10 +15,9 @@ from experiments.console.notices import LOGGER, called
 from experiments.console.progress import Progress
 from experiments.data.data_card import write_data_card
 from experiments.data.recorded_roads import RecordedRoads
-from experiments.data.remote import fetched, new_output
 from experiments.data.scene_check import DOUBTED, SCALED, admitted
 from experiments.guard import guarded, guarded_call
-from sim.files import is_remote, temporary_folder, write_whole
+from sim.files import Place, is_remote, new_folder, place_of, temporary_folder
 from sim.formats import (
     FORMATS,
     formats_in,
@@ -27,19 +26,15 @@ from sim.formats import (
     left_out_files,
     new_index,
     read_formats,
-    recording_files,
 )
 from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
 from sim.formats.common.windows import NoWindowError
 from sim.formats.own_table import check_columns
 from sim.store.catalogue import is_dataset
-from sim.store.dataset import Dataset, open_dataset
+from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta, Manifest, Split, split_of
-from sim.store.writing import checksum, made_with, new_dataset
-
-MARKER: Final = ".graphrqi-export"
-"""File in a folder of exported files; it says which dataset they come from."""
+from sim.store.writing import made_with, new_dataset
 
 LEFT_OUT_NAMED: Final = 5
 """Most left-out files that are named (they fit one line)."""
@@ -62,20 +57,19 @@ def import_recordings(
 ) -> Manifest:
     """Make a dataset of recordings, their numbers kept to the last digit.
 
+    Files that look like recordings and are not read are named on stderr and in the manifest.
+
     Args:
         source: a file, or a folder with files of one or several formats.
         out: folder of the dataset, new or empty, or a URL where nothing is.
-        name: a key of ``sim.formats.FORMATS``, whose files alone are read; None to read every
-            format that is recognised from the content. Files that look like recordings and are
-            not read are named on stderr and in the manifest.
-        net: the map that the recordings were made on, as `sim.road.files.read_road_file` takes
-            it; None for what comes with each, if anything does. It is checked against where
-            vehicles move (`sim.road.map_fit`).
+        name: a key of ``FORMATS``, whose files alone are read; None to recognise each.
+        net: the map that the recordings were made on; None for what comes with each. It is checked
+            against where vehicles move (`sim.road.map_fit`).
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
-        labels: a CSV file with labels of some drivers, as `sim.formats.common.label_file` reads
-            it. They replace those that come with the recordings.
+        labels: labels of some drivers (`sim.formats.common.label_file`), instead of those that
+            come with the recordings.
         rate_hz: frames per second that the recordings really have; None for what they say. A
             recording whose times contradict its motion is then left out, or refused if it is alone.
         shift_m: how far maps are moved onto the positions, m; None not to move them.
@@ -91,87 +85,74 @@ def import_recordings(
             contradict the motion, or ``out`` holds anything else.
         OSError: if something cannot be written.
     """
-    if is_remote(source):
-        with fetched(source) as copy:
-            return import_recordings(
-                copy, out, name, net, split, quiet, types, labels, rate_hz, shift_m, columns,
-                units, scenario,
-            )  # fmt: skip
     if columns is not None:
         check_columns(columns, units or {})
         name = "table"
-    names = [name] if name else formats_in(source)
-    for key in names:
-        get_reader(key)
-    if types is not None and "sumo-fcd" not in names:
-        raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
     roads = RecordedRoads(net, shift_m)
     given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
-    configuration = {"format": ", ".join(names), "source": source.name}
-    others = left_out_files(source, names)
-    if others:
-        configuration["left_out"] = ", ".join(file.name for file in others[:LEFT_OUT_NAMED])
-        if len(others) > LEFT_OUT_NAMED:
-            configuration["left_out"] += f" and {len(others) - LEFT_OUT_NAMED} more"
-        LOGGER.warning(
-            "%s: left out, because they are not in the format %s: %s",
-            source,
-            " or ".join(names),
-            configuration["left_out"],
-        )
     doubted: list[str] = []
     count = 0
-    with (
-        new_dataset(out, configuration) as dataset,
-        Progress("importing recordings", 0, quiet) as shown,
-    ):
-        for key, recording in guarded(
-            source, read_formats, source, names, types, rate_hz, columns, units
-        ):
-            LOGGER.debug("%s: read %s as %s", source, recording.name, key)
-            wrong = None if rate_hz is not None else doubt_of_times(recording.tracks)
-            if wrong is not None and FORMATS[key].clock:
-                recording = replace(recording, notes=(*recording.notes, wrong))
-            elif wrong is not None:
-                place = source / recording.file if source.is_dir() else source
-                able = "other --units, or " if key == "table" else ""
-                doubted.append(f"{place}: {wrong}, expected {able}import --rate HZ")
-                continue
-            if given is not None:
-                found_labels = given.of(recording.tracks.names, recording.name, recording.file)
-                recording = recording.labelled(found_labels)
-            unit = FORMATS[key].unit
-            recording, doubt = admitted(recording, unit)
-            said = [*recording.doubts, *([doubt] if doubt else [])]
-            if said:
-                LOGGER.warning("%s: %s", recording.name, "; ".join(said))
-            road, found = roads.of(recording)
-            options: dict[str, JsonValue] = {
-                "recording": recording.name, "file": recording.file,
-                "notes": [*recording.notes, *recording.doubts, *found],
-            }  # fmt: skip
-            if unit != "m":
-                options[SCALED] = True
-            if doubt:
-                options[DOUBTED] = doubt
-            meta = EpisodeMeta(
-                scenario=scenario or key,
-                engine=key,
-                index=count,
-                split=split or split_of(count),
-                options=options,
-                made_with=made_with(key),
+    with _here(source) as source:
+        names = [name] if name else formats_in(source)
+        for key in names:
+            get_reader(key)
+        if types is not None and "sumo-fcd" not in names:
+            raise InputError(
+                f"types: found format {names[0]}, expected sumo-fcd: only it needs them"
             )
-            entry = dataset.write_recording(meta, recording.tracks, road, recording.styles)
-            count += 1
-            shown.advance(entry.agents, entry.agent_steps)
-        if doubted and not count:
-            raise InputError(doubted[0])
-        for line in doubted:
-            LOGGER.warning("%s: left out", line)
-        roads.check()
-        if given is not None:
-            given.check()
+        configuration = {"format": ", ".join(names), "source": source.name}
+        if others := [file.name for file in left_out_files(source, names)]:
+            said = ", ".join(others[:LEFT_OUT_NAMED])
+            if len(others) > LEFT_OUT_NAMED:
+                said += f" and {len(others) - LEFT_OUT_NAMED} more"
+            configuration["left_out"] = said
+            form = " or ".join(names)
+            LOGGER.warning(
+                "%s: left out, because they are not in the format %s: %s", source, form, said
+            )
+        read = guarded(source, read_formats, source, names, types, rate_hz, columns, units)
+        with (
+            new_dataset(out, configuration) as dataset,
+            Progress("importing recordings", 0, quiet) as shown,
+        ):
+            for key, recording in read:
+                LOGGER.debug("%s: read %s as %s", source, recording.name, key)
+                wrong = None if rate_hz is not None else doubt_of_times(recording.tracks)
+                if wrong is not None and FORMATS[key].clock:
+                    recording = replace(recording, notes=(*recording.notes, wrong))
+                elif wrong is not None:
+                    place = source / recording.file if source.is_dir() else source
+                    able = "other --units, or " if key == "table" else ""
+                    doubted.append(f"{place}: {wrong}, expected {able}import --rate HZ")
+                    continue
+                if given is not None:
+                    found_labels = given.of(recording.tracks.names, recording.name, recording.file)
+                    recording = recording.labelled(found_labels)
+                unit = FORMATS[key].unit
+                recording, doubt = admitted(recording, unit)
+                if doubts := [*recording.doubts, *([doubt] if doubt else [])]:
+                    LOGGER.warning("%s: %s", recording.name, "; ".join(doubts))
+                road, found = roads.of(recording)
+                options: dict[str, JsonValue] = {
+                    "recording": recording.name, "file": recording.file,
+                    "notes": [*recording.notes, *recording.doubts, *found],
+                    **({} if unit == "m" else {SCALED: True}),
+                    **({DOUBTED: doubt} if doubt else {}),
+                }  # fmt: skip
+                meta = EpisodeMeta(
+                    scenario=scenario or key, engine=key, index=count,
+                    split=split or split_of(count), options=options, made_with=made_with(key),
+                )  # fmt: skip
+                entry = dataset.write_recording(meta, recording.tracks, road, recording.styles)
+                count += 1
+                shown.advance(entry.agents, entry.agent_steps)
+            if doubted and not count:
+                raise InputError(doubted[0])
+            for line in doubted:
+                LOGGER.warning("%s: left out", line)
+            roads.check()
+            if given is not None:
+                given.check()
     write_data_card(out)
     return open_dataset(out).manifest
 
@@ -180,13 +161,7 @@ def import_recordings(
 def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -> Iterator[Path]:
     """A dataset as it is, or recordings as a temporary dataset that the block's end removes.
 
-    Args:
-        source: a dataset's folder, a file, or a folder of files.
-        name: format of the recordings; None to recognise it from the content.
-        net: as in `import_recordings`.
-
-    Yields:
-        Folder of a dataset; recordings are all in its test split.
+    Arguments are those of `import_recordings`; recordings are all in the test split.
 
     Raises:
         InputError: if a file is broken or of no known format.
@@ -194,58 +169,76 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     if name is None and is_dataset(source):
         yield source
         return
-    if is_remote(source):
-        with fetched(source) as copy, as_dataset(copy, name, net) as folder:
-            yield folder
-        return
-    if not source.exists():
-        raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
-    with temporary_folder("import") as scratch:
+    with _here(source) as source, temporary_folder("import") as scratch:
+        if not source.exists():
+            raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
         folder = scratch / (source.resolve().name or "recordings")
         import_recordings(source, folder, name, net, split="test", quiet=True)
         with called(folder, source):
             yield folder
 
 
+@contextmanager
+def _here(source: Path) -> Iterator[Path]:
+    """A path of this machine, or a copy, with the same name, of the file or folder at a URL."""
+    if not is_remote(source):
+        yield source
+        return
+    home, place = place_of(source.parent), place_of(source)
+    with temporary_folder("fetched") as scratch:
+        copy = scratch / source.name
+        if home.size(source.name) is not None:
+            copy.write_bytes(home.read(source.name))
+        for name in () if copy.exists() else place.files():
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            (copy / name).write_bytes(place.read(name))
+        if not copy.exists():
+            raise InputError(f"{place.url}: found nothing there")
+        yield copy
+
+
+@contextmanager
+def _new_output(out: Path) -> Iterator[Path]:
+    """A folder to fill, whose files appear in a new or empty folder, or at a URL, at the end."""
+    if not is_remote(out):
+        with new_folder(out) as folder:
+            yield folder
+        return
+    target = place_of(out)
+    if found := next(iter(target.files()), None):
+        raise InputError(f"{target.url}: found {found} there, expected a new or empty folder")
+    with temporary_folder("out") as folder:
+        yield folder
+        for name in Place(str(folder)).files():
+            target.put(folder / name, name)
+
+
 def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> list[Path]:
-    """Write every episode of a dataset in another format.
+    """Write every episode of a dataset in another format, and return the files.
 
     Episodes that have no window of the format's length are left out; a line on stderr says so.
 
     Args:
         dataset: folder of the dataset.
-        out: where; created if need be. Files of the same names are replaced if they were exported
-            from the same dataset.
+        out: a new or empty folder, or a URL where nothing is.
         name: a key of ``sim.formats.FORMATS`` that has a writer.
         quiet: whether to show no progress.
 
-    Returns:
-        Summary of the export.
-
     Raises:
         InputError: if the dataset is broken, a step does not fit, no episode is long enough, or
-            the folder holds other files of the format.
+            the folder holds anything.
         OSError: if something cannot be written.
     """
-    writer = get_writer(name)
-    if is_remote(out):
-        with new_output(out) as folder:
-            made = export_dataset(dataset, folder, name, quiet)
-            return [out / path.relative_to(folder) for path in made]
-    opened = open_dataset(dataset)
-    if is_dataset(out):
-        raise InputError(f"{out}: found a dataset, expected another folder for the exported files")
-    out.mkdir(parents=True, exist_ok=True)
-    _claim(out, name, opened)
+    writer, opened = get_writer(name), open_dataset(dataset)
     index = new_index(name)
     written: list[Path] = []
     left_out: list[NoWindowError] = []
     episodes = opened.manifest.episodes
-    with Progress("exporting episodes", len(episodes), quiet) as shown:
+    with _new_output(out) as folder, Progress("exporting episodes", len(episodes), quiet) as shown:
         for entry in episodes:
             tracks, road = opened.read(entry).tracks, opened.road(entry)
             try:
-                files = writer(out, entry.id, tracks, road)
+                files = writer(folder, entry.id, tracks, road)
             except NoWindowError as reason:
                 left_out.append(reason)
             else:
@@ -253,29 +246,11 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
                 if index is not None:
                     index.add(files, entry.id, tracks, road)
             shown.advance(entry.agents, entry.agent_steps)
-    if left_out:
-        summary = f"{len(left_out)} of {len(episodes)} episodes left out, first {left_out[0]}"
+        summary = f"{len(left_out)} of {len(episodes)} episodes left out"
         if not written:
-            (out / MARKER).unlink(missing_ok=True)
-            raise InputError(f"{dataset}: {summary}")
-        LOGGER.warning("%s: %s", dataset, summary)
-    return written if index is None else [*written, *index.write(out)]
-
-
-def _claim(out: Path, name: str, dataset: Dataset) -> None:
-    """Refuse a folder with files that were not exported from this dataset, or mark it as ours."""
-    marker = out / MARKER
-    episodes = "\n".join(entry.id for entry in dataset.manifest.episodes)
-    identity = f"{checksum(episodes.encode())}\n"
-    known = marker.is_file() and marker.stat().st_size <= len(identity)
-    if known and marker.read_text(encoding="utf-8", errors="replace") == identity:
-        return
-    try:
-        other = recording_files(out, name)[0][0]
-    except InputError:  # there is none
-        write_whole(marker, identity.encode())
-        return
-    raise InputError(
-        f"{out}: found {other.relative_to(out)}, a {name} file that does not come from this "
-        "dataset, expected a folder without such files: readers would mix both"
-    )
+            raise InputError(f"{dataset}: {summary}, first {left_out[0]}")
+        if left_out:
+            LOGGER.warning("%s: %s, first %s", dataset, summary, left_out[0])
+        if index is not None:
+            written += index.write(folder)
+        return [out / path.relative_to(folder) for path in written]

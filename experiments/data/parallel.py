@@ -43,11 +43,7 @@ def processors() -> int:
 
 
 def checked_jobs(jobs: int | None) -> int:
-    """Worker processes: as many as asked for, or one per processor.
-
-    Raises:
-        InputError: if they are less than one.
-    """
+    """Worker processes: as many as asked for, or one per processor; less than one are refused."""
     jobs = processors() if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"jobs: found {jobs}, expected at least 1")
@@ -63,12 +59,7 @@ def in_parallel(
 ) -> Iterator[T]:
     """Call a function on each tuple of arguments; the answers come in this order.
 
-    Args:
-        function: importable by workers.
-        arguments: one tuple per call; there may be none.
-        jobs: processes; None for one per core. One call or one job runs in this process.
-        what: the work and what is counted, for the progress that is shown.
-        quiet: whether to show no progress.
+    One call or one job runs in this process. The progress that is shown says ``what`` is counted.
     """
     with Progress(what, len(arguments), quiet) as progress:
         for answer in _answers(function, arguments, jobs):

@@ -20,14 +20,8 @@ class RecordedRoads:
     """The roads of recordings that are read one after another.
 
     A map that came with a recording and does not fit it is left out, and named once in the log. One
-    that a person gave is refused by name, unless too few vehicles move to blame it.
-
-    Args:
-        net: the map that a person gave for all recordings; None for what comes with each.
-        shift_m: how far every map is moved onto the positions, m; None not to move it.
-
-    Raises:
-        InputError: if ``net`` is not a map.
+    that a person gave as ``net`` is refused by name, unless too few vehicles move to blame it. All
+    maps are moved by ``shift_m``, m.
     """
 
     def __init__(self, net: Path | None = None, shift_m: tuple[float, float] | None = None) -> None:
@@ -40,14 +34,10 @@ class RecordedRoads:
             guarded_call(net, read_road_file, net)
 
     def of(self, recording: Recording) -> tuple[Path | Road | None, tuple[str, ...]]:
-        """The road that a recording is stored with, and what was found about it.
+        """The road that a recording is stored with, and one sentence for each finding about it.
 
-        Args:
-            recording: what was read.
-
-        Returns:
-            The map's file where it is used unchanged and datasets keep such files, else the road.
-            None without a map, or where it does not fit. And one sentence for each finding.
+        The road is the map's file where it is used unchanged and datasets keep such files; None
+        without a map, or where it does not fit.
 
         Raises:
             InputError: if the map that a person gave is of another place.
@@ -79,7 +69,17 @@ class RecordedRoads:
         if recording.own_road and self._net is None:
             fit = dataclasses.replace(fit, vehicles=0)  # it belongs to it by its id
         if not fit.fits:
-            return None, self._not_fitting(recording, road, fit.share, fit.sure)
+            found = (
+                f"{road.source}: the map does not fit the positions: found {fit.share:.0%} of the "
+                f"moving ones of {recording.name} inside its lanes, expected at least {LEAST:.0%}, "
+                "or import --shift X,Y"
+            )
+            if self._net is not None and fit.sure:
+                raise InputError(found)
+            if str(road.source) not in self._refused:
+                LOGGER.warning("%s: left out", found)
+                self._refused[str(road.source)] = found
+            return None, (f"{found}: left out",)
         self._fitted += 1
         keeps = isinstance(given, Path) and given.name.endswith((".json", ".net.xml"))
         if fit.limits_rule and keeps and not notes:
@@ -88,27 +88,7 @@ class RecordedRoads:
         knows = dataclasses.replace(road.knows, limits_rule=rules)
         return dataclasses.replace(road, knows=knows), (*notes, *fit.notes())
 
-    def _not_fitting(
-        self, recording: Recording, road: Road, share: float, sure: bool
-    ) -> tuple[str, ...]:
-        """Refuse or leave out a map that does not fit a recording."""
-        found = (
-            f"{road.source}: the map does not fit the positions: found {share:.0%} of the moving "
-            f"ones of {recording.name} inside its lanes, expected at least {LEAST:.0%}, or "
-            "import --shift X,Y"
-        )
-        if self._net is not None and sure:
-            raise InputError(found)
-        if str(road.source) not in self._refused:
-            LOGGER.warning("%s: left out", found)
-            self._refused[str(road.source)] = found
-        return (f"{found}: left out",)
-
     def check(self) -> None:
-        """Refuse a map that a person gave and that fitted no recording at all.
-
-        Raises:
-            InputError: naming it.
-        """
+        """Refuse a map that a person gave and that fitted no recording at all."""
         if self._net is not None and self._refused and not self._fitted:
             raise InputError(next(iter(self._refused.values())))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -43,36 +43,15 @@ OVERLAPPING, OVERLAPPING_BOXES, OVERLAPPING_IDS = 0.02, 0.2, 6
 NEAREST_M: Final = 1.0
 """No scene, whatever the outlines, if half of the vehicles have another centre nearer than this."""
 
-STILL_M: Final = 2.0
-"""Vehicles that stay nearer than this never moved, m."""
-
 FASTEST_MPS, JUMP_M, JUMPING, JUMPING_IDS = 90.0, 5.0, 0.1, 3
 """Vehicles jump that go faster and farther than this, m/s and m; largest share of such ids, and the
 fewest that count."""
 
 
-class SceneCheck(NamedTuple):
-    """Findings of the check, a sentence each.
+def check_scene(tracks: Tracks, outlines: bool = True) -> tuple[str, ...]:
+    """Reasons not to believe that a recording, in metres, is a scene, a sentence each.
 
-    Attributes:
-        doubts: reasons not to believe the scene.
-        remarks: what was found amiss, but is not enough to doubt it.
-    """
-
-    doubts: tuple[str, ...]
-    remarks: tuple[str, ...]
-
-
-def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
-    """Whether a recording is plausible as a scene.
-
-    Args:
-        tracks: positions in metres.
-        outlines: whether lengths and widths are those of outlines on the ground. Boxes in an image
-            overlap without touching.
-
-    Returns:
-        What was found amiss.
+    Without ``outlines``, sizes are those of boxes in an image, which overlap without touching.
 
     Examples:
         Sixteen cars that drive on top of each other in pairs:
@@ -85,46 +64,33 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> SceneCheck:
         ...     ids=n, names=tuple(map(str, n)), kind=0 * n, length=4.5 * ones[:, 0],
         ...     width=1.8 * ones[:, 0], time_s=time_s, xy=xy, heading=0 * ones, speed=15 * ones,
         ...     valid=ones > 0, signals=np.empty((0, 50)))
-        >>> half = tracks.part(n[:8], slice(None))
-        >>> len(check_scene(tracks).doubts), len(check_scene(half).doubts)
+        >>> len(check_scene(tracks)), len(check_scene(tracks.part(n[:8], slice(None))))
         (1, 0)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
     rows = tracks.rows
-    seen: BoolArray = np.diff(rows.index.first) > 0
-    count = int(seen.sum())
+    count = int((np.diff(rows.index.first) > 0).sum())
     if not count:
-        return SceneCheck((), ())
+        return ()
     looks = _looks(tracks.time_s)
     nearest_m, hits, overlapping = _overlaps(tracks, looks)
     looked = max(int(np.isin(rows.index.step, looks).sum()), 1)
     share, jumps = hits / looked, int(_jumps(tracks).sum())
-    times = doubt_of_times(tracks) if len(looks) >= LOOKS else None
-    agent = rows.index.agent
-    away = np.hypot(*(rows.xy - rows.xy[np.searchsorted(agent, agent)]).T)
-    still = (count - np.unique(agent[away > STILL_M]).size) / count
     near = 2 * int((nearest_m < NEAREST_M).sum()) > max(looked, 2 * OVERLAPPING_IDS)
     most = OVERLAPPING if outlines else OVERLAPPING_BOXES
-    many = near or (overlapping >= OVERLAPPING_IDS and share > most)
-    superimposed = count >= OVERLAPPING_IDS and many
-    jumping = jumps >= JUMPING_IDS and jumps > JUMPING * count
-    size = size_doubt(tracks) if outlines and len(looks) >= LOOKS and count >= SIZED else None
-    apart = float(np.median(nearest_m)) if nearest_m.size else math.nan
-    jumped = f"{jumps} of {count} ids jump from place to place"
-    doubts = {
-        f"{share:.0%} of the vehicles lie within another one (median distance to the next centre "
-        f"{apart:.1f} m): actors are superimposed": superimposed,
-        times or "times": times,
-        size or "sizes": size,
-        jumped: jumping,
-    }
-    remarks = {
-        f"{overlapping} of {count} vehicles overlap another": overlapping and not superimposed,
-        jumped: jumps and not jumping,
-        f"{still:.0%} of the vehicles never move": still > 0.5,
-    }
-    said = (tuple(text for text, holds in each.items() if holds) for each in (doubts, remarks))
-    return SceneCheck(*said)
+    doubts: list[str | None] = []
+    if count >= OVERLAPPING_IDS and (near or (overlapping >= OVERLAPPING_IDS and share > most)):
+        apart = float(np.median(nearest_m)) if nearest_m.size else math.nan
+        doubts.append(
+            f"{share:.0%} of the vehicles lie within another one (median distance to the next "
+            f"centre {apart:.1f} m): actors are superimposed"
+        )
+    if len(looks) >= LOOKS:
+        doubts.append(doubt_of_times(tracks))
+        doubts.append(size_doubt(tracks) if outlines and count >= SIZED else None)
+    if jumps >= JUMPING_IDS and jumps > JUMPING * count:
+        doubts.append(f"{jumps} of {count} ids jump from place to place")
+    return tuple(doubt for doubt in doubts if doubt)
 
 
 def is_scene(entry: EpisodeEntry) -> bool:
@@ -133,15 +99,9 @@ def is_scene(entry: EpisodeEntry) -> bool:
 
 
 def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
-    """A recording in metres, and the reasons why it is not plausible as a scene.
+    """A recording in metres, and the doubt that it is a scene in one sentence; None without one.
 
-    Args:
-        recording: as read.
-        unit: of its format: "m", or "px", whose scale is estimated.
-
-    Returns:
-        The recording, in metres, its notes with what was estimated and doubted; and the doubt in
-        one sentence, None where it is a scene.
+    The scale of a unit other than "m" is estimated. Notes say what was estimated and doubted.
     """
     if unit != "m":
         scale = image_scale(recording.tracks)
@@ -150,10 +110,10 @@ def admitted(recording: Recording, unit: str) -> tuple[Recording, str | None]:
         recording = replace(
             recording, tracks=in_metres(recording.tracks, scale), notes=(*kept, said)
         )
-    found = check_scene(recording.tracks, outlines=unit == "m")
-    if not found.doubts:
+    doubts = check_scene(recording.tracks, outlines=unit == "m")
+    if not doubts:
         return recording, None
-    doubt = f"no scene that can be believed: {'; '.join((*found.doubts, *found.remarks))}"
+    doubt = f"no scene that can be believed: {'; '.join(doubts)}"
     return replace(recording, notes=(*recording.notes, doubt)), doubt
 
 

@@ -104,14 +104,7 @@ class Scale:
 
 
 def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
-    """Centred mean of the known positions.
-
-    Args:
-        xy: (N, T, 2); NaN where unknown.
-        frames: length of the mean, odd.
-
-    Returns:
-        (N, T, 2); NaN where unknown.
+    """Centred mean of positions (N, T, 2) over an odd number of frames; NaN where unknown.
 
     Examples:
         >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
@@ -126,13 +119,9 @@ def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
 
 
 def image_scale(tracks: Tracks) -> Scale:
-    """Estimate the scale of a recording in pixels, from sizes and speeds.
+    """Estimate the scale of a recording in pixels, y up, from sizes and speeds.
 
-    Args:
-        tracks: in pixels, y up; lengths and widths are the sides of boxes in the image.
-
-    Returns:
-        The scale; sizes alone decide where no agent moves.
+    Lengths and widths are the sides of boxes in the image. Sizes alone decide where no agent moves.
     """
     seen = tracks.valid.any(axis=1)
     size = np.sqrt(tracks.length * tracks.width)[seen]
@@ -181,13 +170,7 @@ def _pace(ground: FloatArray, tracks: Tracks, size: float) -> float:
 def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
     """The same recording in metres, as far as a scale says.
 
-    Args:
-        tracks: in pixels, y up.
-        scale: as from `image_scale`.
-
-    Returns:
-        Tracks with places on the ground, headings, speeds, lengths and widths in metres. Whole
-        pixels are smoothed before headings and speeds are taken from them.
+    Whole pixels are smoothed before headings and speeds are taken from them.
     """
     from sim.formats.common.motion import motion
 

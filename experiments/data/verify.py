@@ -19,11 +19,7 @@ class Flaw(NamedTuple):
 
 
 def verify_dataset(path: Path) -> list[Flaw]:
-    """Faults, in order of path, of every file's size and checksum beside a dataset's catalogue.
-
-    Raises:
-        InputError: if the catalogue's rows are broken.
-    """
+    """Faults, in order of path, of every file's size and checksum beside a dataset's catalogue."""
     dataset = open_dataset(path)
     place, expected = place_of(dataset.path), dataset.header.files
     there = place.files()

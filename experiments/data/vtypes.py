@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ import pandas as pd
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
 from behaviors.profiles import PROFILE_FIELDS, sample_profile
-from sim.files import whole_folder
+from sim.files import new_folder
 from sim.frames import AgentKind
 from sim.scenario import DIMENSIONS_M, IMPERFECTION, AgentSpec
 from sim.store.catalogue import is_dataset
@@ -43,22 +43,42 @@ IN_TABLE: Final = {
 
 
 def export_types(source: str, out: Path) -> list[Path]:
-    """Write ``vtypes.add.xml`` and ``drivers.csv``.
+    """Write ``vtypes.add.xml`` and ``drivers.csv`` into a new or empty folder.
 
-    Args:
-        source: a dataset, whose mix the shares are; or behaviours as `read_behaviors` takes them,
-            beside the six in equal shares.
-        out: folder of the files; new or empty.
-
-    Raises:
-        InputError: if the source is neither, or the folder holds something.
+    The source is a dataset, whose mix the shares are; or behaviours as `read_behaviors` takes them,
+    beside the six in equal shares.
     """
-    if out.exists() and any(out.iterdir()):
-        raise InputError(f"{out}: found something there, expected a new or empty folder")
-    shares = _shares(source)
-    with whole_folder(out) as folder:
-        (folder / "vtypes.add.xml").write_text("\n".join(_xml(shares)) + "\n")
-        (folder / "drivers.csv").write_text(_table(shares))
+    shares, types, rows = _shares(source), list[str](), list[dict[str, Any]]()
+    length, width, _ = DIMENSIONS_M[AgentKind.CAR]
+    for behavior, share in shares.items():
+        rng = np.random.default_rng(0)
+        for number in range(DRIVERS_OF_EACH):
+            name, each = f"{behavior}_{number}", share / DRIVERS_OF_EACH
+            profile = sample_profile(behavior.profile, rng)
+            agent = AgentSpec(0, AgentKind.CAR, behavior, profile, (), 0.0, length, width)
+            types.append("    " + type_element(agent, name, each))
+            rows.append(
+                {"driver": name, "behavior": str(behavior), "style": str(behavior.style),
+                 "share": each}
+                | {column: getattr(profile, field) for field, column in IN_TABLE.items()}
+                | {"krauss_sigma": IMPERFECTION}
+            )  # fmt: skip
+    said = [
+        f"{behavior}: " + ", ".join(f"{n} {getattr(behavior.profile, n):g}" for n in NOT_IN_SUMO)
+        for behavior in shares
+    ]
+    notes = [f"not expressed by vTypes: {', '.join(NOT_IN_SUMO)}", *said]
+    xml = [
+        "<additional>", *(f"  <!-- {note} -->" for note in notes),
+        '  <vTypeDistribution id="drivers">', *types, "  </vTypeDistribution>", "</additional>", "",
+    ]  # fmt: skip
+    left_out = ", ".join(name for name in PROFILE_FIELDS if name not in IN_TABLE)
+    table = pd.DataFrame(rows).to_csv(index=False, float_format="%.6g")
+    with new_folder(out) as folder:
+        (folder / "vtypes.add.xml").write_text("\n".join(xml))
+        (folder / "drivers.csv").write_text(
+            f"# not expressed by IDM, Krauss and MOBIL: {left_out}\n{table}"
+        )
     return [out / "vtypes.add.xml", out / "drivers.csv"]
 
 
@@ -74,39 +94,3 @@ def _shares(source: str) -> dict[Behavior, float]:
         return {b: float(share) for b, share in number.items() if share > 0}
     known = (*BEHAVIORS, *read_behaviors(source))
     return dict.fromkeys(known, 1.0 / len(known))
-
-
-def _drivers(shares: Mapping[Behavior, float]) -> Iterator[tuple[str, Behavior, float, AgentSpec]]:
-    """Name, behaviour and share of drivers of cars, as many of each behaviour."""
-    length, width, _ = DIMENSIONS_M[AgentKind.CAR]
-    for behavior, share in shares.items():
-        rng = np.random.default_rng(0)
-        for number in range(DRIVERS_OF_EACH):
-            profile = sample_profile(behavior.profile, rng)
-            agent = AgentSpec(0, AgentKind.CAR, behavior, profile, (), 0.0, length, width)
-            yield f"{behavior}_{number}", behavior, share / DRIVERS_OF_EACH, agent
-
-
-def _xml(shares: Mapping[Behavior, float]) -> Iterator[str]:
-    yield "<additional>"
-    yield f"  <!-- not expressed by vTypes: {', '.join(NOT_IN_SUMO)} -->"
-    for behavior in shares:
-        said = ", ".join(f"{name} {getattr(behavior.profile, name):g}" for name in NOT_IN_SUMO)
-        yield f"  <!-- {behavior}: {said} -->"
-    yield '  <vTypeDistribution id="drivers">'
-    for name, _, share, agent in _drivers(shares):
-        yield "    " + type_element(agent, name, share)
-    yield "  </vTypeDistribution>"
-    yield "</additional>"
-
-
-def _table(shares: Mapping[Behavior, float]) -> str:
-    left_out = [name for name in PROFILE_FIELDS if name not in IN_TABLE]
-    rows = [
-        {"driver": name, "behavior": str(behavior), "style": str(behavior.style), "share": share}
-        | {column: getattr(agent.profile, number) for number, column in IN_TABLE.items()}
-        | {"krauss_sigma": IMPERFECTION}
-        for name, behavior, share, agent in _drivers(shares)
-    ]
-    said = f"# not expressed by IDM, Krauss and MOBIL: {', '.join(left_out)}\n"
-    return said + str(pd.DataFrame(rows).to_csv(index=False, float_format="%.6g"))

@@ -29,13 +29,10 @@ OBSERVED_S: Final = 10.0
 
 
 def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
-    """Where an episode's positions come from.
+    """Where an episode's positions come from; what the user says instead counts more.
 
     The engines' episodes are simulated and imported ones recorded. Random worlds and what other
-    simulations wrote are other traffic. What the user says instead counts more.
-
-    Raises:
-        InputError: if the user says something else than a kind of traffic.
+    simulations wrote are other traffic.
     """
     if said is not None:
         return check_traffic(said)
@@ -64,7 +61,6 @@ def gather(
     split: Split,
     method: str,
     *,
-    solver: str = "graphrqi",
     windows_s: Sequence[float] = (OBSERVED_S,),
     every_s: float = 1.0,
     per_moment: int | None = None,
@@ -75,13 +71,13 @@ def gather(
 ) -> Samples:
     """Samples of every episode of a split, made in parallel.
 
-    Episodes without any are left out, each in a line on stderr.
+    Episodes without any are left out, each in a line on stderr. They are numbered as in the
+    manifests, one after another.
 
     Args:
         datasets: where from.
         split: which part.
         method: whose observer to use.
-        solver: a key of ``SOLVERS``.
         windows_s: lengths of observation.
         every_s: time between the ends of windows.
         per_moment: how many lengths to draw per driver and moment; None for all.
@@ -90,9 +86,6 @@ def gather(
         quiet: whether to show no progress.
         classes: what codes stand for; drivers of other behaviours give no sample.
 
-    Returns:
-        The samples; episodes are numbered as in the manifests, one after another.
-
     Raises:
         InputError: if the split has no episode.
         NoSamplesError: if no episode has labels and a driver that is seen for long enough.
@@ -100,7 +93,7 @@ def gather(
     every = [(d.path, e) for d in datasets for e in d.manifest.episodes]
     taken = (windows_s, every_s, per_moment)
     arguments = [
-        (path, entry, number, method, solver, (*taken, seed + number), classes)
+        (path, entry, number, method, (*taken, seed + number), classes)
         for number, (path, entry) in enumerate(every)
         if entry.split == split
     ]
@@ -121,8 +114,8 @@ def gather(
 
 
 def _episode_samples(
-    folder: Path, entry: EpisodeEntry, number: int, method: str, solver: str,
-    taken: tuple[Any, ...], classes: tuple[Behavior, ...],
+    folder: Path, entry: EpisodeEntry, number: int, method: str, taken: tuple[Any, ...],
+    classes: tuple[Behavior, ...],
 ) -> Samples | str:  # fmt: skip
     """Samples of one episode, as `graphrqi.samples.collect` gives them, or why there are none."""
     tracks = measured(open_dataset(folder).read(entry))
@@ -131,6 +124,6 @@ def _episode_samples(
         codes = np.array([*code, -1], dtype=np.int8)[tracks.behavior]
         tracks = dataclasses.replace(tracks, behavior=codes)
     try:
-        return collect(tracks, make_observer(method, solver), number, *taken)
+        return collect(tracks, make_observer(method), number, *taken)
     except NoSamplesError as reason:
         return f"{folder}: episode {entry.id}: {reason}"

@@ -12,7 +12,7 @@ from behaviors.labels import read_behaviors, tables_of
 from behaviors.populations import read_population
 from behaviors.toml_files import read_toml
 from experiments.generate import RANDOM_WORLD
-from experiments.guard import guarded_call, is_guarding
+from experiments.guard import guarded_call
 from scenarios import get_scenario
 from scenarios.own.scenario_file import is_path
 from sim.engines import get_engine
@@ -23,12 +23,12 @@ NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "durati
 """Fields that may be chosen for random worlds, too."""
 
 
-def _behavior_tables(given: Any) -> dict[str, Any]:
-    return tables_of(read_behaviors(given))
-
-
-def _population_table(given: Any) -> dict[str, Any]:
-    return read_population(given).table()
+_Population = Annotated[
+    dict[str, Any], BeforeValidator(lambda given: read_population(given).table())
+]
+_Behaviors = Annotated[
+    dict[str, Any], BeforeValidator(lambda given: tables_of(read_behaviors(given)))
+]
 
 
 class GenerateConfig(BaseModel):
@@ -64,8 +64,8 @@ class GenerateConfig(BaseModel):
     flow: str | float | None = None
     mix: str | dict[str, float] | None = None
     spread: float | None = None
-    population: Annotated[dict[str, Any], BeforeValidator(_population_table)] | None = None
-    behaviors: Annotated[dict[str, Any], BeforeValidator(_behavior_tables)] | None = None
+    population: _Population | None = None
+    behaviors: _Behaviors | None = None
     duration_s: float | None = None
     step_s: float | None = None
     limits_mps: Annotated[tuple[float, ...], Field(min_length=1, strict=False)] | None = None
@@ -87,20 +87,11 @@ class GenerateConfig(BaseModel):
         return given
 
     def scenario(self, name: str, index: int = 0) -> Scenario:
-        """The scenario of that name with this configuration's options, for one of its episodes.
-
-        Raises:
-            InputError: if no such scenario exists or an option is out of range.
-        """
+        """The scenario of that name with this configuration's options, for one of its episodes."""
         return get_scenario(name)(**self.options(name, index))
 
     def check(self) -> None:
-        """Refuse what no episode can be made from.
-
-        Raises:
-            InputError: if the engine or a scenario is not known or named twice, or an option is
-                out of range.
-        """
+        """Refuse what no episode can be made from."""
         get_engine(self.engine)
         named = [name for name in self.scenarios if name != RANDOM_WORLD]
         if len(named) < len(self.scenarios):
@@ -125,12 +116,7 @@ class GenerateConfig(BaseModel):
 
 
 def scenario_name(given: str) -> str:
-    """Name of a scenario that is given by its name, or the path of its file or map.
-
-    Examples:
-        >>> scenario_name("straight_road")
-        'straight_road'
-    """
+    """Name of a scenario that is given by its name, or the path of its file or map."""
     return given if given == RANDOM_WORLD else get_scenario(given).name
 
 
@@ -176,7 +162,7 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
         wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "net"])
         raise InputError(f"{path or 'options'}: {wrong}") from None
     for name in config.scenarios:
-        if is_guarding() and is_path(name):
+        if is_path(name):
             guarded_call(Path(name), _try_scenario, config, name)
     return config
 

@@ -8,17 +8,13 @@ is written last.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
-
-import pyarrow as pa
 
 from behaviors.errors import InputError
 from experiments.console.notices import Interrupted
@@ -33,12 +29,24 @@ from scenarios.own.scenario_file import is_path
 from sim.files import PARTIAL_PREFIX, Place, place_of, user_cache
 from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
 from sim.store.dataset import open_dataset
-from sim.store.schema import TABLES, EpisodeEntry, FileEntry, Manifest, block_of, split_of
-from sim.store.shards import Shard, ShardName, metadata_of, opened
+from sim.store.parquet import metadata_of, opened
+from sim.store.schema import (
+    TABLES,
+    EpisodeEntry,
+    FileEntry,
+    Manifest,
+    Shard,
+    TableName,
+    block_of,
+    shard_file,
+    split_of,
+)
 from sim.store.writing import EpisodeWriter, checksum, made_with
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
 """Other content of a dataset's folder beside its tables."""
+
+_UNFINISHED: Final = "unfinished episodes of another configuration"
 
 
 class _ShardTask(NamedTuple):
@@ -48,16 +56,14 @@ class _ShardTask(NamedTuple):
     scenario: str
     indices: tuple[int, ...]
 
-    @property
-    def name(self) -> ShardName:
-        """Name of the shard."""
-        first, last = block_of(self.indices[0])
-        split = split_of(self.indices[0])
-        return ShardName(scenario_name(self.scenario), split, f"{first:06}-{last:06}")
+    def file(self, table: TableName) -> str:
+        """The file of a table."""
+        index = self.indices[0]
+        return shard_file(table, scenario_name(self.scenario), split_of(index), index)
 
     def __str__(self) -> str:
         """Name of the episodes, for messages."""
-        return f"{self.name.scenario} episodes {', '.join(map(str, self.indices))}"
+        return f"{scenario_name(self.scenario)} episodes {', '.join(map(str, self.indices))}"
 
 
 class _Made(NamedTuple):
@@ -132,61 +138,59 @@ def generate(
     jobs = checked_jobs(jobs)
     config.check()
     place = place_of(out)
+    if not place.remote and place.path.is_file():
+        raise InputError(f"{out}: found a file, expected a folder")
     configuration = _configuration_of(config)
     wanted = config.episodes * len(config.scenarios)
     with sole_writer(place), Progress("generating episodes", wanted, quiet) as shown:
-        found = _Found(shown)
-        missing = _missing(config, place, configuration, found)
+        there, missing = _there_and_missing(config, place, configuration)
+        if not place.remote:
+            place.path.mkdir(parents=True, exist_ok=True)
+        shards: list[_Made] = []
+
+        def take(made: _Made) -> None:
+            shards.append(made)
+            for entry in made.entries:
+                shown.advance(entry.agents, entry.agent_steps)
+
+        for made in there:
+            take(made)
         try:
             make = partial(_make_shard, place.url, configuration)
-            for task, made in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
-                found.add(made or _Made((), {}, (f"{task}: killed their worker twice",)))
+            for task, answer in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
+                take(answer or _Made((), {}, (f"{task}: killed their worker twice",)))
         except KeyboardInterrupt:
             _remove_partial(place)
+            count = sum(len(made.entries) for made in shards)
             raise Interrupted(
-                f"stopped: {found.count} of {wanted} episodes are in {place.url}; run the same "
+                f"stopped: {count} of {wanted} episodes are in {place.url}; run the same "
                 "command again to go on"
             ) from None
+        entries = [entry for made in shards for entry in made.entries]
         asked = {**configuration, "episodes": config.episodes}
         complete = is_dataset(out) and open_dataset(out).header.configuration == asked
-        if found.count and (missing or not complete):
-            write_catalogue(place, asked, found.rows, found.files)
+        if entries and (missing or not complete):
+            files = {name: file for made in shards for name, file in made.files.items()}
+            write_catalogue(place, asked, [catalogue_table(made.entries) for made in shards], files)
             write_data_card(out)
-        if not found.count and not place.remote:
+        elif not entries and not place.remote:
             for name in (*TABLES, "roads"):
                 shutil.rmtree(place.path / name, ignore_errors=True)
-        if found.failed:
+            with suppress(OSError):  # it is not empty
+                place.path.rmdir()
+        failed = [line for made in shards for line in made.failed]
+        if failed:
             raise InputError(
-                f"{wanted - found.count} of {wanted} episodes could not be made: "
-                f"{'; '.join(found.failed)}"
+                f"{wanted - len(entries)} of {wanted} episodes could not be made: "
+                f"{'; '.join(failed)}"
             )
     return open_dataset(out).manifest
 
 
-@dataclass
-class _Found:
-    """What there is of a dataset: rows of its catalogue, files, and what could not be made."""
-
-    shown: Progress
-    rows: list[pa.Table] = field(default_factory=list)
-    files: dict[str, FileEntry] = field(default_factory=dict)
-    failed: list[str] = field(default_factory=list)
-    count: int = 0
-
-    def add(self, made: _Made) -> None:
-        """Take a shard into the catalogue."""
-        for entry in made.entries:
-            self.shown.advance(entry.agents, entry.agent_steps)
-        self.rows.append(catalogue_table(made.entries))
-        self.files |= made.files
-        self.failed += made.failed
-        self.count += len(made.entries)
-
-
-def _missing(
-    config: GenerateConfig, place: Place, configuration: Mapping[str, Any], found: _Found
-) -> list[_ShardTask]:
-    """The shards that are to be made; those that are there are taken into the catalogue."""
+def _there_and_missing(
+    config: GenerateConfig, place: Place, configuration: Mapping[str, Any]
+) -> tuple[list[_Made], list[_ShardTask]]:
+    """The shards that are there, and those that are to be made."""
     if is_dataset(place.path):
         _check_same(config, place, configuration)
     _remove_partial(place)
@@ -194,23 +198,22 @@ def _missing(
     if DATA_CARD in listed and not place.read(DATA_CARD).decode().startswith(CARD_HEAD):
         raise InputError(f"{place.url}: found {DATA_CARD} in it, expected a new folder")
     tasks = list(_planned(config))
-    ours = {task.name.file(table) for task in tasks for table in TABLES}
-    unfinished = "unfinished episodes of another configuration"
+    ours = {task.file(table) for task in tasks for table in TABLES}
     for name in listed:
         top = name.partition("/")[0]
         if top not in _OURS and name not in ours:
-            what = unfinished if top in TABLES else name
+            what = _UNFINISHED if top in TABLES else name
             raise InputError(f"{place.url}: found {what} in it, expected a new folder")
-    missing = []
+    there, missing = [], []
     for task in tasks:
-        shard = _read_shard(place, task.name, listed)
+        shard = _read_shard(place, task.file("agents"), listed)
         if shard is not None and shard.configuration != configuration:
-            raise InputError(f"{place.url}: found {unfinished} in it, expected a new folder")
+            raise InputError(f"{place.url}: found {_UNFINISHED} in it, expected a new folder")
         if shard is None or tuple(entry.index for entry in shard.entries) != task.indices:
             missing.append(task)
         else:
-            found.add(_Made(shard.entries, shard.files))
-    return missing
+            there.append(_Made(shard.entries, shard.files))
+    return there, missing
 
 
 def _check_same(config: GenerateConfig, place: Place, configuration: Mapping[str, Any]) -> None:
@@ -219,9 +222,12 @@ def _check_same(config: GenerateConfig, place: Place, configuration: Mapping[str
     old = there.pop("episodes", 0)
     for name in sorted({*there, *configuration}):
         if there.get(name) != configuration.get(name):
+            before, now = (
+                value.get("name") if name == "population" and isinstance(value, Mapping) else value
+                for value in (each.get(name, "not given") for each in (there, configuration))
+            )
             raise InputError(
-                f"{place.url}: was made with {name} {_shown(there, name)}, now "
-                f"{_shown(configuration, name)}; choose another folder"
+                f"{place.url}: was made with {name} {before!r}, now {now!r}; choose another folder"
             )
     if not isinstance(old, int) or old > config.episodes:
         raise InputError(
@@ -232,43 +238,27 @@ def _check_same(config: GenerateConfig, place: Place, configuration: Mapping[str
 
 @contextmanager
 def sole_writer(place: Place) -> Iterator[None]:
-    """Hold a dataset for writing; the operating system releases it when the process ends.
-
-    A folder is created if need be, and removed if it stays empty. The lock file of a URL lies in
-    the user's cache: there it holds off this machine's runs only.
+    """Hold a dataset against this user's other runs; the lock ends with the process.
 
     Raises:
-        InputError: if another process holds it, or the path is not a folder.
-        OSError: if the folder cannot be written.
+        InputError: if another process holds it.
     """
     from filelock import FileLock, Timeout
 
-    folder = user_cache() / "locks" if place.remote else place.path
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: found a file, expected a folder")
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder = user_cache() / "locks"
     folder.mkdir(parents=True, exist_ok=True)
-    name = hashlib.sha256(place.url.encode()).hexdigest()[:16] if place.remote else ""
-    file = folder / f".lock{name}"
+    name = place.url if place.remote else str(place.path.resolve())
     try:
-        with FileLock(file, timeout=0):
-            try:
-                yield
-            finally:
-                file.unlink(missing_ok=True)
+        with FileLock(folder / checksum(name.encode()), timeout=0):
+            yield
     except Timeout:
         raise InputError(
             f"{place.url}: another run is writing to it; wait for its end or choose another folder"
         ) from None
-    finally:
-        for path in new:
-            with suppress(OSError):  # it is not empty
-                path.rmdir()
 
 
-def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Shard | None:
-    """A shard of an earlier run; None if a file of it is missing, broken, or of another size."""
-    own = name.file("agents")
+def _read_shard(place: Place, own: str, listed: Mapping[str, int]) -> Shard | None:
+    """A shard of an earlier run, by its file of agents; None if a file is missing or broken."""
     if own not in listed:
         return None
     try:
@@ -283,20 +273,13 @@ def _read_shard(place: Place, name: ShardName, listed: Mapping[str, int]) -> Sha
     return shard.model_copy(update={"files": {**shard.files, own: agents}})
 
 
-def _shown(configuration: Mapping[str, Any], name: str) -> str:
-    """Value of a configuration; of a population, its name."""
-    value = configuration.get(name, "not given")
-    if name == "population" and isinstance(value, Mapping):
-        value = value.get("name")
-    return repr(value)
-
-
 def _remove_partial(place: Place) -> None:
     """Remove what earlier, killed runs left unfinished."""
-    if not place.remote:
-        for folder in (place.path, place.path / "roads"):
-            for leftover in folder.glob(f"{PARTIAL_PREFIX}*"):
-                if leftover.is_dir():
-                    shutil.rmtree(leftover, ignore_errors=True)
-                else:
-                    leftover.unlink(missing_ok=True)
+    if place.remote:
+        return
+    for folder in (place.path, place.path / "roads"):
+        for leftover in folder.glob(f"{PARTIAL_PREFIX}*"):
+            if leftover.is_dir():
+                shutil.rmtree(leftover, ignore_errors=True)
+            else:
+                leftover.unlink(missing_ok=True)

@@ -7,22 +7,21 @@ import hashlib
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.configuration import GenerateConfig, scenario_name
-from experiments.generate.worlds.world import DURATION_S, WARM_UP_S, World, draw_world
+from experiments.generate.worlds import DURATION_S, WARM_UP_S, World, draw_world
 from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.files import temporary_folder
 from sim.frames import Frame, Tracks
 from sim.road.net import read_road
 from sim.scenario import AgentSpec, Scenario, sample_agents
-from sim.store.encode import rounded
 from sim.store.schema import EpisodeEntry, EpisodeMeta, split_of
+from sim.store.tables import rounded
 from sim.store.writing import EpisodeWriter, made_with
 
 SENSOR_STREAM: Final = 9
@@ -79,12 +78,7 @@ class Task:
         )
 
     def write(self, out: EpisodeWriter) -> EpisodeEntry:
-        """Make the episode, and return its entry in the catalogue.
-
-        Raises:
-            InputError: if the engine cannot run it.
-            OSError: if it cannot be written.
-        """
+        """Make the episode, and return its entry in the catalogue."""
         if self.scenario == RANDOM_WORLD:
             world = draw_world(self.seed, self.config.duration_s or DURATION_S)
             return _write_world(out, world, self.index)
@@ -99,15 +93,20 @@ class Task:
 
 
 def _write_world(out: EpisodeWriter, world: World, index: int) -> EpisodeEntry:
-    """Make the episode of a world, and return its entry in the catalogue."""
+    """Make the episode of a world as its sensor saw it, and return its entry in the catalogue."""
     meta = EpisodeMeta(
         scenario=RANDOM_WORLD, engine=world.engine, seed=world.seed, index=index,
         split=split_of(index), options=world.options(), made_with=made_with(world.engine),
     )  # fmt: skip
+    name = f"{world.road.family}_world"
     with temporary_folder("world") as scratch:
         net = scratch / "world.net.xml"
         net.write_text(world.road.net(), encoding="utf-8")
-        scenario = _scenario(world, net)
+        scenario = Scenario(
+            name=name, road=read_road(net, name), flows=world.road.flows(),
+            mix=world.population.mix, spread=0.0, duration_s=WARM_UP_S + world.duration_s,
+            step_s=world.sensor.step_s, kinds=world.population.kinds,
+        )  # fmt: skip
         agents = world.population.drivers(sample_agents(scenario, world.seed))
         tracks = _recorded(world, scenario, agents)
         by_name = {str(agent.id): agent for agent in agents}
@@ -120,20 +119,6 @@ def _write_world(out: EpisodeWriter, world: World, index: int) -> EpisodeEntry:
         road = net if world.sensor.has_map else None
         drawn = sorted(agents, key=lambda a: a.id)
         return out.write_tracks(meta, rounded(tracks), seen, road, drawn=drawn)
-
-
-def _scenario(world: World, net: Path) -> Scenario:
-    """The scenario of a world on the net of a file, with its warm-up."""
-    return Scenario(
-        name=f"{world.road.family}_world",
-        road=read_road(net, f"{world.road.family}_world"),
-        flows=world.road.flows(),
-        mix=world.population.mix,
-        spread=0.0,
-        duration_s=WARM_UP_S + world.duration_s,
-        step_s=world.sensor.step_s,
-        kinds=world.population.kinds,
-    )
 
 
 def _recorded(world: World, scenario: Scenario, agents: tuple[AgentSpec, ...]) -> Tracks:

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
+from functools import partial
 from typing import Final, TypeVar
 
 from behaviors.errors import InputError
@@ -40,57 +41,39 @@ _DEATHS: Final = ("BrokenProcessPool", "TerminatedWorkerError", "KilledWorker")
 def in_workers(
     function: Callable[[A], B], tasks: Iterable[A], jobs: int, cluster: str | None = None
 ) -> Iterator[tuple[A, B | None]]:
-    """Call a function on every task.
+    """Each task with the function's answer, as they come; None where it killed its worker twice.
 
-    Args:
-        function: importable by workers.
-        tasks: its arguments.
-        jobs: worker processes; one runs in this process.
-        cluster: address of a Dask scheduler, whose workers take the place of processes.
-
-    Yields:
-        Each task with its answer, as they come; with None where it killed its worker twice.
-
-    Raises:
-        InputError: if the cluster cannot do the work.
+    A single job runs in this process. The workers of the Dask scheduler at the address ``cluster``
+    take the place of processes.
     """
+    waiting, suspects = deque(tasks), deque[A]()
     if cluster is None and jobs == 1:
-        for task in tasks:
-            yield task, function(task)
+        yield from ((task, function(task)) for task in waiting)
         return
     at_once = jobs if cluster is None else TASKS_AT_ONCE
-    suspects, waiting = deque[A](), deque(tasks)
-    while waiting:
-        yield from _until_one_dies(function, waiting, suspects, jobs, cluster, at_once)
-    while suspects:
-        alone, killers = deque([suspects.popleft()]), deque[A]()
-        yield from _until_one_dies(function, alone, killers, jobs, cluster, 1)
-        for task in killers:
-            yield task, None
-
-
-def _until_one_dies(
-    function: Callable[[A], B], waiting: deque[A], suspects: deque[A], jobs: int,
-    cluster: str | None, at_once: int,
-) -> Iterator[tuple[A, B]]:  # fmt: skip
-    """Take tasks from those that wait until all are done or a worker dies with some suspects."""
-    running: dict[Future[B], A] = {}
-    broken = False
-    with _processes(jobs) if cluster is None else _cluster(cluster) as executor:
-        while running or (waiting and not broken):
-            while waiting and not broken and len(running) < at_once:
-                task = waiting.popleft()
-                running[executor.submit(function, task)] = task
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                task, error = running.pop(future), future.exception()
-                if error is None:
-                    yield task, future.result()
-                elif type(error).__name__ in _DEATHS:
-                    suspects.append(task)
-                    broken = True
-                else:
-                    raise error
+    workers = partial(_processes, jobs) if cluster is None else partial(_cluster, cluster)
+    while waiting or suspects:
+        alone = not waiting
+        tried = deque([suspects.popleft()]) if alone else waiting
+        running: dict[Future[B], A] = {}
+        died: list[A] = []
+        with workers() as executor:
+            while running or (tried and not died):
+                while tried and not died and len(running) < at_once:
+                    task = tried.popleft()
+                    running[executor.submit(function, task)] = task
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    task, error = running.pop(future), future.exception()
+                    if error is None:
+                        yield task, future.result()
+                    elif type(error).__name__ in _DEATHS:
+                        died.append(task)
+                    else:
+                        raise error
+        if alone:
+            yield from ((task, None) for task in died)
+        else:
+            suspects += died
 
 
 @contextmanager
@@ -138,12 +121,8 @@ def _cluster(address: str) -> Iterator[Executor]:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
             raise InputError(f"{wrong}no worker, expected one or more") from None
-        for worker, threads in client.nthreads().items():
-            if threads != 1:
-                raise InputError(
-                    f"{wrong}worker {worker} with {threads} threads, expected 1: start it with "
-                    "--nthreads 1"
-                )
+        if any(threads != 1 for threads in client.nthreads().values()):
+            raise InputError(f"{wrong}workers with several threads, expected --nthreads 1")
         engines = ("sumo", "highway")
         here = made_with(*engines)
         for worker, there in client.run(made_with, *engines, on_error="return").items():

@@ -109,7 +109,7 @@ def read_answers(path: Path) -> pd.DataFrame:
     """
     numbers = ("agent", "time_s", *CHANCES)
     optional = ("time_s", *CHANCES)
-    table = read_table(path, numbers, ("episode", "label"), optional).columns
+    table = read_table(path, numbers, ("episode", "label"), optional)
     table = table.astype({"episode": str, "label": str, "agent": np.int64})
     codes = pd.Categorical(table["label"], [str(b) for b in BEHAVIORS]).codes
     if (codes < 0).any():

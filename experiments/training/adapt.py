@@ -33,14 +33,7 @@ LEAST_SCORED: Final = 10
 def adapt(
     model: str | Path, recordings: Path, out: Path, labels: Path, quiet: bool = False
 ) -> list[Row]:
-    """Adapt a model to the place of some recordings.
-
-    Args:
-        model: a shipped model's name or a folder.
-        recordings: folder of a dataset.
-        out: folder of the adapted model.
-        labels: labels of some drivers, see `sim.formats.common.label_file`.
-        quiet: whether to show no progress.
+    """Adapt a model to the place of a dataset of recordings, and save it in the folder ``out``.
 
     Returns:
         Rows on the fit, and accuracy on other labelled drivers before and after.
@@ -99,35 +92,31 @@ def _labelled(answered: list[Answered], given: DriverLabels) -> tuple[FloatArray
 
 def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:
     """Scores of styles of labelled drivers that were left out of a random choice of so many."""
+    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
+
     style: BoolArray = np.asarray(allowed[:, AGGRESSIVE].any(axis=1))
     rows: list[Row] = []
     for count in LABELLED:
-        if len(known) < count + LEAST_SCORED:
-            continue
-        scores: dict[str, list[dict[str, float]]] = {}
-        for split in range(SPLITS):
+        scores: dict[tuple[str, str], list[float]] = {}
+        for split in range(SPLITS if len(known) >= count + LEAST_SCORED else 0):
             order = np.random.default_rng(split).permutation(len(known))
             learned, left = order[:count], order[count:]
-            if len(set(style[learned])) < 2 or len(set(style[left])) < 2:
+            truth = style[left]
+            if len(set(style[learned])) < 2 or len(set(truth)) < 2:
                 continue
             adapted = from_labels(known[learned], allowed[learned]).applied(known[left])
             for name, answer in (("as it was", known[left]), ("adapted", adapted)):
-                found = _scored(aggressive_share(answer), style[left])
-                scores.setdefault(name, []).append(found)
-        for name, each in scores.items():
-            keys = {"labelled": count, "model": name}
-            for metric in each[0]:
-                value = float(np.mean([one[metric] for one in each]))
-                rows.append(tidy_row(keys, metric, value, n=len(each)))
+                share = aggressive_share(answer)
+                for metric, value in (
+                    ("style_balanced_accuracy", balanced_accuracy_score(truth, share > 0.5)),
+                    ("style_auc", roc_auc_score(truth, share)),
+                    ("style_log_loss", log_loss(truth, share.clip(1e-6, 1.0 - 1e-6))),
+                ):
+                    scores.setdefault((name, metric), []).append(float(value))
+        rows += [
+            tidy_row(
+                {"labelled": count, "model": name}, metric, float(np.mean(values)), n=len(values)
+            )
+            for (name, metric), values in scores.items()
+        ]  # fmt: skip
     return rows
-
-
-def _scored(probability: FloatArray, style: BoolArray) -> dict[str, float]:
-    """Figures of the probability of the aggressive style."""
-    from sklearn.metrics import balanced_accuracy_score, log_loss, roc_auc_score
-
-    return {
-        "style_balanced_accuracy": balanced_accuracy_score(style, probability > 0.5),
-        "style_auc": roc_auc_score(style, probability),
-        "style_log_loss": log_loss(style, probability.clip(1e-6, 1.0 - 1e-6)),
-    }

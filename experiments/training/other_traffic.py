@@ -13,7 +13,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from experiments.generate import RANDOM_WORLD
-from experiments.generate.worlds.sensor import seen_badly
+from experiments.generate.worlds import seen_badly
 from experiments.score.answers import known_answers, score_answers
 from experiments.score.rows import Cell, Row
 from graphrqi.features.drivers import DriverObserver
@@ -48,13 +48,7 @@ def train_on_worlds(
     """Train the networks for traffic in which the classifier does not hold.
 
     Simulated episodes are used twice: as they are, and through a sensor that is drawn at random.
-
-    Args:
-        simulated: datasets of the engines' traffic, with train and validation episodes.
-        worlds: datasets of random worlds, with train and validation episodes.
-        seed: the same seed and data give the same answers.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
+    Both kinds of datasets have train and validation episodes.
 
     Returns:
         The learned networks; for the model's card their data, as ``networks``, and ``scores`` on

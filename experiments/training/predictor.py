@@ -30,7 +30,7 @@ from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene
 from graphrqi.predict.training.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray
+from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray, Tracks
 from sim.geometry import to_own_frame
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -64,15 +64,18 @@ def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, horizon_s)
         truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, scene.time_s)
-        counts = (
-            (history.kind != PEDESTRIAN)
-            & np.isfinite(truth).all(axis=(1, 2))
-            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
-        )
+        counts = _learned(history, truth)
         if counts.any():
             behavior = cast("CodeArray", history.behavior).astype(np.int64)
             found.append(Sample(scene, truth, counts, behavior))
     return found
+
+
+def _learned(history: Tracks, truth: FloatArray) -> BoolArray:
+    """(n,) vehicles to learn from: seen for `LEAST_SEEN_S`, with a known future (n, H, 2), m."""
+    seen_s = history.valid.sum(axis=1) * history.step_s
+    known = np.isfinite(truth).all(axis=(1, 2)) & (history.kind != PEDESTRIAN)
+    return np.asarray(known & (seen_s > LEAST_SEEN_S - 1e-6))
 
 
 def calibrate_drivers(
@@ -82,16 +85,7 @@ def calibrate_drivers(
     iterations: int = 80,
     quiet: bool = False,
 ) -> DriverTable:
-    """Calibrate the car-following numbers on a dataset's training episodes and save them.
-
-    Args:
-        source: a dataset.
-        out: the file to write, with a card of data, split and scores.
-        iterations: perturbations tried.
-        quiet: whether to show no progress.
-
-    Returns:
-        The numbers.
+    """Calibrate the car-following numbers on a dataset's training episodes, and save them.
 
     Raises:
         InputError: if a training episode lacks a road or labels, or none exists.
@@ -119,27 +113,19 @@ def calibrate_drivers(
         if samples
     }
     card = {
-        "data": dict(dataset.header.configuration),
-        "split": "train",
-        "iterations": iterations,
-        "seed": SEED,
-        "scores": scores,
-    }
+        "data": dict(dataset.header.configuration), "split": "train", "iterations": iterations,
+        "seed": SEED, "scores": scores,
+    }  # fmt: skip
     save_table(out, table, card)
     return table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeliefExamples:
-    """The same examples with the classifier's posteriors, with none, and with others'.
+    """The same examples with the classifier's posteriors, with none, and with other drivers'.
 
-    Drawn for every epoch, so that a network learns how far to trust beliefs.
-
-    Attributes:
-        believed: with the classifier's own posteriors.
-        unknown: with none.
-        shuffled: with those of other drivers.
-        instant: (m,) at which instant each was taken, from 0 on.
+    They are drawn for every epoch, so that a network learns how far to trust beliefs. ``instant``
+    (m,) numbers the instants at which they were taken, from 0 on.
     """
 
     believed: Examples
@@ -150,15 +136,13 @@ class BeliefExamples:
     @classmethod
     def join(cls, parts: list[BeliefExamples]) -> BeliefExamples:
         """One after the other."""
-        ends = np.cumsum([part.instant.max() + 1 for part in parts])
-        return cls(
-            Examples.join([part.believed for part in parts]),
-            Examples.join([part.unknown for part in parts]),
-            Examples.join([part.shuffled for part in parts]),
-            np.concatenate(
-                [part.instant + first for part, first in zip(parts, [0, *ends], strict=False)]
-            ),
+        believed, unknown, shuffled = (
+            Examples.join([getattr(part, name) for part in parts])
+            for name in ("believed", "unknown", "shuffled")
         )
+        first = np.cumsum([0, *(part.instant.max() + 1 for part in parts[:-1])])
+        instant = [part.instant + begin for part, begin in zip(parts, first, strict=True)]
+        return cls(believed, unknown, shuffled, np.concatenate(instant))
 
     def draw(self, seed: int, epoch: int) -> Examples:
         """One of the three for each instant, by the shares above."""
@@ -193,11 +177,7 @@ def examples_of(
         rows = np.searchsorted(tracks.ids, history.ids)
         sample = np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
         truth = future(tracks, rows, stop, sample)
-        counts = (
-            (history.kind != PEDESTRIAN)
-            & np.isfinite(truth).all(axis=(1, 2))
-            & (history.valid.sum(axis=1) * tracks.step_s > LEAST_SEEN_S - 1e-6)
-        )
+        counts = _learned(history, truth)
         if not counts.any():
             continue
         probability = posterior.of(history.ids)
@@ -207,12 +187,9 @@ def examples_of(
         for found, belief in zip(by_belief, (probability, unknown, others), strict=True):
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled_inputs(scene), own, counts))
-    instant = np.repeat(np.arange(len(by_belief[0])), [len(one.features) for one in by_belief[0]])
+    instant = np.repeat(np.arange(len(label_free)), [len(one.features) for one in label_free])
     believed, unknown_too, shuffled = (Examples.join(found) for found in by_belief)
-    return (
-        BeliefExamples(believed, unknown_too, shuffled, instant),
-        Examples.join(label_free),
-    )
+    return BeliefExamples(believed, unknown_too, shuffled, instant), Examples.join(label_free)
 
 
 def _examples(data: PredictorInputs, truth: FloatArray, counts: BoolArray) -> Examples:
@@ -230,19 +207,10 @@ def train_predictors(
     *,
     quiet: bool = False,
 ) -> dict[str, float]:
-    """Train the learned predictors on a dataset's training episodes and save them.
+    """Train the learned predictors on a dataset's training episodes, and save them in a folder.
 
-    The classifier should not have been trained on these episodes, where its posteriors are too
-    certain.
-
-    Args:
-        source: a dataset.
-        model: the classifier: a shipped one's name or a folder.
-        out: the folder to write into.
-        quiet: whether to show no progress.
-
-    Returns:
-        ADE of each network on the validation episodes, m.
+    The classifier ``model`` should not have been trained on these episodes, where its posteriors
+    are too certain. Returned is each network's ADE on the validation episodes, m.
 
     Raises:
         InputError: if a split has no episode, or the model cannot be read.
@@ -264,8 +232,7 @@ def train_predictors(
         "data": dict(dataset.header.configuration), "split": "train", "epochs": EPOCHS,
         "examples": len(parts["train"][1].features), "seed": SEED,
     }  # fmt: skip
-    trained, train_free = parts["train"]
-    checked, check_free = parts["validation"]
+    (trained, train_free), (checked, check_free) = parts["train"], parts["validation"]
     train, check = functools.partial(trained.draw, SEED), checked.draw(SEED, 0)
     with Progress("predictors: training epochs", 2 * EPOCHS, quiet) as progress:
 
@@ -275,14 +242,10 @@ def train_predictors(
         network = train_perceptron(train, check, epochs=EPOCHS, seed=SEED, on_epoch=advance)
         rival = train_lstm(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
     scores = {
-        "graphrqi-predict": guess_ade_m(network, check),
-        "lstm": guess_ade_m(rival, check_free),
-    }
+        "graphrqi-predict": guess_ade_m(network, check), "lstm": guess_ade_m(rival, check_free)
+    }  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
-    for name, save in (
-        ("graphrqi-predict", network.save),
-        ("lstm", rival.save),
-    ):
+    for name, save in (("graphrqi-predict", network.save), ("lstm", rival.save)):
         save(out / f"{name}.safetensors", card | {"validation_ade_m": round(scores[name], 4)})
     return scores
 

@@ -24,6 +24,7 @@ from experiments.training.recordings import (
     RecordedPlace,
     happened,
     history_of,
+    moving_s,
     read_sources,
     recorded_instants,
     scored,
@@ -56,14 +57,9 @@ LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
 NOISE_M: Final = (0.02, 0.3)
 """Range of the noise added to the past, standard deviation of each coordinate, m, log-uniform."""
 
-NOISY_COPIES: Final = 1
-"""Noisy versions of each instant."""
-
-COARSER: Final = (2, 3, 5)
-"""Every second, third or fifth frame is kept in another version, where frames are denser than
-`DENSE_S`."""
-
-DENSE_S: Final = 0.15
+COARSER, DENSE_S = (2, 3, 5), 0.15
+"""Every second, third or fifth frame is kept in another version, where frames are closer than
+this, s."""
 
 MAP_OFF_M: Final = 0.6
 """Standard deviation of each coordinate of the map's offset in an altered version, m."""
@@ -93,13 +89,7 @@ VALIDATION_EVERY: Final = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatasetExamples:
-    """Training examples of one dataset.
-
-    Attributes:
-        dataset: its name.
-        training: examples in all versions.
-        validation: of other recordings, as recorded.
-    """
+    """Examples of one dataset: in all versions, and of other recordings as recorded."""
 
     dataset: str
     training: RecordedExamples
@@ -107,14 +97,10 @@ class DatasetExamples:
 
 
 def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, style: int) -> Tracks:
-    """A history with noise added to its positions.
+    """A history with noise of this deviation added to each coordinate of its positions, m.
 
-    Args:
-        history: tracks.
-        deviation_m: of each coordinate, m.
-        rng: draws the noise.
-        style: 0: velocities stay as recorded; 1: speeds and headings follow from the noisy
-            positions; 2: the noise is correlated over half a second, and speeds follow.
+    In style 0 velocities stay as recorded, and in style 1 speeds and headings follow from the noisy
+    positions. In style 2 the noise is also correlated over half a second.
     """
     noise = rng.normal(0.0, deviation_m, history.xy.shape)
     if style == 2 and history.time_s.size > 1:
@@ -130,13 +116,11 @@ def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, st
     velocity = np.where(np.isfinite(before), before, after)
     speed = np.hypot(velocity[..., 0], velocity[..., 1])
     known = history.valid & np.isfinite(speed)
-    turns = known & (speed > 0.5)
-    with np.errstate(invalid="ignore"):
-        heading = np.arctan2(velocity[..., 1], velocity[..., 0])
+    heading = np.arctan2(velocity[..., 1], velocity[..., 0])
     return history.with_dense(
         xy=xy,
         speed=np.where(known, speed, history.speed),
-        heading=np.where(turns, heading, history.heading),
+        heading=np.where(known & (speed > 0.5), heading, history.heading),
     )
 
 
@@ -145,10 +129,6 @@ def between_key_frames(tracks: Tracks, rng: np.random.Generator) -> Tracks:
 
     Trackers and annotators fill in what they do not see: speeds are then constant for seconds, and
     the acceleration cannot be seen.
-
-    Args:
-        tracks: a whole recording.
-        rng: draws each agent's key frames.
     """
     xy, speed = tracks.xy.copy(), tracks.speed.copy()
     for row, seen in enumerate(tracks.valid):
@@ -167,18 +147,6 @@ def between_key_frames(tracks: Tracks, rng: np.random.Generator) -> Tracks:
         piece = np.searchsorted(keys, np.arange(columns.size)).clip(1) - 1
         speed[row, columns] = along[piece]
     return tracks.with_dense(xy=xy, speed=speed)
-
-
-def coarser(history: Tracks, every: int) -> Tracks:
-    """A history with every so many-th frame, the last one among them."""
-    columns = np.arange(history.time_s.size - 1, -1, -every)[::-1]
-    return history.part(np.arange(history.ids.size), columns)
-
-
-def shorter(history: Tracks, past_s: float) -> Tracks:
-    """A history of at most this duration, s."""
-    first = int(np.searchsorted(history.time_s, history.time_s[-1] - past_s - 1e-6))
-    return history.part(np.arange(history.ids.size), slice(first, None))
 
 
 def mirrored(tracks: Tracks) -> Tracks:
@@ -201,14 +169,15 @@ def mirrored_road(road: Road) -> Road:
 
 def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
     """The same instant as other sensors would have seen it."""
-    found = [history]
-    for _ in range(NOISY_COPIES):
-        noise_m = log_uniform(rng, *NOISE_M)
-        found.append(with_noise(history, noise_m, rng, int(rng.integers(3))))
+    noise_m = log_uniform(rng, *NOISE_M)
+    found = [history, with_noise(history, noise_m, rng, int(rng.integers(3)))]
+    everyone = np.arange(history.ids.size)
     if history.step_s < DENSE_S:
-        found.append(coarser(history, int(rng.choice(COARSER))))
-    found.append(shorter(found[-1], float(rng.uniform(SHORTEST_PAST_S, PAST_S))))
-    return found
+        backwards = np.arange(history.time_s.size - 1, -1, -int(rng.choice(COARSER)))
+        found.append(history.part(everyone, backwards[::-1]))
+    last, past_s = found[-1], float(rng.uniform(SHORTEST_PAST_S, PAST_S))
+    first = int(np.searchsorted(last.time_s, last.time_s[-1] - past_s - 1e-6))
+    return [*found, last.part(everyone, slice(first, None))]
 
 
 def recorded_examples(
@@ -217,14 +186,9 @@ def recorded_examples(
 ) -> RecordedExamples:  # fmt: skip
     """Training examples of one instant.
 
-    Args:
-        history: the past; all agents are seen in its last column.
-        truth: (n, KNOTS, 2) where they went, m.
-        counts: (n,) which agents are learned from.
-        group: number of the dataset.
-        believable: whether neighbours are seen.
-        road: the map; None for none.
-        map_off_m: (2,) by how much it is off, m; None for nothing.
+    All agents are seen in the history's last column, and those that count (n,) went to ``truth``
+    (n, KNOTS, 2), m. ``group`` is the dataset's number. Neighbours are seen only if their gaps are
+    ``believable``. The map may be off by ``map_off_m`` (2,), m.
     """
     motion = Motion.of(history)
     ahead = LanesAhead.none(history.ids.size)
@@ -251,17 +215,10 @@ def recorded_examples(
 def examples_of(
     one: RecordedPlace, every_s: float, group: int, rng: np.random.Generator, versions: bool
 ) -> list[RecordedExamples]:
-    """Training examples of one recording.
+    """Training examples of one recording at instants ``every_s`` apart, also in altered versions.
 
     Between key frames places are interpolated, so the key frame to come shows in the past of that
     version, as it does in recordings that were filled in.
-
-    Args:
-        one: the recording.
-        every_s: time between instants, s.
-        group: number of its dataset.
-        rng: draws noise and the rest.
-        versions: whether to add altered versions.
     """
     found, tracks = [], one.tracks
     filled_in = between_key_frames(tracks, rng) if versions else tracks
@@ -291,34 +248,22 @@ def examples_of(
 def gather_examples(
     places: Sequence[RecordedPlace], group: int, seed: int = 0, per_dataset: int = PER_DATASET
 ) -> DatasetExamples | None:
-    """Training examples of one dataset; None if no agent moves for long enough.
+    """Training examples of one dataset, about ``per_dataset`` agents at instants.
 
-    Args:
-        places: its recordings.
-        group: number of the dataset.
-        seed: of noise and the rest.
-        per_dataset: about how many agents at instants are wanted.
+    None if no agent moves for long enough. ``group`` is the dataset's number.
     """
-    seconds = 0.0
-    for one in places:
-        if one.tracks.time_s.size > 1:
-            fast = one.tracks.valid & (np.nan_to_num(one.tracks.speed) >= 1.0)
-            seconds += float(fast.sum()) * one.tracks.step_s
-    every_s = float(np.clip(0.7 * seconds / per_dataset, LEAST_EVERY_S, MOST_EVERY_S))
-    training: list[RecordedExamples] = []
-    validation: list[RecordedExamples] = []
+    every_s = 0.7 * moving_s(places) / per_dataset
+    every_s = float(np.clip(every_s, LEAST_EVERY_S, MOST_EVERY_S))
+    parts: tuple[list[RecordedExamples], list[RecordedExamples]] = ([], [])
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, group, index))
         apart = index % VALIDATION_EVERY == VALIDATION_EVERY - 1
-        found = examples_of(one, every_s, group, rng, not apart)
-        (validation if apart else training).extend(found)
-    if not training:
+        parts[apart].extend(examples_of(one, every_s, group, rng, not apart))
+    if not parts[0]:
         return None
-    return DatasetExamples(
-        places[0].dataset,
-        RecordedExamples.join(training),
-        RecordedExamples.join(validation) if validation else None,
-    )
+    training, validation = (RecordedExamples.join(part) if part else None for part in parts)
+    assert training is not None
+    return DatasetExamples(places[0].dataset, training, validation)
 
 
 def train_on_recordings(
@@ -330,15 +275,10 @@ def train_on_recordings(
     per_dataset: int = PER_DATASET,
     quiet: bool = False,
 ) -> dict[str, float]:
-    """Train the predictor for recordings and save it with its card.
+    """Train the predictor for recordings, and save it with its card in a folder.
 
-    Args:
-        sources: as `experiments.training.recordings.read_sources` takes them.
-        out: the folder to write ``recorded.safetensors`` into.
-        epochs: draws of the training examples.
-        seed: of weights, order and noise.
-        per_dataset: about how many agents at instants are taken from each dataset.
-        quiet: whether to show no progress.
+    Sources are as `read_sources` takes them. About ``per_dataset`` agents at instants are taken
+    from each dataset.
 
     Returns:
         By dataset, the mean error of the best guesses on its recordings apart, over that of
@@ -365,7 +305,11 @@ def train_on_recordings(
             "to train on"
         )
     network = fit_network(found, epochs, seed, quiet)
-    scores = {one.dataset: over_steady(network, one.validation or one.training) for one in found}
+    scores = {}
+    for given in found:
+        apart = given.validation or given.training
+        error = np.linalg.norm(guesses(network, apart) - apart.truth, axis=-1)
+        scores[given.dataset] = float(error.mean() / max(float(apart.steady.mean()), 1e-9))
     card: dict[str, Any] = {
         "data": {one.dataset: len(one.training) for one in found}, "epochs": epochs, "seed": seed,
         "ade_over_constant_velocity": {name: round(value, 3) for name, value in scores.items()},
@@ -404,9 +348,3 @@ def _fit(found: Sequence[DatasetExamples], epochs: int, seed: int, quiet: bool) 
             seed=seed,
             on_epoch=lambda epoch: progress.advance(),
         )
-
-
-def over_steady(network: RecordedNetwork, examples: RecordedExamples) -> float:
-    """Mean error of a network's best guesses over that of constant velocity."""
-    apart = np.linalg.norm(guesses(network, examples) - examples.truth, axis=-1)
-    return float(apart.mean() / max(float(examples.steady.mean()), 1e-9))

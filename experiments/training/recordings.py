@@ -9,10 +9,10 @@ samples the future would leak into an interpolated past.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from experiments.score.predictions import HISTORY_S, future
 from graphrqi.predict.networks.futures import TIME_S
 from graphrqi.predict.recorded.gaps import inferred_leaders
 from sim.formats import get_reader, recognise, recording_files
-from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.road.files import read_road_file
@@ -51,25 +50,8 @@ FOLLOWING_S, FOLLOWING_M = 3.0, 15.0
 VELOCITY_S: Final = 0.5
 """Past over which constant velocity averages, s."""
 
-FAMILIES: Final[tuple[tuple[str, str], ...]] = (
-    ("roundabout", "roundabout"), ("round", "roundabout"), ("merging", "ramp"), ("exid", "ramp"),
-    ("ramp", "ramp"), ("us101", "motorway"), ("us_101", "motorway"), ("i80", "motorway"),
-    ("i_80", "motorway"), ("highd", "motorway"), ("motorway", "motorway"),
-    ("freeway", "motorway"), ("kitti", "urban from a car"), ("av2", "urban from a car"),
-    ("argoverse", "urban from a car"), ("waymo", "urban from a car"), ("womd", "urban from a car"),
-    ("nuplan", "urban from a car"), ("nuscenes", "urban from a car"),
-    ("lanker", "junction"), ("peach", "junction"), ("sind", "junction"), ("fzi", "junction"),
-    ("ind", "junction"), ("intersection", "junction"), ("junction", "junction"),
-)  # fmt: skip
-"""Families by what the name of a dataset or place holds, the first that fits; else `OTHER`."""
-
-OTHER: Final = "other"
-
 MOST_NOISE_M: Final = 0.2
 """Episodes that say that they are shakier are left out."""
-
-FAMILY_FILE: Final = "family.txt"
-"""A dataset's folder may name its family in this file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,46 +60,21 @@ class RecordedPlace:
 
     Attributes:
         dataset: name of the folder it is from.
-        family: what kind of place it is.
-        place: where it was recorded: the subfolder, or the dataset where there is none.
-        name: its own.
         tracks: what was recorded.
         road: the map that came with it, or None.
     """
 
     dataset: str
-    family: str
-    place: str
-    name: str
     tracks: Tracks
     road: Road | None
 
 
-def family_of(name: str, folder: Path | None = None) -> str:
-    """The family of a dataset or place by its name, or as its folder says.
-
-    Examples:
-        >>> family_of("ngsim_us101"), family_of("DR_USA_Roundabout_FT"), family_of("elsewhere")
-        ('motorway', 'roundabout', 'other')
-    """
-    if folder is not None and (folder / FAMILY_FILE).is_file():
-        return (folder / FAMILY_FILE).read_text(encoding="utf-8").strip() or OTHER
-    lower = name.lower()
-    return next((family for part, family in FAMILIES if part in lower), OTHER)
-
-
 def read_sources(sources: Sequence[Path], maps: bool = True) -> Iterator[RecordedPlace]:
-    """The recordings of datasets, files and folders.
+    """The recordings of datasets of ours, files and folders, in order of the files' names.
 
     A folder that holds no recordings itself is a folder of datasets, one in each subfolder.
-    Unknown formats and broken files are left out, each with a line on stderr.
-
-    Args:
-        sources: datasets of ours, recordings, folders of them, or folders of such folders.
-        maps: whether the roads are wanted.
-
-    Yields:
-        Recordings, in order of the files' names.
+    Unknown formats and broken files are left out, each with a line on stderr. Roads are read only
+    if ``maps`` are wanted.
 
     Raises:
         InputError: if there is nothing at a path.
@@ -126,7 +83,10 @@ def read_sources(sources: Sequence[Path], maps: bool = True) -> Iterator[Recorde
         if not source.exists():
             raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
         for folder in _datasets_in(source):
-            yield from read_place_folder(folder, maps)
+            if is_dataset(folder):
+                yield from _stored(folder, maps)
+            else:
+                yield from _read(folder, maps)
 
 
 def _datasets_in(source: Path) -> list[Path]:
@@ -138,55 +98,37 @@ def _datasets_in(source: Path) -> list[Path]:
     return [source] if own_files or not below else below
 
 
-def read_place_folder(folder: Path, maps: bool = True) -> Iterator[RecordedPlace]:
-    """The recordings of one dataset; see `read_sources`."""
-    dataset = folder.name
-    family = family_of(dataset, folder if folder.is_dir() else None)
-    if is_dataset(folder):
-        stored = open_dataset(folder)
-        for entry in stored.episodes():
-            if _unfit(entry.options):
-                continue
-            road = stored.road(entry) if maps else None
-            name = str(entry.options.get("recording", entry.id))
-            tracks = stored.read(entry).tracks
-            yield RecordedPlace(dataset, family, f"{dataset}/{entry.id}", name, tracks, road)
-        return
+def _stored(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
+    """The episodes of a dataset but those in pixels, and those too shaky to know their future."""
+    dataset = open_dataset(folder)
+    for entry in dataset.episodes():
+        names = ("pixels_per_m", "noise_m")
+        scale, noise_m = (float(str(entry.options.get(name) or 0.0)) for name in names)
+        if not scale and noise_m <= MOST_NOISE_M:
+            road = dataset.road(entry) if maps else None
+            yield RecordedPlace(folder.name, dataset.read(entry).tracks, road)
+
+
+def _read(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
+    """The recordings of a file or folder."""
     try:
         form = recognise(folder)
+        files = recording_files(folder, form)[0]
     except InputError as error:
         sys.stderr.write(f"graphrqi: left out: {error}\n")
         return
     roads: dict[Path, Road] = {}
-    for file in recording_files(folder, form)[0]:
-        place = dataset
-        if folder.is_dir() and file.parent != folder:
-            place = f"{dataset}/{file.parent.relative_to(folder).parts[0]}"
+    for file in files:
         try:
             for recording in get_reader(form)(file):
-                road = _road_of(recording, roads) if maps else None
-                known = family if family != OTHER else family_of(f"{place}/{recording.name}")
-                yield RecordedPlace(dataset, known, place, recording.name, recording.tracks, road)
+                road = recording.road if maps else None
+                if isinstance(road, Path):
+                    if road not in roads:
+                        roads = {road: read_road_file(road)}  # the last one read
+                    road = roads[road]
+                yield RecordedPlace(folder.name, recording.tracks, road)
         except InputError as error:
             sys.stderr.write(f"graphrqi: left out: {error}\n")
-
-
-def _road_of(recording: Recording, roads: dict[Path, Road]) -> Road | None:
-    """The map that came with a recording; the last one read is kept in ``roads``."""
-    if recording.road is None or isinstance(recording.road, Road):
-        return recording.road
-    if recording.road not in roads:
-        roads.clear()
-        roads[recording.road] = read_road_file(recording.road)
-    return roads[recording.road]
-
-
-def _unfit(options: Mapping[str, Any]) -> bool:
-    """Whether an episode is in pixels, or so shaky that its future is not known."""
-    return (
-        float(options.get("pixels_per_m") or 0.0) > 0.0
-        or float(options.get("noise_m") or 0.0) > MOST_NOISE_M
-    )
 
 
 def recorded_instants(tracks: Tracks, every_s: float) -> list[int]:
@@ -202,6 +144,14 @@ def recorded_instants(tracks: Tracks, every_s: float) -> list[int]:
             found.append(column + 1)
             due = now + every_s
     return found
+
+
+def moving_s(places: Sequence[RecordedPlace]) -> float:
+    """For how long vehicles move in recordings, all together, s."""
+    tracks = [one.tracks for one in places if one.tracks.time_s.size > 1]
+    return float(
+        sum(t.step_s * (t.valid & (np.nan_to_num(t.speed) >= MOVING_MPS)).sum() for t in tracks)
+    )
 
 
 def history_of(tracks: Tracks, stop: int) -> Tracks:
@@ -242,19 +192,16 @@ def classes_of(history: Tracks) -> IntArray:
 
 def steady_motion(history: Tracks, time_s: FloatArray) -> FloatArray:
     """(n, H, 2) positions at the mean velocity of the last `VELOCITY_S`, m."""
-    ago = history.time_s - history.time_s[-1]
-    n = history.ids.size
-    if ago.size < 2:
-        still = np.zeros((n, 1, 2))
-    else:
+    ago, here = history.time_s - history.time_s[-1], history.xy[:, -1]
+    velocity = np.zeros_like(here)
+    if ago.size > 1:
         latest = min(int(np.searchsorted(ago, -VELOCITY_S - 1e-2)), ago.size - 2)
         seen = history.valid[:, : latest + 1]
         column = np.where(seen, np.arange(latest + 1), -1).max(axis=1)
         column = np.where(column < 0, history.valid.argmax(axis=1), column)
         passed = np.maximum(-ago[column], 1e-3)
-        moved = history.xy[:, -1] - history.xy[np.arange(n), column]
-        still = (moved / passed[:, None])[:, None]
-    return np.asarray(history.xy[:, -1][:, None] + still * time_s[:, None])
+        velocity = (here - history.xy[np.arange(column.size), column]) / passed[:, None]
+    return np.asarray(here[:, None] + velocity[:, None] * time_s[:, None])
 
 
 def happened(tracks: Tracks, history: Tracks, stop: int) -> FloatArray:

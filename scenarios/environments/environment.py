@@ -315,9 +315,9 @@ class TrafficEnv(EgoEnv):
         then = ego.route[1] if len(ego.route) > 1 else None
         for lane in self.road.network_info.lanes_towards(ego.route[0], then):
             room, speed = math.inf, math.inf
-            for s, vehicle in self.road.on_lane(lane):
+            for s, length, there in zip(*self.road.on_lane(lane), strict=True):
                 if abs(s - BEGIN_M) < room:
-                    room, speed = abs(s - BEGIN_M) - vehicle.LENGTH / 2 - 2.5, vehicle.speed
+                    room, speed = abs(s - BEGIN_M) - length / 2 - 2.5, there
             found.append((lane, room, speed))
         return max(found, key=lambda one: one[1])
 

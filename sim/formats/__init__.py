@@ -12,7 +12,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
@@ -69,24 +68,11 @@ class Format:
 
     def recognises(self, path: Path) -> bool:
         """Whether a file's columns or its beginning are those of this format."""
-        head, there = _beginning(path)
+        from sim.formats.common.tables import beginning_of
+
+        head, there = beginning_of(path)
         known = any(set(columns) <= set(there) for columns in self.columns)
         return known or self.head.search(head.lower()) is not None
-
-
-def _beginning(path: Path) -> tuple[bytes, tuple[str, ...]]:
-    """The beginning of a file, and the names of its columns if it is a table."""
-    stat = path.stat()  # it is read once as long as the file stays as it is
-    return _read_beginning(path, stat.st_mtime_ns, stat.st_size)
-
-
-@lru_cache(maxsize=1024)
-def _read_beginning(path: Path, changed_ns: int, size: int) -> tuple[bytes, tuple[str, ...]]:
-    """See `_beginning`."""
-    from sim.formats.common.tables import column_names, head_of
-
-    head = head_of(path)[:4096]
-    return head, column_names(path, head)
 
 
 LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
@@ -200,7 +186,7 @@ FORMATS: Final[Registry[Format]] = Registry(
                 rb"(?s)^.{4}\0{4}.{4}[\t\n\x12\x22\x2a\x30\x32\x3a\x42\x50\x5a\x62\x70\x7a]"
                 rb'|^\s*\{.*"(?:objects|tracks|timestamps_?seconds|map_?features)"\s*:\s*\['
             ),
-            "sim.formats.waymo.scenario:read",
+            "sim.formats.waymo:read",
         ),
         "scenarionet": Format(
             ("*.pkl",),
@@ -336,7 +322,9 @@ def _what_it_is(path: Path) -> str:
     """What a file or folder is that no reader knows."""
     if path.is_dir():
         return "no known format" if any(path.iterdir()) else "an empty folder"
-    head, names = _beginning(path)
+    from sim.formats.common.tables import beginning_of
+
+    head, names = beginning_of(path)
     if not head:
         return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
     other = next((text for look, text in OTHERS if look.search(head.lower())), None)

@@ -17,11 +17,10 @@ import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
-from sim.formats.common.columns import Columns
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
 from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
-from sim.formats.common.tables import read_table
+from sim.formats.common.tables import read_rows, read_table, words_in
 from sim.frames import FloatArray, Tracks
 from sim.input_files import beside, plain_name, stem
 
@@ -45,24 +44,14 @@ MIN_AGENTS: Final = 3
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one file.
-
-    Args:
-        path: the CSV file.
-
-    Yields:
-        One recording.
-
-    Raises:
-        InputError: if the file is broken; the message names file and column or row.
-    """
-    columns = Columns(id=("id",), t="frame")
-    rows = columns.rows(columns.read(path), rate_hz=FRAME_RATE_HZ)
+    """The recording of one file, with the labels beside it."""
+    rows = read_rows(path, {"id": "id", "t": "frame", "x": "x", "y": "y"})
+    rows["t"] /= FRAME_RATE_HZ
     notes = [
         "the recording vehicle's motion was estimated from those that stand, and taken out",
         CARS_ASSUMED,
     ]
-    recording = recorded(path, stem(path), rows, notes)
+    recording = recorded(stem(path), rows, notes)
     recording = replace(recording, tracks=remove_ego_motion(recording.tracks))
     file = beside(path, plain_name(path).replace("_tracks", "_labels"))
     if file is None:
@@ -76,26 +65,15 @@ def read(path: Path) -> Iterator[Recording]:
 
 
 def read_labels(path: Path) -> dict[str, DriverLabel]:
-    """Read one label file.
-
-    Args:
-        path: ``argo<k>_labels.csv``.
-
-    Returns:
-        Labels by the source's own agent ids.
-
-    Raises:
-        InputError: if the file is broken, a code is unknown, or an agent is listed twice.
-    """
-    table = read_table(path, ["code"], ["id"])
-    agent, names = table.names("id")
-    if len(names) != len(table):
-        raise InputError(f"{path}: found {len(table)} rows for {len(names)} agents, expected one")
-    found = {}
-    for row, code in zip(agent, table.numbers("code").tolist(), strict=True):
-        if code not in CODES:
-            raise InputError(f"{path}: agent {names[row]}: found code {code:g}, expected 0 to 5")
-        found[names[row]] = CODES[int(code)]
+    """Labels by the source's own agent ids, from ``argo<k>_labels.csv``."""
+    table = read_table(path, ("code",), ("id",))
+    found: dict[str, DriverLabel] = {}
+    for name, code in zip(words_in(table["id"]), table["code"].tolist(), strict=True):
+        if name is None or name in found or code not in CODES:
+            raise InputError(
+                f"{path}: agent {name}: found code {code:g}, expected 0 to 5 and each agent once"
+            )
+        found[name] = CODES[int(code)]
     return found
 
 

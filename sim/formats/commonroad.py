@@ -19,12 +19,12 @@ from typing import Final
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import pandas
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, left_out, recorded
-from sim.frames import AgentKind, FloatArray, Tracks
+from sim.formats.common.recording import Recording, left_out, recorded
+from sim.frames import AgentKind, FloatArray
 from sim.input_files import stem
-from sim.road import Road
 from sim.road.maps.commonroad import ROOT, real, road_of
 from sim.xml_tree import read_tree, whole_number, without_collection
 
@@ -53,17 +53,7 @@ DECIMALS: Final = 6
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one scenario.
-
-    Args:
-        path: ``.xml`` or ``.xml.gz``.
-
-    Yields:
-        One recording with its road.
-
-    Raises:
-        InputError: if the file is broken, or has no obstacle; names the file and the element.
-    """
+    """The recording of one scenario, ``.xml`` or ``.xml.gz``, with its road."""
     with without_collection():
         recording = _recording(path)
     yield recording
@@ -87,25 +77,20 @@ def _recording(path: Path) -> Recording:
     road = road_of(path, root)
     if road is not None and road.knows.unknown:
         notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
-    found = recorded(path, stem(path), rows, notes, road, own_road=True)
-    return found if road is None else replace(found, tracks=_lit(found.tracks, road))
-
-
-def _lit(tracks: Tracks, road: Road) -> Tracks:
-    """The tracks with the states of the map's lights at each time."""
-    if not road.signal_groups:
-        return tracks
+    found = recorded(stem(path), rows, notes, road, own_road=True)
+    if road is None or not road.signal_groups:
+        return found
     shown = [
         [code for plan in road.signal_plans for code in plan.state_at(float(time_s))]
-        for time_s in tracks.time_s
+        for time_s in found.tracks.time_s
     ]
-    return replace(tracks, signals=np.array(shown, dtype=np.int8).T)
+    signals = np.array(shown, dtype=np.int8).T
+    return replace(found, tracks=replace(found.tracks, signals=signals))
 
 
-def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:
+def _rows(path: Path, root: Element, unit_s: float) -> tuple[pandas.DataFrame, list[str]]:
     """The rows of the obstacles, and notes on what was assumed."""
-    kinds: dict[str, AgentKind] = {}
-    sizes, seen, standing = [], list[FloatArray](), dict[int, FloatArray]()
+    found: dict[str, tuple[FloatArray, bool, AgentKind, tuple[float, float]]] = {}
     others: set[str] = set()
     for element in (one for one in root if one.tag in OBSTACLES):
         name = str(whole_number(path, element, "id"))
@@ -113,33 +98,31 @@ def _rows(path: Path, root: Element, unit_s: float) -> tuple[Rows, list[str]]:
         if word not in TYPES:
             others.add(word[:40])
             continue
-        if name in kinds:
+        if name in found:
             raise InputError(f"{path}: found obstacle {name} twice, expected it once")
-        kinds[name] = TYPES[word]
-        sizes.append(_size(path, element, name))
         states, moves = _states(path, element, name)
         states[:, 0] = np.round(states[:, 0] * unit_s, DECIMALS)
         # one that drives backwards: the format's speed has a sign, ours none
         states[:, 4] = np.abs(states[:, 4])
-        if not moves:
-            standing[len(seen)] = states
-        seen.append(states if moves else states[:0])
-    times = np.unique(np.concatenate([[], *(table[:, 0] for table in seen)]))
-    for index, state in standing.items():  # those that stand have one state, which lasts
-        seen[index] = np.repeat(state, max(times.size, 1), axis=0)
-        seen[index][:, 0] = times if times.size else 0.0
-        seen[index][:, 4] = 0.0
-    table = np.concatenate([np.zeros((0, 5)), *seen])
-    agent = np.repeat(np.arange(len(kinds)), [len(one) for one in seen])
-    sides = np.reshape(sizes, (-1, 2))
-    rows = Rows(
-        agent, tuple(kinds), table[:, 0], table[:, 1:3], table[:, 3], table[:, 4],
-        list(kinds.values()), sides,
-    )  # fmt: skip
+        found[name] = states, moves, TYPES[word], _size(path, element, name)
+    times = np.unique([t for states, moves, *_ in found.values() if moves for t in states[:, 0]])
+    tables = [np.zeros((0, 5))]
+    for states, moves, *_ in found.values():
+        if not moves:  # those that stand have one state, which lasts
+            states = np.repeat(states, max(times.size, 1), axis=0)
+            states[:, 0] = times if times.size else 0.0
+            states[:, 4] = 0.0
+        tables.append(states)
+    rows = pandas.DataFrame(np.concatenate(tables), columns=["t", "x", "y", "heading", "speed"])
+    facts = pandas.DataFrame(
+        [(name, kind.code, *size) for name, (_, _, kind, size) in found.items()],
+        columns=["id", "kind", "length", "width"],
+    )
+    facts = facts.loc[np.repeat(facts.index, [len(table) for table in tables[1:]])]
     notes = left_out(others)
-    if (sides == 0).any():
+    if (facts["length"] * facts["width"] == 0).any():
         notes.append("those without a size have the one usual for their kind")
-    return rows, notes
+    return rows.join(facts.reset_index(drop=True)), notes
 
 
 def _states(path: Path, element: Element, name: str) -> tuple[FloatArray, bool]:

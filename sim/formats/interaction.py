@@ -14,12 +14,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import numpy as np
+import pandas
 
 from behaviors.errors import InputError
-from sim.formats.common.columns import Columns
 from sim.formats.common.recording import Recording, recorded
-from sim.formats.common.tables import joined, read_table
+from sim.formats.common.tables import by_word, codes_in, read_table, rows_of, words_in
 from sim.frames import AgentKind
 from sim.input_files import beside, plain_name, stem
 from sim.road.files import read_road_file
@@ -37,41 +36,48 @@ TYPES: Final[dict[str, AgentKind]] = {
 }
 """``agent_type``, in lower case."""
 
-_BOX: Final = ("psi_rad", "length", "width")
-COLUMNS: Final = Columns(
-    id=("track_id", "agent_type"), t="timestamp_ms", heading="psi_rad", speed=("vx", "vy"),
-    size=("length", "width"), kind="agent_type", kinds=TYPES, units={"timestamp_ms": "ms"},
-    words=("case_id",), optional=(*_BOX, "case_id"), empty=_BOX,
-)  # fmt: skip
-"""Columns of both files; agents of one id and two types are two agents."""
+COLUMNS: Final = {
+    "id": "track_id", "t": "timestamp_ms", "x": "x", "y": "y", "heading": "psi_rad", "vx": "vx",
+    "vy": "vy", "length": "length", "width": "width", "kind": "agent_type",
+}  # fmt: skip
+NUMBERS: Final = ("timestamp_ms", "x", "y", "psi_rad", "vx", "vy", "length", "width")
+WORDS: Final = ("track_id", "agent_type", "case_id")
+OPTIONAL: Final = ("psi_rad", "length", "width", "case_id")
+"""Columns of both files, and those that may be missing."""
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one file of vehicles, and the pedestrians recorded with them.
+    """The recording of one file of vehicles, with the pedestrians recorded with them.
 
-    Args:
-        path: ``vehicle_tracks_NNN.csv`` (or pedestrians alone), or a file of the multi-agent
-            challenge, ``..._train.csv``.
-
-    Yields:
-        One recording, or one for each case.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column or row.
+    A file of the multi-agent challenge, ``..._train.csv``, has a recording for each case.
     """
     walkers = beside(path, plain_name(path).replace("vehicle_tracks", "pedestrian_tracks"))
-    table = COLUMNS.read(path)
-    if walkers is not None:
-        table = joined(table, COLUMNS.read(walkers))
+    files = [path] if walkers is None else [path, walkers]
+    tables = [read_table(file, NUMBERS, WORDS, OPTIONAL) for file in files]
+    table = tables[0] if walkers is None else pandas.concat(tables, ignore_index=True)
     found, origin = map_beside(path), _origin(path)
     road = None if found is None else read_road_file(found, origin=origin)
-    for case, part in table.by_word("case_id"):
-        rows = COLUMNS.rows(part)
+    for case, part in by_word(table, "case_id"):
+        rows = rows_of(part, COLUMNS, TYPES, {"t": "ms"})
+        rows["id"] = _told_apart(part)
         notes = []
-        if walkers is not None or (rows.sizes is not None and np.isnan(rows.sizes).any()):
+        sizes = rows.reindex(columns=["length", "width"])
+        if walkers is not None or sizes.isna().any(axis=None):
             notes.append("those without a size have the one usual for their kind")
         name = f"{stem(path)}-{case}" if case else stem(path)
-        yield recorded(path, name, rows, notes, road, origin)
+        yield recorded(name, rows, notes, road, origin)
+
+
+def _told_apart(table: pandas.DataFrame) -> pandas.Categorical:
+    """Names of agents; those of one id and two types are two agents."""
+    agent, ids = codes_in(table["track_id"])
+    kind, _ = codes_in(table["agent_type"])
+    several = pandas.Series(kind).groupby(agent).transform("nunique").to_numpy() > 1
+    if not several.any():
+        return pandas.Categorical.from_codes(agent, ids)
+    names = words_in(table["track_id"])
+    both = zip(names, words_in(table["agent_type"]), several, strict=True)
+    return pandas.Categorical([f"{name}-{word}" if two else name for name, word, two in both])
 
 
 def map_beside(path: Path) -> Path | None:
@@ -80,12 +86,6 @@ def map_beside(path: Path) -> Path | None:
     It is ``map_NNN.xml`` beside ``vehicle_tracks_NNN.csv`` (SinD), the only
     ``log_map_archive_*.json`` there (Argoverse 2 sensor logs), the only ``.osm`` there, or the
     ``.osm`` in a folder ``maps`` nearby that is called like the recording's folder (INTERACTION).
-
-    Args:
-        path: the recording.
-
-    Returns:
-        The file; None where there is none.
     """
     number = stem(path).rpartition("tracks_")[2]
     found = beside(path, f"map_{number}.xml")
@@ -106,11 +106,11 @@ def _origin(path: Path) -> tuple[float, float] | None:
     facts = beside(path, "meta_data.csv")
     if facts is None:
         return None
-    names = ("originlat", "originlon")
+    names = ["originlat", "originlon"]
     table = read_table(facts, names, optional=names)
-    if not all(name in table for name in names):
+    if not set(names) <= set(table):
         return None
-    latitude, longitude = (float(table.numbers(name)[0]) for name in names)
-    if abs(latitude) > 89 or abs(longitude) > 180:
+    latitude, longitude = table[names].iloc[0].tolist()
+    if not (abs(latitude) <= 89 and abs(longitude) <= 180):
         raise InputError(f"{facts}: found origin {latitude:g}, {longitude:g}, expected degrees")
     return latitude, longitude

@@ -20,10 +20,10 @@ import pandas
 from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, first_sizes, recorded
-from sim.formats.common.tables import read_text
+from sim.formats.common.recording import Recording, recorded
+from sim.formats.common.tables import among, finite, kinds_in, read_text, whole
 from sim.frames import AgentKind, FloatArray
-from sim.input_files import opened, plain_name, stem
+from sim.input_files import broken_as_one_line, opened, plain_name, stem
 
 PERIOD_S: Final = 0.1
 """Time between two frames, s."""
@@ -46,9 +46,7 @@ _COLUMNS: Final = (
     "frame", "agent", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom",
     "height", "width", "length", "x", "y", "z", "angle",
 )  # fmt: skip
-_PLACE: Final = ("x", "y", "z")
-_SIDES: Final = ("length", "width")
-_NUMBERS: Final = ("frame", *_PLACE, "angle")
+_NUMBERS: Final = ("frame", "x", "y", "z", "angle")
 _POSE: Final = ("latitude", "longitude", "altitude", "roll", "pitch", "yaw")
 """Columns of labels and of poses, in order."""
 
@@ -64,28 +62,18 @@ and 0.05 m left (KITTI's drawing of the sensors), which is 1.28 m behind the cen
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one sequence.
+    """The recording of one sequence, x east and y north of the first frame's place, m.
 
-    Args:
-        path: ``label_02/NNNN.txt`` (or ``.txt.gz``, in any folder); ``oxts/NNNN.txt`` and
-            ``calib/NNNN.txt`` must lie in folders beside that one.
-
-    Yields:
-        One recording, x east and y north of the first frame's place, m.
-
-    Raises:
-        InputError: if a file is missing or broken; the message names file and line.
+    ``oxts/NNNN.txt`` and ``calib/NNNN.txt`` must lie in folders beside that of the labels.
     """
-    table = read_text(path, _COLUMNS, _NUMBERS, ("agent", "type", *_SIDES))
-    road_agents, others = table.among("type", TYPES)
+    table = read_text(path, _COLUMNS, _NUMBERS, ("agent", "type", "length", "width"))
+    boxes, others = among(table, "type", TYPES)
     unknown = next((word for word in others if word not in LEFT_OUT), None)
     if unknown is not None:
         raise InputError(
             f"{path}: type: found {unknown[:40]!r}, expected one of {', '.join(TYPES)}"
         )
-    boxes = table.part(road_agents)
-    agent, names = boxes.names("agent")
-    frame, angle = boxes.whole("frame"), boxes.numbers("angle")
+    frame, angle = whole(boxes, "frame"), finite(boxes, "angle")
     poses = _poses(_neighbour(path, "oxts"))
     to_car = _camera_to_car(_neighbour(path, "calib"))
     if ((frame < 0) | (frame >= len(poses))).any():
@@ -93,31 +81,30 @@ def read(path: Path) -> Iterator[Recording]:
             f"{path}: found frame {frame.max()}, expected one of the {len(poses)} poses"
         )
     pose = poses[frame]
-    in_car = boxes.stacked(*_PLACE) @ to_car[:3, :3].T + to_car[:3, 3]
+    in_car = boxes[["x", "y", "z"]].to_numpy() @ to_car[:3, :3].T + to_car[:3, 3]
     xy = (np.einsum("nij,nj->ni", pose[:, :3, :3], in_car) + pose[:, :3, 3])[:, :2]
     # a box's angle turns about the camera's y axis, which points down, from its x axis
     ahead = np.stack([np.cos(angle), np.zeros(angle.size), -np.sin(angle)], axis=1)
     ahead = np.einsum("nij,nj->ni", pose[:, :3, :3], ahead @ to_car[:3, :3].T)
-    ego = poses[:, :2, 3] + poses[:, :2, :2] @ np.array(EGO_CENTRE_M)
-    ego_heading = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
-    frames = np.arange(len(poses))
-    sides = [pandas.to_numeric(boxes.words(side), errors="coerce") for side in _SIDES]
-    sizes = first_sizes(agent, np.stack(sides, axis=1))
-    heading = np.append(np.arctan2(ahead[:, 1], ahead[:, 0]), ego_heading)
-    rows = Rows(
-        np.append(agent, np.full(frames.size, len(names))),
-        (*names, "ego"),
-        np.append(frame, frames).astype(np.float64) * PERIOD_S,
-        np.concatenate([xy, ego]),
-        heading,
-        kinds=[*boxes.kinds("type", agent, TYPES), AgentKind.CAR],
-        sizes=np.concatenate([sizes, [EGO_SIZE_M]]),
+    length, width = (
+        pandas.to_numeric(boxes[side], errors="coerce") for side in ("length", "width")
     )
+    agents = pandas.DataFrame(
+        {"id": boxes["agent"], "t": frame * PERIOD_S, "x": xy[:, 0], "y": xy[:, 1],
+         "heading": np.arctan2(ahead[:, 1], ahead[:, 0]), "length": length, "width": width,
+         "kind": kinds_in(boxes["type"], TYPES)}
+    )  # fmt: skip
+    centre = poses[:, :2, 3] + poses[:, :2, :2] @ np.array(EGO_CENTRE_M)
+    ego = pandas.DataFrame(
+        {"id": "ego", "t": np.arange(len(poses)) * PERIOD_S, "x": centre[:, 0], "y": centre[:, 1],
+         "heading": np.arctan2(poses[:, 1, 0], poses[:, 0, 0]), "length": EGO_SIZE_M[0],
+         "width": EGO_SIZE_M[1], "kind": AgentKind.CAR.code}
+    )  # fmt: skip
     notes = (
         "the recording car's motion is undone with its poses; it is the agent ego",
         "speeds are taken from the motion",
     )
-    yield recorded(path, stem(path), rows, notes)
+    yield recorded(stem(path), pandas.concat([agents, ego]), notes)
 
 
 def _neighbour(path: Path, folder: str) -> Path:
@@ -135,8 +122,9 @@ def _neighbour(path: Path, folder: str) -> Path:
 
 def _poses(path: Path) -> FloatArray:
     """(frames, 3, 4) rotation and place of the car at each frame, m from the first place."""
-    table = read_text(path, _POSE, _POSE)
-    latitude, longitude, altitude, roll, pitch, yaw = (table.numbers(name) for name in _POSE)
+    with broken_as_one_line(path, "a table of poses"):
+        table = read_text(path, _POSE, _POSE)
+        latitude, longitude, altitude, roll, pitch, yaw = (finite(table, name) for name in _POSE)
     scale = np.cos(np.radians(latitude[0]))
     east = scale * EARTH_M * np.radians(longitude)
     north = scale * EARTH_M * np.log(np.tan(np.radians(90.0 + latitude) / 2))

@@ -2,7 +2,8 @@
 
 inD and rounD give box centres, y up, headings in DEGREES counter-clockwise. highD gives the
 UPPER-LEFT corner of each box in an image whose y points down, calls the vehicle's length ``width``
-and its width ``height``, and has no headings.
+and its width ``height``, and has no headings. ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv``
+are used if they are there.
 
 References:
     Krajewski et al. (2018), The highD dataset, ITSC. Bock et al. (2020), The inD dataset, IV.
@@ -11,19 +12,18 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas
 
 from behaviors.errors import InputError
-from sim.formats.common.columns import Columns
 from sim.formats.common.recording import Recording, recorded
-from sim.formats.common.tables import read_table
+from sim.formats.common.tables import kinds_in, names_in, read_rows, read_table
 from sim.frames import AgentKind
-from sim.input_files import beside, plain_name, stem
+from sim.input_files import beside, broken_as_one_line, plain_name, stem
 
 FRAME_RATE_HZ: Final = 25.0
 """Frames per second where no ``XX_recordingMeta.csv`` says otherwise."""
@@ -41,92 +41,63 @@ CLASSES: Final[dict[str, AgentKind]] = {
 }
 """``class`` in ``XX_tracksMeta.csv``, in lower case."""
 
-
-IND: Final = Columns(
-    id=("trackid",), t="frame", xy=("xcenter", "ycenter"), heading="heading",
-    speed=("xvelocity", "yvelocity"), size=("length", "width"), units={"heading": "deg"},
-    words=("recordingid",), optional=("recordingid",), empty=("width", "length"),
-)  # fmt: skip
-HIGHD: Final = Columns(
-    id=("id",), t="frame", speed=("xvelocity", "yvelocity"), size=("width", "height")
-)
+IND: Final = {
+    "id": "trackid", "t": "frame", "x": "xcenter", "y": "ycenter", "heading": "heading",
+    "vx": "xvelocity", "vy": "yvelocity", "length": "length", "width": "width",
+}  # fmt: skip
+HIGHD: Final = {
+    "id": "id", "t": "frame", "x": "x", "y": "y", "vx": "xvelocity", "vy": "yvelocity",
+    "length": "width", "width": "height",
+}  # fmt: skip
 """Columns of the tracks."""
 
 
 def read_ind(path: Path) -> Iterator[Recording]:
-    """Read one ``XX_tracks.csv`` of inD or rounD.
-
-    Args:
-        path: the file; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` are used if there.
-
-    Yields:
-        One recording.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column or row.
-    """
-    table = IND.read(path)
-    several = table.codes("recordingid")[1] if "recordingid" in table else []
-    if len(several) > 1:  # each recording counts frames and ids from its own start
+    """The recording of one ``XX_tracks.csv`` of inD or rounD."""
+    rows = read_rows(path, IND, units={"heading": "deg"}, optional=("length", "width"))
+    several = read_table(path, (), ("recordingid",), ("recordingid",))
+    if "recordingid" in several and several["recordingid"].nunique() > 1:
+        found = " and ".join(several["recordingid"].unique()[:2])
         raise InputError(
-            f"{path}: column recordingid: found {several[0]} and {several[1]}, expected one "
-            "recording in a file"
+            f"{path}: column recordingid: found {found}, expected one recording in a file: each "
+            "counts frames and ids from its own start"
         )
-    rows = IND.rows(table, rate_hz=_frame_rate(path))
-    kinds, notes = _kinds(path, "trackid", rows.names)
-    if rows.sizes is not None and (rows.sizes == 0).any():
+    notes = _with_metadata(path, rows, "trackid")
+    if (rows.filter(["length", "width"]) == 0).any(axis=None):
         notes.append("pedestrians and bicycles without a size have the usual one")
-    yield recorded(path, stem(path), replace(rows, kinds=kinds), notes)
+    yield recorded(stem(path), rows, notes)
 
 
 def read_highd(path: Path) -> Iterator[Recording]:
-    """Read one ``XX_tracks.csv`` of highD.
-
-    Args:
-        path: the file; ``XX_tracksMeta.csv`` and ``XX_recordingMeta.csv`` are used if there.
-
-    Yields:
-        One recording; y is minus the image's, so that it points up.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column or row.
-    """
-    table = HIGHD.read(path)
-    rows = HIGHD.rows(table, rate_hz=_frame_rate(path))
-    kinds, notes = _kinds(path, "id", rows.names)
-    centre = (rows.xy + 0.5 * table.stacked("width", "height")) * np.array([1.0, -1.0])
-    heading = None if rows.heading is None else -rows.heading
-    rows = replace(rows, xy=centre, heading=heading, kinds=kinds)
-    yield recorded(path, stem(path), rows, [*notes, "headings are taken from velocities"])
+    """The recording of one ``XX_tracks.csv`` of highD; y is minus the image's, so it points up."""
+    rows = read_rows(path, HIGHD)
+    notes = _with_metadata(path, rows, "id")
+    rows["x"] += 0.5 * rows["length"]
+    rows["y"] = -(rows["y"] + 0.5 * rows["width"])
+    rows["heading"] *= -1
+    yield recorded(stem(path), rows, [*notes, "headings are taken from velocities"])
 
 
-def _beside(path: Path, what: str) -> Path | None:
-    """The file of metadata beside the tracks."""
-    return beside(path, plain_name(path).replace("_tracks.csv", f"_{what}.csv"))
-
-
-def _frame_rate(path: Path) -> float:
-    """Frames per second, from the metadata."""
-    facts = _beside(path, "recordingMeta")
+def _with_metadata(path: Path, rows: pandas.DataFrame, id_column: str) -> list[str]:
+    """Frames become times, and agents have kinds, as the files of metadata say; gives notes."""
+    facts = beside(path, plain_name(path).replace("_tracks.csv", "_recordingMeta.csv"))
+    rate_hz = FRAME_RATE_HZ
+    if facts is not None:
+        rates = read_table(facts, ["framerate"])["framerate"].unique()
+        rate_hz = float(rates[0])
+        if len(rates) > 1 or not 1 <= rate_hz <= 1000:
+            found = " and ".join(f"{rate:g}" for rate in rates)
+            raise InputError(f"{facts}: column framerate: found {found}, expected one, 1 to 1000")
+    rows["t"] /= rate_hz
+    name = plain_name(path).replace("_tracks.csv", "_tracksMeta.csv")
+    facts = beside(path, name)
     if facts is None:
-        return FRAME_RATE_HZ
-    rates = np.unique(read_table(facts, ["framerate"]).numbers("framerate")).tolist()
-    if len(rates) > 1 or not 1 <= rates[0] <= 1000:
-        found = " and ".join(f"{rate:g}" for rate in rates)
-        raise InputError(f"{facts}: column framerate: found {found}, expected one, 1 to 1000")
-    return float(rates[0])
-
-
-def _kinds(path: Path, id_column: str, names: Sequence[str]) -> tuple[list[AgentKind], list[str]]:
-    """The kinds of agents from the metadata, and notes."""
-    facts = _beside(path, "tracksMeta")
-    if facts is None:
-        missing = plain_name(path).replace("_tracks.csv", "_tracksMeta.csv")
-        return [AgentKind.CAR] * len(names), [f"{missing} is not there: all are taken for cars"]
-    meta = read_table(facts, [], [id_column, "class"])
-    agent, words = meta.names(id_column)
-    kinds = dict(zip(words, meta.kinds("class", agent, CLASSES), strict=True))
-    missing = next((name for name in names if name not in kinds), "")
-    if missing:
+        return [f"{name} is not there: all are taken for cars"]
+    with broken_as_one_line(facts, "a table of agents"):
+        meta = read_table(facts, (), (id_column, "class"))
+        kinds = dict(zip(names_in(meta[id_column]), kinds_in(meta["class"], CLASSES), strict=True))
+    missing = next((one for one in rows["id"].cat.categories if one not in kinds), None)
+    if missing is not None:
         raise InputError(f"{facts}: found no row of agent {missing}, expected one")
-    return [kinds[name] for name in names], []
+    rows["kind"] = np.array([kinds[one] for one in rows["id"].cat.categories])[rows["id"].cat.codes]
+    return []

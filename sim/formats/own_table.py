@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from sim.formats.common.columns import Columns
 from sim.formats.common.recording import Recording, recorded
+from sim.formats.common.tables import NEEDED, beginning_of, read_rows
 from sim.frames import AgentKind
 from sim.input_files import stem
 from sim.units import PARTS
 
 NUMBERS: Final = ("t", "x", "y", "heading", "speed", "vx", "vy", "length", "width")
 WORDS: Final = ("id", "kind")
-NEEDED: Final = ("id", "t", "x", "y")
-"""What columns may be, and must be."""
+"""What columns may be."""
 
 METRES: Final = {"m": "", "km": "km", "ft": "ft"}
 SPEEDS: Final = {"m/s": "", "km/h": "km/h", "mph": "mph", "ft/s": "ft/s"}
@@ -72,28 +71,22 @@ def read(
         path: the file.
         columns: as `check_columns` takes them; by default ``id``, ``t``, ``x`` and ``y``.
         units: of the columns; SI units, and radians from +x, where they say nothing.
-
-    Yields:
-        One recording; its times begin at 0.
-
-    Raises:
-        InputError: if a column is missing or has something else; the message names it.
     """
     columns = dict(zip(NEEDED, NEEDED, strict=True)) if columns is None else columns
     units = {} if units is None else units
     check_columns(columns, units)
-    lower = {key: name.strip().lower() for key, name in columns.items()}
-    components = ("speed",) if "speed" in lower else ("vx", "vy")
-    sides = ("length", "width")
-    table = Columns(
-        id=(lower["id"],), t=lower["t"], xy=(lower["x"], lower["y"]),
-        heading=lower.get("heading", ""), kind=lower.get("kind", ""), kinds=KINDS, from_zero=True,
-        speed=tuple(lower[key] for key in components if set(components) <= lower.keys()),
-        size=tuple(lower[key] for key in sides if set(sides) <= lower.keys()),
-        units={lower[key]: UNITS[key][unit] for key, unit in units.items()},
-        empty=tuple(name for key, name in lower.items() if key not in NEEDED),
-    )  # fmt: skip
-    rows = table.rows(table.read(path))
-    missing = [key for key in ("heading", "speed", "kind", "length") if key not in lower]
+    names = {key: name.strip().lower() for key, name in columns.items()}
+    if "speed" in names:
+        names = {key: name for key, name in names.items() if key not in ("vx", "vy")}
+    in_file = beginning_of(path)[1]
+    absent = next((name for name in names.values() if name not in in_file), None)
+    if absent is not None and in_file:
+        raise InputError(
+            f"{path}: found the columns {', '.join(in_file)!r:.160}, expected a column {absent}"
+        )
+    known = {key: UNITS[key][unit] for key, unit in units.items()}
+    optional = [name for key, name in names.items() if key not in NEEDED]
+    rows = read_rows(path, names, KINDS, known, optional, from_zero=True)
+    missing = [key for key in ("heading", "speed", "kind", "length") if key not in columns]
     notes = [f"not in the table, taken from the motion or assumed: {', '.join(missing)}"]
-    yield recorded(path, stem(path), rows, notes if missing else ())
+    yield recorded(stem(path), rows, notes if missing else ())

@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.driving_scene import STATES, DrivingScene, SceneAgent, recording_of
+from sim.formats.common.driving_scene import STATES, DrivingScene, recording_of
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind, FloatArray, Signal, Tracks
 from sim.input_files import read_bytes, stem
 from sim.road import Road
-from sim.road.maps.waymo import MPS_PER_MPH, WaymoLane
+from sim.road.maps.lanelets import Lanelet
+from sim.units import in_si
 
 # --- reading ------------------------------------------------------------------------------------
 
@@ -59,11 +60,11 @@ READ_KINDS: Final = {
 }
 """Types of objects that are road-agents; cones, barriers and the like are left out."""
 
-LANES: Final = {
-    "LANE_UNKNOWN": 0, "LANE_FREEWAY": 1, "LANE_SURFACE_STREET": 2, "LANE_BIKE_LANE": 3,
-    "LANE_SURFACE_UNSTRUCTURE": 2,
-}  # fmt: skip
-"""Types of lanes, by Waymo's numbers; an unstructured one is a way across a junction."""
+BIKE_LANE: Final = "LANE_BIKE_LANE"
+LANES: Final = frozenset({
+    "LANE_UNKNOWN", "LANE_FREEWAY", "LANE_SURFACE_STREET", BIKE_LANE, "LANE_SURFACE_UNSTRUCTURE",
+})  # fmt: skip
+"""Types of lanes; an unstructured one is a way across a junction."""
 
 LIGHTS: Final = (
     ("RED", Signal.RED), ("STOP", Signal.RED), ("YELLOW", Signal.YELLOW),
@@ -141,8 +142,10 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
         kind = READ_KINDS.get(_word(track["type"]))
         if kind is None:
             scene.left_out += 1
-        else:
-            scene.agents.append(_agent(_word(label), kind, track, steps))
+            continue
+        scene.agents.append((_word(label), kind, *_states(track["state"], steps)))
+        behavior = _word(track.get("metadata", {}).get("behavior"))
+        scene.behaviors[_word(label)] = BEHAVIOR_CODES.get(behavior, -1)
     numbers = _add_map(scene, found.get("map_features", {}))
     for name, light in found.get("dynamic_map_states", {}).items():
         lane = numbers.get(_word(light.get("lane", name)))
@@ -155,9 +158,8 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     return scene
 
 
-def _agent(name: str, kind: AgentKind, track: Mapping[str, Any], steps: int) -> SceneAgent:
-    """Where an agent was."""
-    state = track["state"]
+def _states(state: Mapping[str, Any], steps: int) -> tuple[NDArray[np.int64], FloatArray]:
+    """The steps at which an agent is seen, and what is known of it there."""
     size = state.get("size", state.get("dimension"))
     if size is not None:
         size = np.broadcast_to(_numbers("size", size), (steps, np.shape(size)[-1]))
@@ -171,8 +173,7 @@ def _agent(name: str, kind: AgentKind, track: Mapping[str, Any], steps: int) -> 
                "width": width}  # fmt: skip
     table = np.stack([_column(field, values, steps) for field, values in columns.items()], axis=1)
     seen = np.flatnonzero(_column("valid", state["valid"], steps).astype(bool))
-    code = BEHAVIOR_CODES.get(_word(track.get("metadata", {}).get("behavior")), -1)
-    return SceneAgent(name, kind, seen, table[seen].astype(np.float64), code)
+    return seen, table[seen].astype(np.float64)
 
 
 def _column(field: str, values: Any, steps: int) -> NDArray[Any]:
@@ -224,14 +225,14 @@ def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]
             for key in ("entry_lanes", "exit_lanes")
         )
         scene.lanes.append(
-            WaymoLane(
+            Lanelet(
                 id=numbers[name],
-                line=_points(lane["polyline"]),
-                limit_mph=_limit_mph(lane),
-                type=LANES[lane["type"]],
-                interpolating=unstructured or bool(lane.get("interpolating", False)),
-                before=before,
-                after=after,
+                centerline=_points(lane["polyline"]),
+                limit_mps=_limit_mps(lane),
+                cars=lane["type"] != BIKE_LANE,
+                internal=unstructured or bool(lane.get("interpolating", False)),
+                predecessors=before,
+                successors=after,
                 left=beside[0],
                 right=beside[1],
                 width_m=_width(lane.get("width")),
@@ -252,12 +253,11 @@ def _width(width: Any) -> float:
     return float(width)
 
 
-def _limit_mph(feature: Mapping[str, Any]) -> float:
-    """The limit, miles per hour; NaN where it is unknown (converters write none or 0)."""
+def _limit_mps(feature: Mapping[str, Any]) -> float:
+    """The limit, m/s; NaN where it is unknown (converters write none or 0)."""
     if feature.get("speed_limit_mph"):
-        return float(feature["speed_limit_mph"])
-    limit = feature.get("speed_limit_kmh")
-    return float(limit) / 3.6 / MPS_PER_MPH if limit else math.nan
+        return in_si(float(feature["speed_limit_mph"]), "mph")
+    return in_si(float(feature.get("speed_limit_kmh") or math.nan), "km/h")
 
 
 def _first(feature: Mapping[str, Any], key: str, numbers: Mapping[str, int]) -> int | None:

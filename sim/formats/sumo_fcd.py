@@ -12,19 +12,20 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from array import array
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pandas
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.recording import Recording, Rows, default_size, recorded
-from sim.formats.common.tables import column_names, read_table
+from sim.formats.common.recording import Recording, default_size, recorded
+from sim.formats.common.tables import beginning_of, codes_in, read_table, words_in
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
 from sim.input_files import opened, stem
 from sim.xml_tree import refuse_declarations
@@ -79,83 +80,49 @@ def _elements(path: Path, tag: str) -> Iterator[ET.Element]:
             raise InputError(f"{path}: {error}, expected XML") from None
 
 
-def _numbers(where: str, element: Any, names: tuple[str, ...]) -> tuple[float, ...]:
-    """Attributes as numbers."""
-    found = []
-    for name in names:
-        text = element.get(name, math.nan)
-        try:
-            found.append(float(text))
-        except ValueError:
-            raise InputError(f"{where}: {name}: found {text!r:.40}, expected a number") from None
-    return tuple(found)
-
-
 Type = tuple[AgentKind, tuple[float, float]]
 
 
 def read_types(path: Path) -> dict[str, Type]:
-    """Kind, and length and width, m, of every vType in a SUMO file.
-
-    Raises:
-        InputError: if the file is broken.
-    """
+    """Kind, and length and width, m, of every vType in a SUMO file."""
     types = {}
     for element in _elements(path, "vType"):
         kind = CLASSES.get(element.get("vClass", "passenger"), AgentKind.CAR)
         length, width = default_size(kind)
-        usual = {"length": str(length), "width": str(width)}
-        sides = ET.Element("vType", usual | element.attrib)
-        name = element.get("id", "")
-        length, width = _numbers(f"{path}: vType {name:.60}", sides, ("length", "width"))
-        types[name] = kind, (length, width)
+        sides = float(element.get("length", length)), float(element.get("width", width))
+        types[element.get("id", "")] = kind, sides
     return types
 
 
 NUMBERS: Final = ("x", "y", "angle", "speed")
-TAGS: Final = ("vehicle", "person")
-LEFT_OUT: Final = ("container",)
+FACTS: Final = ("tag", "id", "type", "behavior")
+TAGS: Final = ("vehicle", "person", "container")
 CLOCK: Final = "timestep_time"
-"""Attributes that are read, elements that are read and counted, and the times of tables."""
-
-Step = tuple[float, Iterable[tuple[str, Any]]]
-"""A time, s, and what is there: the element of each agent, and its attributes."""
+"""Attributes that are read of the elements, and the times of tables; containers are counted."""
 
 
 def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
-    """Read one FCD file: XML, or SUMO's own CSV or Parquet.
+    """The recording of one FCD file: XML, or SUMO's own CSV or Parquet.
 
     Args:
         path: the file; gzipped where its name ends in ``.gz``. Speeds and angles that it does not
             have are taken from the motion.
         types: a file with the vTypes; by default the one that ends in ``.types.xml`` beside it,
             if there is one.
-
-    Yields:
-        One recording, labelled where vehicles carry a ``behavior``.
-
-    Raises:
-        InputError: if a file is broken; the message names the file, the time and the agent.
     """
     beside = path.with_name(stem(path) + TYPES_SUFFIX)
     types = types or (beside if beside.is_file() else None)
     known = {} if types is None else read_types(types)
-    tabular = CLOCK in column_names(path)
-    yield _recording(path, _steps_of_table(path) if tabular else _steps_of_xml(path), known)
+    tabular = CLOCK in beginning_of(path)[1]
+    rows, times_s = _rows_of_table(path) if tabular else _rows_of_xml(path)
+    yield _recording(stem(path), rows, times_s, known)
 
 
-def seconds_of(where: str, text: str) -> float:
-    """A time of SUMO's, s: a number, or as people read it.
-
-    Args:
-        where: it is, for the message.
-        text: seconds, or ``[days:]hours:minutes:seconds``.
-
-    Raises:
-        InputError: if it is neither.
+def seconds_of(text: str) -> float:
+    """A time of SUMO's, s: a number, or ``[days:]hours:minutes:seconds``.
 
     Examples:
-        >>> seconds_of("here", "01:00:02.50"), seconds_of("here", "1:00:00:00"), seconds_of("", "7")
+        >>> seconds_of("01:00:02.50"), seconds_of("1:00:00:00"), seconds_of("7")
         (3602.5, 86400.0, 7.0)
     """
     try:
@@ -163,105 +130,98 @@ def seconds_of(where: str, text: str) -> float:
     except ValueError:
         parts = []
     if len(parts) not in (1, 3, 4):
-        raise InputError(f"{where}: found time {text[:40]!r}, expected seconds or 00:00:00")
+        raise InputError(f"timestep: found time {text[:40]!r}, expected seconds or 00:00:00")
     return float(np.dot(parts[::-1], (1.0, 60.0, 3600.0, 86400.0)[: len(parts)]))
 
 
-def _steps_of_xml(path: Path) -> Iterator[Step]:
-    """The steps of an XML file."""
-    last_s = -math.inf
-    for step in _elements(path, "timestep"):
-        now_s = seconds_of(f"{path}: timestep", step.get("time", ""))
-        if not now_s > last_s:
-            raise InputError(
-                f"{path}: timestep: found time {now_s:g}, expected one after {last_s:g}"
-            )
-        last_s = now_s
-        yield now_s, ((element.tag, element) for element in step)
-
-
-def _steps_of_table(path: Path) -> Iterator[Step]:
-    """The steps of a CSV or Parquet file, whose columns are named ``vehicle_x`` and so on."""
-    tags = (*TAGS, *LEFT_OUT)
-    numbers = [f"{tag}_{name}" for tag in tags for name in NUMBERS]
-    words = [f"{tag}_{name}" for tag in tags for name in ("id", "type", "behavior")]
-    table = read_table(path, numbers, [CLOCK, *words], [*numbers, *words], [*numbers, *words])
-    code, texts = table.codes(CLOCK)
-    times_s = np.array([seconds_of(f"{path}: column {CLOCK}", text) for text in texts])[code]
-    columns = table.columns.astype(object).where(table.columns.notna(), None)
-    for now_s in np.unique(times_s).tolist():
-        rows = columns[times_s == now_s].to_dict("records")
-        yield now_s, [agent for row in rows for tag in tags if (agent := _in_row(row, tag))]
-
-
-def _in_row(row: Mapping[str, Any], tag: str) -> tuple[str, dict[str, Any]] | None:
-    """What a row of a table says of an agent of an element; None where there is none."""
-    begin = f"{tag}_"
-    found = {k.removeprefix(begin): v for k, v in row.items()
-             if k.startswith(begin) and v is not None}  # fmt: skip
-    if not found.get("id"):
-        return None
-    kind = found.get("type", "").lower()  # tables have containers and persons among vehicles
-    return "container" if "container" in kind else "person" if "pedtype" in kind else tag, found
-
-
-def _recording(path: Path, steps: Iterable[Step], types: Mapping[str, Type]) -> Recording:
-    """The recording of a file's steps."""
+def _rows_of_xml(path: Path) -> tuple[pandas.DataFrame, list[float]]:
+    """The rows of the agents, with `FACTS` and `NUMBERS`, and the times of the steps, s."""
     index: dict[tuple[str, str], int] = {}
-    stated: list[tuple[str, str]] = []
-    empty_s, containers = [], set[str]()
-    agent, values, times = array("q"), array("d"), array("d")
-    for now_s, elements in steps:
-        empty_s.append(now_s)
-        for tag, element in elements:
+    facts: list[tuple[str, ...]] = []
+    times_s: list[float] = []
+    agent, values = array("q"), array("d")
+    for step in _elements(path, "timestep"):
+        now_s = seconds_of(step.get("time", ""))
+        if times_s and not now_s > times_s[-1]:
+            raise InputError(f"timestep: found time {now_s:g}, expected one after {times_s[-1]:g}")
+        times_s.append(now_s)
+        for element in step:
             get = element.get
-            key = tag, get("id", "")
-            if tag not in TAGS:
-                if tag in LEFT_OUT:
-                    containers.add(key[1])
-                continue
+            key = element.tag, get("id", "")
             row = index.get(key)
             if row is None:
                 row = index[key] = len(index)
-                stated.append((get("type", ""), get("behavior", "")))
+                facts.append((*key, get("type", ""), get("behavior", "")))
             agent.append(row)
-            times.append(now_s)
-            try:
-                values.extend([float(get(name, math.nan)) for name in NUMBERS])
-            except ValueError:
-                _numbers(f"{path}: time {now_s:g}, {tag} {key[1]:.60}", element, NUMBERS)
-    if not index:
-        raise InputError(f"{path}: found no vehicle and no person in a timestep, expected some")
-    names: dict[str, None] = {}
-    kinds, sizes, codes, assumed = [], [], [], 0
-    for (tag, name), (kind_name, behavior) in zip(index, stated, strict=True):
-        own = name
-        while own in names:
+            values.append(now_s)
+            values.extend([float(get(name, math.nan)) for name in NUMBERS])
+    rows = pandas.DataFrame(facts, columns=FACTS, dtype="category").iloc[
+        np.asarray(agent, dtype=int)
+    ]
+    rows[["t", *NUMBERS]] = np.asarray(values).reshape(-1, 1 + len(NUMBERS))
+    return rows[rows["tag"].isin(TAGS)], times_s
+
+
+def _rows_of_table(path: Path) -> tuple[pandas.DataFrame, list[float]]:
+    """The same of a CSV or Parquet file, whose columns are named ``vehicle_x`` and so on."""
+    numbers = [f"{tag}_{name}" for tag in TAGS for name in NUMBERS]
+    words = [f"{tag}_{name}" for tag in TAGS for name in FACTS[1:]]
+    table = read_table(path, numbers, [CLOCK, *words], [*numbers, *words])
+    code, texts = codes_in(table[CLOCK])
+    table["t"] = np.array([seconds_of(text) for text in texts])[code]
+    parts = []
+    for tag in TAGS:
+        part = table.rename(columns={f"{tag}_{name}": name for name in (*FACTS, *NUMBERS)})
+        part = part.reindex(columns=[*FACTS, "t", *NUMBERS])
+        for name in FACTS[1:]:
+            part[name] = [word or "" for word in words_in(part[name])]
+        parts.append(part[part["id"] != ""].assign(tag=tag))
+    rows = pandas.concat(parts, ignore_index=True)
+    kind = rows["type"].str.lower()  # tables have containers and persons among vehicles
+    rows.loc[kind.str.contains("pedtype"), "tag"] = "person"
+    rows.loc[kind.str.contains("container"), "tag"] = "container"
+    return rows, np.unique(table["t"]).tolist()
+
+
+def _recording(
+    name: str, rows: pandas.DataFrame, times_s: list[float], types: Mapping[str, Type]
+) -> Recording:
+    """The recording of a file's rows."""
+    containers = rows["id"][rows["tag"] == "container"].nunique()
+    rows = rows[rows["tag"] != "container"]
+    if rows.empty:
+        raise InputError("found no vehicle and no person in a timestep, expected some")
+    agent = rows.groupby(["tag", "id"], sort=False, observed=True).ngroup().to_numpy()
+    facts = rows.iloc[np.unique(agent, return_index=True)[1]]
+    found: dict[str, tuple[AgentKind, tuple[float, float], int]] = {}
+    assumed = 0
+    for tag, own, word, behavior in facts[list(FACTS)].itertuples(index=False):
+        while own in found:
             own = f"{tag}-{own}"
-        names[own] = None
-        if kind_name not in types:
-            kind = AgentKind.PEDESTRIAN if tag == "person" else _kind_in(kind_name)
-            assumed += 1
-        kind, size = types.get(kind_name) or (kind, default_size(kind))
-        kinds.append(kind)
-        sizes.append(size)
         if behavior and behavior not in BEHAVIORS:
             raise InputError(
-                f"{path}: {tag} {name:.60}: behavior: found {behavior[:40]!r}, expected one of "
+                f"{tag} {own:.60}: behavior: found {behavior[:40]!r}, expected one of "
                 f"{', '.join(BEHAVIORS)}"
             )
-        codes.append(BEHAVIORS.index(behavior) if behavior else -1)
-    table, labelled = np.asarray(values).reshape(-1, len(NUMBERS)), np.array(codes, dtype=np.int8)
-    rows = Rows(
-        np.asarray(agent), tuple(names), np.asarray(times), table[:, :2],
-        np.radians(90.0 - table[:, 2]), table[:, 3], kinds, np.array(sizes),
-        behavior=labelled if (labelled >= 0).any() else None, empty_s=empty_s, ahead_lengths=0.5,
-    )  # fmt: skip
+        kind = AgentKind.PEDESTRIAN if tag == "person" else _kind_in(word)
+        assumed += word not in types
+        code = BEHAVIORS.index(behavior) if behavior else -1
+        found[own] = (*types.get(word, (kind, default_size(kind))), code)
+    kinds, sizes, codes = zip(*found.values(), strict=True)
+    made = rows[["t", "x", "y", "speed"]].assign(
+        id=pandas.Categorical.from_codes(agent, list(found)),
+        heading=np.radians(90.0 - rows["angle"]),
+        kind=np.array([kind.code for kind in kinds])[agent],
+        length=np.array(sizes)[agent, 0],
+        width=np.array(sizes)[agent, 1],
+    )
     notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
-    recording = recorded(path, stem(path), rows, notes if assumed else ())
+    recording = recorded(
+        name, made, notes if assumed else (), empty_s=times_s, ahead_lengths=0.5
+    ).with_codes(dict(zip(found, codes, strict=True)))
     if not containers:
         return recording
-    doubt = f"{len(containers)} containers are left out: they are no road-agents"
+    doubt = f"{containers} containers are left out: they are no road-agents"
     return replace(recording, doubts=(doubt, *recording.doubts))
 
 

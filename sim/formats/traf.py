@@ -23,12 +23,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labelling import Resolution, resolve
 from behaviors.labels import Trait
-from sim.formats.common.recording import Recording, Rows, recorded
+from sim.formats.common.recording import Recording, recorded
 from sim.frames import IntArray, Tracks
 from sim.input_files import broken_as_one_line, opened, stem
 
@@ -63,18 +64,10 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 
 
 def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording]:
-    """Read one file.
+    """The recording of one ``..._gt.txt``, in pixels, y up.
 
-    Args:
-        path: ``..._gt.txt``.
-        frame_rate_hz: frames per second of the video; 1 makes times frame numbers.
-
-    Yields:
-        One recording, in pixels, y up. An agent's length and width are the median sides of its
-        box in the image. Annotators who disagree are resolved the ``lenient`` way.
-
-    Raises:
-        InputError: if the file is broken; the message names file and line.
+    An agent's length and width are the median sides of its box in the image. Annotators who
+    disagree are resolved the ``lenient`` way.
     """
     boxes = _boxes(path)
     names, tracks = list[str](), list[IntArray]()
@@ -83,14 +76,12 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
         names += [f"{identity}-{k}" if k > 1 else str(identity) for k in range(1, len(own) + 1)]
         tracks += own
     table = np.concatenate(tracks)
-    rows = Rows(
-        np.repeat(np.arange(len(names)), [len(track) for track in tracks]),
-        tuple(names),
-        table[:, 0] / frame_rate_hz,
-        _centres(table),
-        sizes=np.array([np.median(track[:, 3:5], axis=0) for track in tracks]),
-        in_metres=False,
-    )
+    rows = pandas.DataFrame(_centres(table), columns=["x", "y"])
+    counts = [len(track) for track in tracks]
+    rows["id"] = np.repeat(np.array(names, dtype=object), counts)
+    rows["t"] = table[:, 0] / frame_rate_hz
+    sides = [np.median(track[:, 3:5], axis=0) for track in tracks]
+    rows[["length", "width"]] = np.repeat(sides, counts, axis=0)
     notes = [
         "lengths are pixels and speeds pixels per second: the format has no scale",
         f"{frame_rate_hz:g} frames per second are assumed; kinds are not in this format",
@@ -98,7 +89,7 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
     twins = len(names) - np.unique(boxes[:, 5]).size
     if twins:
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
-    recording = recorded(path, stem(path), rows)
+    recording = recorded(stem(path), rows, in_metres=False)
     sheets = sheets_beside(path)
     if sheets:
         codes = labels(recording.tracks, sheets, "lenient")
@@ -200,8 +191,6 @@ def read_sheet(path: Path) -> Sheet:
     Raises:
         InputError: naming file and row, if the sheet is broken.
     """
-    import pandas
-
     name = re.fullmatch(r"([a-z])(\d+)", path.stem)
     if name is None or not path.is_file():
         raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")

@@ -19,12 +19,13 @@ from behaviors import driver_models
 from behaviors.profiles import Profile
 from sim.compiled import in_place, shared
 from sim.frames import AgentKind
+from sim.highway.state import VEHICLE
 from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
 
 _free_acceleration = shared(driver_models.idm_free_acceleration)
 _desired_gap = shared(driver_models.idm_desired_gap)
 _interaction = shared(driver_models.idm_interaction)
-_safe_speed = shared(driver_models.krauss_safe_speed)
+safe_speed = shared(driver_models.krauss_safe_speed)
 _incentive = shared(driver_models.mobil_incentive)
 _safe = shared(driver_models.mobil_safe)
 
@@ -93,6 +94,10 @@ CUT_IN_BRAKING_MPS2: Final = 4.0
 """The most braking that a cut-in may demand of either driver, m/s2."""
 
 
+TAKEN: Final = [f.name for f in dataclasses.fields(Profile) if f.name in (VEHICLE.names or ())]
+"""Fields of a profile that a row has under the same names."""
+
+
 class Beside(NamedTuple):
     """The vehicles ahead and behind on a lane.
 
@@ -108,14 +113,11 @@ class Beside(NamedTuple):
 
 
 def profile_fields(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM") -> dict[str, Any]:
-    """What a profile sets in a driver's row of `sim.highway.state.VEHICLE`, by field.
-
-    Its fields are the row's fields of the same names; the kind of vehicle limits the driver.
-    """
+    """What a profile sets in a driver's row of `VEHICLE`; the kind of vehicle limits the driver."""
     limits, gain = KIND_LIMITS[kind], profile.lane_change_gain
     assertive = profile.lane_change_assertiveness
     return {
-        **{field.name: getattr(profile, field.name) for field in dataclasses.fields(profile)},
+        **{name: getattr(profile, name) for name in TAKEN},
         "change_threshold": CHANGE_GAIN_MPS2 / gain if gain > 0 else math.inf,
         "imposed_braking": min(IMPOSED_BRAKING_MPS2 * assertive, MOST_IMPOSED_MPS2),
         "change_gap": max(profile.min_gap_m / max(assertive, 1e-9), LEAST_CHANGE_GAP_M),
@@ -161,7 +163,7 @@ def krauss(me: Any, speed: float, desired: float, room: float, leader_speed: flo
     """
     goal = desired
     if room < np.inf:
-        safe = _safe_speed(room, leader_speed, me.time_headway_s, me.comfort_decel_mps2)
+        safe = safe_speed(room, leader_speed, me.time_headway_s, me.comfort_decel_mps2)
         goal = min(goal, safe)
     return float(min(me.max_accel_mps2, (goal - speed) / KRAUSS_STEP_S))
 
@@ -245,14 +247,14 @@ def change_incentive(
     own_gain = after - idm(me, speed, desired, here.front_gap, here.front_speed)
     new_gain = old_gain = 0.0
     if there.rear_gap < np.inf:
-        wanted, rear_speed = _on_free_road(new, limit), there.rear_speed
+        wanted, rear_speed = on_free_road(new, limit), there.rear_speed
         imposed = idm(new, rear_speed, wanted, there.rear_gap, speed)
         if not _safe(imposed, me.imposed_braking):
             return -np.inf
         gap = there.rear_gap + me.length + there.front_gap
         new_gain = imposed - idm(new, rear_speed, wanted, gap, there.front_speed)
     if here.rear_gap < np.inf:
-        wanted, rear_speed = _on_free_road(old, limit), here.rear_speed
+        wanted, rear_speed = on_free_road(old, limit), here.rear_speed
         gap = here.rear_gap + me.length + here.front_gap
         freed = idm(old, rear_speed, wanted, gap, here.front_speed)
         old_gain = freed - idm(old, rear_speed, wanted, here.rear_gap, speed)
@@ -310,7 +312,7 @@ def turning_angle(me: Any, guided: float, lateral: float, lane_heading: float) -
 
 
 @in_place(inner=True)
-def _on_free_road(me: Any, limit: float) -> float:
+def on_free_road(me: Any, limit: float) -> float:
     """The speed that a driver wants where only the limit and the vehicle bound it, m/s."""
     return float(min(me.speed_factor * limit, me.top_speed))
 
@@ -318,7 +320,7 @@ def _on_free_road(me: Any, limit: float) -> float:
 @in_place(inner=True)
 def desired_speed(me: Any, limit: float) -> float:
     """The speed wanted on a free road, below the cap of the rules, m/s."""
-    return float(min(_on_free_road(me, limit), me.speed_cap))
+    return float(min(on_free_road(me, limit), me.speed_cap))
 
 
 @in_place(inner=True)

@@ -26,7 +26,6 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
-from sim.frames import AgentKind
 from sim.highway.lanes import LaneIndex
 from sim.highway.tables import STRETCH_MARGIN_M
 from sim.highway.traffic import TrafficRoad
@@ -193,11 +192,10 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         ego = self.action_type.vehicle_class(
             self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
         )
-        ego.agent, ego.kind, ego.behavior = id, AgentKind.CAR, None
-        ego.stretches, ego.route = route, [lane]
+        ego.route = [lane]
         for before, after in itertools.pairwise(route):
             ego.route += [(before[1], after[0], None), (*after, None)]
-        self.road.add(ego)
+        self.road.add_ego(ego, id, route)
         self.vehicle = ego
 
 

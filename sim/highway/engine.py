@@ -13,22 +13,18 @@ import functools
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from behaviors.driver_models import braking_speed, krauss_safe_speed
 from behaviors.errors import InputError
-from behaviors.profiles import Profile
 from sim.frames import AgentKind, Frame
-from sim.highway.driving import idm
-from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR
-from sim.highway.lanes import LaneIndex, Stretch
+from sim.highway.lanes import Stretch
 from sim.highway.network import HighwayNetwork, build_network
 from sim.highway.tables import IntArray
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
-from sim.highway.walkers import Walker
+from sim.highway.vehicle import driver_rows
+from sim.highway.walkers import walker_row
 from sim.road import Road
 from sim.scenario import AgentSpec, CarFollowing, Scenario
 
@@ -38,10 +34,6 @@ LONGEST_STEP_S: Final = 0.1
 
 LONGEST_WAIT_S: Final = 60.0
 """An agent that finds no room for this long does not enter (as in the SUMO engine)."""
-
-ENTRY_BRAKING_MPS2: Final = 1.0
-"""Agents enter at a speed at which keeping the headway to the vehicle ahead takes no more braking
-than this."""
 
 
 @functools.lru_cache(maxsize=8)
@@ -105,26 +97,14 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
 
 
 class _Queue(NamedTuple):
-    """Those who begin on one stretch towards the same next one; the lanes on which they may."""
+    """Those who begin on one stretch towards the same next one, as agents and their rows.
 
-    waiting: deque[AgentSpec]
-    lanes: list[LaneIndex]
-    numbers: IntArray
-    bends: list[tuple[float, float, bool]]
+    ``lanes`` has the numbers of the lanes that lead there; ``then`` is that stretch, or -1.
+    """
 
-    @classmethod
-    def on(cls, network: HighwayNetwork, way: tuple[Stretch, ...]) -> _Queue:
-        """Nobody yet; for each lane its length, the limit of the path after it, and who waits."""
-        then, number = way[1] if len(way) > 1 else None, network.number
-        lanes, bends = network.lanes_towards(way[0], then), []
-        for lane in lanes:
-            path = None if then is None else network.onward.get((lane, then))
-            limit, waits = math.inf, False
-            if path is not None:
-                link, limit = network.links[path], float(network.lanes[path].speed_limit)
-                waits = link.signal >= 0 or link.must_yield or link.must_stop
-            bends.append((float(network.lanes[lane].length), limit, waits))
-        return cls(deque(), lanes, np.array([number[lane] for lane in lanes]), bends)
+    waiting: deque[tuple[AgentSpec, Any]]
+    lanes: IntArray
+    then: int
 
 
 class Demand:
@@ -141,88 +121,51 @@ class Demand:
     """
 
     def __init__(
-        self,
-        road: TrafficRoad,
-        agents: Sequence[AgentSpec],
-        seed: int,
-        law: CarFollowing = "IDM",
+        self, road: TrafficRoad, agents: Sequence[AgentSpec], seed: int, law: CarFollowing = "IDM"
     ) -> None:
-        self.road, self.seed, self._law = road, seed, law
-        self._ways: dict[tuple[str, ...], tuple[Stretch, ...]] = {}
-        self._walking: deque[AgentSpec] = deque()
+        self.road = road
+        self._walking: deque[tuple[float, Any]] = deque()
         self._queues: dict[tuple[Stretch, ...], _Queue] = {}
-        self._next: dict[int, ProfileVehicle] = {}
-        network = road.network_info
+        ways: dict[tuple[str, ...], tuple[Stretch, ...]] = {}
+        driving = []
         for agent in sorted(agents, key=lambda a: (a.depart_s, a.id)):
             if agent.kind is AgentKind.PEDESTRIAN:
-                road.footway_number(agent.route)
-                self._walking.append(agent)
-                continue
-            if agent.profile is None:
+                number = road.footway_number(agent.route)
+                row = walker_row(agent, road.footways[number], number, seed)
+                self._walking.append((agent.depart_s, row))
+            elif agent.profile is None:
                 raise InputError(
                     f"agent {agent.id}: found no profile, expected one for a {agent.kind}"
                 )
-            if agent.route not in self._ways:
-                self._ways[agent.route] = tuple(network.stretches(agent.route))
-            way = self._ways[agent.route][:2]
-            if way not in self._queues:
-                self._queues[way] = _Queue.on(network, way)
-            self._queues[way].waiting.append(agent)
+            else:
+                driving.append(agent)
+        rows = driver_rows(driving, seed, law)
+        for agent, row in zip(driving, rows, strict=True):
+            if agent.route not in ways:
+                ways[agent.route] = tuple(road.network_info.stretches(agent.route))
+            way = ways[agent.route]
+            row["route"], road.behaviors[agent.id] = road.route_number(way), agent.behavior
+            if way[:2] not in self._queues:
+                network, then = road.network_info, way[1] if len(way) > 1 else None
+                lanes = [network.number[lane] for lane in network.lanes_towards(way[0], then)]
+                leads_to = -1 if then is None else network.stretch_number[then]
+                self._queues[way[:2]] = _Queue(deque(), np.array(lanes), leads_to)
+            self._queues[way[:2]].waiting.append((agent, row))
 
     def enter(self) -> None:
         """Let in the agents whose departure has come if there is room, in order of departure."""
         road, now = self.road, self.road.time_s
-        while self._walking and self._walking[0].depart_s <= now:
-            agent = self._walking.popleft()
-            number = road.footway_number(agent.route)
-            road.add(Walker(agent, road.footways[number], number, (self.seed, agent.seed)))
-        ready = [q for q in self._queues.values() if q.waiting and q.waiting[0].depart_s <= now]
-        for queue in sorted(ready, key=lambda q: (q.waiting[0].depart_s, q.waiting[0].id)):
-            while queue.waiting and queue.waiting[0].depart_s <= now:
-                agent = queue.waiting[0]
-                if now - agent.depart_s <= LONGEST_WAIT_S:
-                    vehicle = self._next.get(agent.id) or self._vehicle(agent)
-                    if not self._place(vehicle, queue):
-                        break
-                    road.add(vehicle)
+        while self._walking and self._walking[0][0] <= now:
+            road.add(self._walking.popleft()[1])
+        ready = [
+            (q.waiting[0][0].depart_s, q.waiting[0][0].id, q)
+            for q in self._queues.values()
+            if q.waiting and q.waiting[0][0].depart_s <= now
+        ]
+        for _, _, queue in sorted(ready, key=lambda one: one[:2]):
+            while queue.waiting and queue.waiting[0][0].depart_s <= now:
+                agent, row = queue.waiting[0]
+                waits = now - agent.depart_s <= LONGEST_WAIT_S
+                if waits and not road.begin(row, queue.lanes, queue.then):
+                    break
                 queue.waiting.popleft()
-                self._next.pop(agent.id, None)
-
-    def _vehicle(self, agent: AgentSpec) -> ProfileVehicle:
-        """The vehicle of an agent that waits to enter."""
-        way, seed = self._ways[agent.route], (self.seed, agent.seed)
-        self._next[agent.id] = ProfileVehicle(self.road, agent, way, seed, self._law)
-        return self._next[agent.id]
-
-    def _place(self, vehicle: ProfileVehicle, queue: _Queue) -> bool:
-        """Place a vehicle on the lane with most room, and say whether there is any."""
-        me, profile, length = vehicle.table[0], vehicle.profile, vehicle.spec.length_m
-        top_speed = float(vehicle.table["top_speed"][0])
-        best: tuple[float, float, LaneIndex] | None = None
-        room_at = self.road.room_at_entry(queue.numbers, length)
-        for lane, bend, gap, ahead in zip(queue.lanes, queue.bends, *room_at, strict=True):
-            limit = float(self.road.network_info.lanes[lane].speed_limit)
-            wanted = min(profile.speed_factor * limit, top_speed)
-            speed = min(wanted, _speed_to_slow_down(profile, bend, length))
-            if gap < math.inf:
-                room, headway_s = gap - profile.min_gap_m, profile.time_headway_s
-                if idm(me, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
-                    safe = krauss_safe_speed(room, ahead, headway_s, ENTRY_BRAKING_MPS2)
-                    speed = min(speed, max(ahead, safe))
-                if room < headway_s * speed:
-                    continue
-            if best is None or gap > best[0]:
-                best = (gap, float(speed), lane)
-        if best is not None:
-            vehicle.put(best[2], length / 2, best[1])
-        return best is not None
-
-
-def _speed_to_slow_down(profile: Profile, bend: tuple[float, float, bool], length: float) -> float:
-    """The speed from which a driver can stop or take the bend at the end of its lane, m/s."""
-    lane_length, limit, waits = bend
-    if limit == math.inf:
-        return math.inf
-    allowed = 0.0 if waits else min(profile.speed_factor, BEND_FACTOR) * limit
-    left = max(lane_length - length, 0.0)
-    return braking_speed(left, allowed, BEND_BRAKING * profile.comfort_decel_mps2)

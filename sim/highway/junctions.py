@@ -24,7 +24,7 @@ from sim.highway.scene import along_lane, beside, next_stretch, path_to, record
 from sim.highway.state import EVENT_KINDS, Scene
 
 _gap_accepted = shared(driver_models.gap_accepted)
-_braking_speed = shared(driver_models.braking_speed)
+braking_speed = shared(driver_models.braking_speed)
 
 RED, YELLOW = Signal.RED.code, Signal.YELLOW.code
 RED_RUN = EVENT_KINDS.index(EventKind.RED_RUN)
@@ -198,7 +198,7 @@ def _obey_junction(i: int, scene: Scene) -> None:
     if me.path >= 0 and near:
         if not lane.connector:
             bend, braking = factor * net.lanes[me.path].limit, BEND_BRAKING * me.comfort_decel_mps2
-            cap = _braking_speed(max(to_line, 0.0), bend, braking)
+            cap = braking_speed(max(to_line, 0.0), bend, braking)
         if me.held or (to_line > -ENTERED_M and _exit_blocked(i, scene)):
             gap = min(gap, to_line)
         if not me.held:

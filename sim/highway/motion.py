@@ -16,7 +16,7 @@ from sim.frames import EventKind
 from sim.highway.crossings import walk
 from sim.highway.decide import act
 from sim.highway.driving import STANDING_MPS
-from sim.highway.scene import leg_at, locate, next_stretch, onward, record
+from sim.highway.scene import along_lane, leg_at, locate, next_stretch, onward, record
 from sim.highway.state import EVENT_KINDS, Scene
 from sim.highway.tables import project
 
@@ -32,6 +32,13 @@ queues, and pile-ups clear)."""
 STUCK_S: Final = 5.0
 """A vehicle that stands on the wrong side for this long is taken off the road (facing oncoming
 traffic, it would stand there for ever)."""
+
+CROSSWISE: Final = 0.5
+"""Sine of the angle between two headings above which the ways cross: 30 degrees."""
+
+FROM_JUNCTION_M: Final = 15.0
+"""Ways that cross this far from the ends of both do not meet in a junction, m (more than the
+longest vehicle)."""
 
 STAYS: Final = 0
 ARRIVED: Final = 1
@@ -198,7 +205,7 @@ def _find_touching(scene: Scene) -> None:
                 j = scene.cell_head[r * cells.columns + c]
                 while j >= 0:
                     stays = j >= n or not scene.vehicles[j].arrives
-                    if j > i and stays and _overlap(i, j, scene):
+                    if j > i and stays and _overlap(i, j, scene) and _on_one_level(i, j, scene):
                         _add_pair(i, j, scene)
                     j = scene.cell_link[j]
     for i in range(many):
@@ -237,3 +244,22 @@ def _overlap(i: int, j: int, scene: Scene) -> bool:
         if abs(dx * x + dy * y) >= half / 2:
             return False
     return True
+
+
+@in_place(inner=True)
+def _on_one_level(i: int, j: int, scene: Scene) -> bool:
+    """Whether no one of two who overlap passes over the other on a bridge.
+
+    Roads have no heights; but lanes meet at junctions only, so where two of them cross far from
+    the ends of both, one lies above the other.
+    """
+    lanes, vehicles = scene.net.lanes, scene.vehicles
+    if j >= vehicles.size or lanes[vehicles[i].lane].stretch == lanes[vehicles[j].lane].stretch:
+        return True
+    if abs(math.sin(vehicles[i].heading - vehicles[j].heading)) < CROSSWISE:
+        return True
+    for k in (i, j):
+        lane, s = lanes[vehicles[k].lane], along_lane(k, vehicles[k].lane, scene)
+        if lane.connector or min(s, lane.length - s) < FROM_JUNCTION_M:
+            return True
+    return False

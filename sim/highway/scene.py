@@ -10,7 +10,7 @@ import numpy as np
 from sim.compiled import in_place
 from sim.highway.driving import Beside
 from sim.highway.state import FloatArray, IntArray, Scene
-from sim.highway.tables import LONGEST_M, Net, heading_at, project
+from sim.highway.tables import LONGEST_M, Net, project
 
 ALIGNED: Final = 0.5
 """A vehicle turned by more than 60 degrees from a lane crosses it and is not on it. On stretches,
@@ -189,53 +189,23 @@ def beside(i: int, lane: int, scene: Scene) -> Beside:
 
 
 @in_place()
-def room_at_entry(
-    lanes: IntArray, length: float, scene: Scene, gap: FloatArray, speed: FloatArray
-) -> None:
-    """Find the bumper gap to the first vehicle on lanes or changing to them, and its speed.
-
-    Args:
-        lanes: (n,) which lanes.
-        length: of the vehicle that may enter, m.
-        scene: the road.
-        gap: (n,) receives the gaps, m; infinite where nobody is.
-        speed: (n,) receives the speeds along the lane, m/s.
-    """
-    for at in range(lanes.size):
-        lane = scene.net.lanes[lanes[at]]
-        gap[at], speed[at] = np.inf, 0.0
-        for j in range(scene.vehicles.size):
-            other = scene.vehicles[j]
-            s, lateral, _ = project(other.x, other.y, lanes[at], scene.net)
-            aside = abs(lateral) > lane.width / 2 + 1.0
-            if (aside and other.target != lanes[at]) or s > lane.length:
-                continue
-            if s - length - other.length / 2 < gap[at]:
-                gap[at] = s - length - other.length / 2
-                turned = other.heading - heading_at(s, lanes[at], scene.net)
-                speed[at] = max(other.speed * math.cos(turned), 0.0)
-
-
-@in_place()
-def read_motion(
-    order: IntArray, scene: Scene, xy: FloatArray, heading: FloatArray, speed: FloatArray
-) -> None:
+def read_motion(order: IntArray, scene: Scene, motion: FloatArray) -> None:
     """Read how everybody moves, in the axes of a `Frame`.
 
     Args:
         order: (n,) rows; pedestrians are counted after the vehicles.
         scene: the road.
-        xy: (n, 2) receives the places, m.
-        heading: (n,) receives the headings, rad.
-        speed: (n,) receives the speeds, m/s.
+        motion: (4 n,) receives all places, x and y, m, then headings, rad, then speeds, m/s.
     """
-    for k in range(order.size):
+    n = order.size
+    for k in range(n):
         i = order[k] - scene.vehicles.size
         if i < 0:
             me = scene.vehicles[order[k]]
-            x, y, turned, speed[k] = me.x, me.y, me.heading, me.speed
+            x, y, turned, speed = me.x, me.y, me.heading, me.speed
         else:
             person = scene.walkers[i]
-            x, y, turned, speed[k] = person.x, person.y, person.heading, person.speed
-        xy[k, 0], xy[k, 1] = x, -y
-        heading[k] = math.pi - (math.pi + turned) % (2.0 * math.pi)
+            x, y, turned, speed = person.x, person.y, person.heading, person.speed
+        motion[2 * k], motion[2 * k + 1] = x, -y
+        motion[2 * n + k] = math.pi - (math.pi + turned) % (2.0 * math.pi)
+        motion[3 * n + k] = speed

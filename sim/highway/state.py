@@ -6,7 +6,7 @@ driver is like comes from the fields of its profile that have the same names.
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,6 @@ IntArray = NDArray[np.int64]
 EVENT_KINDS: Final = tuple(EventKind)
 """Events by their codes."""
 
-MOST_MET: Final = 4
-"""Crossings at which a driver can have met pedestrians that it has not passed yet."""
-
 LATE_S: Final = 0.1
 """A driver's decisions are kept this often, s."""
 
@@ -30,7 +27,7 @@ MOST_LATE: Final = 51
 """How many of them are kept: those of the longest reaction time."""
 
 VEHICLE: Final = record_type(
-    agent="i8", kind="i8", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",
+    agent="i8", kind="i1", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",
     # its driver: fields of the profile, and what follows from them
     krauss="?", speed_factor="f8", time_headway_s="f8", min_gap_m="f8", max_accel_mps2="f8",
     comfort_decel_mps2="f8", politeness="f8", lane_change_patience_s="f8", startup_delay_s="f8",
@@ -42,7 +39,7 @@ VEHICLE: Final = record_type(
     change_threshold="f8", imposed_braking="f8", change_gap="f8", emergency_decel="f8",
     top_speed="f8",
     # motion
-    x="f8", y="f8", heading="f8", speed="f8", steering="f8", accel="f8",
+    x="f8", y="f8", heading="f8", speed="f8", steering="f8", accel="f8", entry_speed="f8",
     lane="i8", target="i8", wanted="i8",
     # memory
     clock="f8", timer="f8", go_at="f8", standing_since="f8",
@@ -51,7 +48,6 @@ VEHICLE: Final = record_type(
     cut_ins="i8", stops="i8", wrong_ways="i8", dawdled="i8",
     lapse_at="f8", lapse_until="f8", lapses="i8", error="f8", erred="i8", seen_at="f8",
     late=f"{MOST_LATE}f8", late_since="i8",
-    met=f"{MOST_MET}i8", met_near=f"{MOST_MET}i1", yielded=f"{MOST_MET}i1",
     last_path="i8", path_before="i8", line_before="f8", stood_at="i8", stopped_s="f8",
     # where it is on its way, in this step
     s="f8", then="i8", path="i8", to_line="f8", stood_s="f8",
@@ -61,29 +57,28 @@ VEHICLE: Final = record_type(
 )  # fmt: skip
 """A vehicle; lengths in m, times in s, angles in rad, highway-env's axes, -1 for none.
 
-``profiled``: whether a `Profile` drives it; ``key``: of its draws; ``leg``: the last stretch of its
-route that it came to; ``krauss``: whether its driver follows by Krauss's law; ``change_threshold``
-to ``top_speed``: see `sim.highway.driving`; ``target``: the lane that it changes to, or the present
-one; ``wanted``: the same from the next step on; ``go_at``: when it may start, after standing;
-``standing_since``: infinite while it moves; ``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``:
-how many times each was drawn; ``lapse_at``, ``lapse_until``, ``lapses``: the same of lapses of
-attention; ``error``: of perception, with standard deviation 1, drawn ``erred`` times, last at
-``seen_at``; ``late``: the last accelerations wanted, every `LATE_S`, the first at ``late_since``;
-``met``: crossings at which the driver met pedestrians closely (``met_near``) or ``yielded``;
-``last_path``: the junction path that it was on last, until it has left it; ``path_before``,
-``line_before``: the path ahead a step ago and how far away it was; ``stood_at``: the path before
-whose stop sign it has stood, since ``stopped_s``; ``then``: the stretch after its lane's; ``path``:
-the junction path that it is on or comes to next; ``to_line``: front bumper to the beginning of that
-path, or to the end of a lane without one, negative beyond it; ``stood_s``: for how long it has
-stood; ``stop_gap``: front bumper to the line at which to stop; ``speed_cap``: speed not to exceed;
-``held``: whether a light or a sign makes it stop at the line, and ``was_held`` a step ago;
-``changes``: whether lane changes are allowed; ``forced``: the lane that it has to head for;
-``astray``: whether it needs another route; ``arrives``: whether it is at the end of its way;
-``leaves``: why it goes.
+``entry_speed``: at which it came, m/s; ``profiled``: whether a `Profile` drives it; ``key``: of its
+draws; ``leg``: the last stretch of its route that it came to; ``krauss``: whether its driver
+follows by Krauss's law; ``change_threshold`` to ``top_speed``: see `sim.highway.driving`;
+``target``: the lane that it changes to, or the present one; ``wanted``: the same from the next step
+on; ``go_at``: when it may start, after standing; ``standing_since``: infinite while it moves;
+``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``: how many times each was drawn; ``lapse_at``,
+``lapse_until``, ``lapses``: the same of lapses of attention; ``error``: of perception, with
+standard deviation 1, drawn ``erred`` times, last at ``seen_at``; ``late``: the last accelerations
+wanted, every `LATE_S`, the first at ``late_since``; ``last_path``: the junction path that it was on
+last, until it has left it; ``path_before``, ``line_before``: the path ahead a step ago and how far
+away it was; ``stood_at``: the path before whose stop sign it has stood, since ``stopped_s``;
+``then``: the stretch after its lane's; ``path``: the junction path that it is on or comes to next;
+``to_line``: front bumper to the beginning of that path, or to the end of a lane without one,
+negative beyond it; ``stood_s``: for how long it has stood; ``stop_gap``: front bumper to the line
+at which to stop; ``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it
+stop at the line, and ``was_held`` a step ago; ``changes``: whether lane changes are allowed;
+``forced``: the lane that it has to head for; ``astray``: whether it needs another route;
+``arrives``: whether it is at the end of its way; ``leaves``: why it goes.
 """
 
 WALKER: Final = record_type(
-    agent="i8", length="f8", width="f8", x="f8", y="f8", heading="f8", speed="f8",
+    agent="i8", kind="i1", length="f8", width="f8", x="f8", y="f8", heading="f8", speed="f8",
     way="i8", s="f8", aside="f8", free_speed="f8", crossed="i8", stood_s="f8",
     crashed="?", crashed_at="f8", leaves="i8", link="i8",
 )  # fmt: skip
@@ -185,22 +180,18 @@ class Scene(NamedTuple):
     events: Records
 
 
-def blank_vehicle() -> Any:
-    """The row of a vehicle that stands nowhere and has no driver."""
-    row = np.zeros(1, VEHICLE)[0]
-    times = (
-        "go_at",
-        "standing_since",
-        "crashed_at",
-        "cut_in_at",
-        "stop_at",
-        "wrong_way_at",
-        "lapse_at",
-    )
-    for name in (*times, "stop_gap", "speed_cap"):
-        row[name] = np.inf
-    ways = ("route", "last_path", "path_before", "stood_at", "then", "path", "forced")
-    for name in ("agent", "met", "late_since", *ways):
-        row[name] = -1
-    row["stop_until"], row["changes"] = -np.inf, True
-    return row
+def blank_vehicles(n: int) -> Records:
+    """(n,) rows of vehicles that stand nowhere and have no driver."""
+    rows = np.zeros(n, VEHICLE)
+    for name in (
+        "go_at", "standing_since", "crashed_at", "cut_in_at", "stop_at", "wrong_way_at", "lapse_at",
+        "stop_gap", "speed_cap",
+    ):  # fmt: skip
+        rows[name] = np.inf
+    for name in (
+        "agent", "late_since", "route", "last_path", "path_before", "stood_at", "then", "path",
+        "forced",
+    ):  # fmt: skip
+        rows[name] = -1
+    rows["stop_until"], rows["changes"] = -np.inf, True
+    return rows

@@ -1,23 +1,26 @@
 """The road of the highway engine: everybody on it, and one step of all of them.
 
 The truth is in the arrays of a `Scene`, which compiled functions read and write. The objects in
-``vehicles`` and ``walkers`` are views of its rows; vehicles of other classes, such as an ego
-vehicle, are objects of highway-env and are read into their rows before each step.
+``vehicles`` and ``walkers`` are views of its rows; ego vehicles are objects of highway-env and are
+read into their rows before each step.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 from highway_env.road.road import Road
-from highway_env.vehicle.kinematics import Vehicle
+from numba import typeof
 
-from sim.frames import Event, EventKind, Frame, Signal
+from behaviors.labels import Behavior
+from sim.checked_arrays import frozen
+from sim.frames import AgentKind, Event, EventKind, Frame, Signal
 from sim.highway.decide import act, decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
+from sim.highway.entry import begin
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.motion import (
     ARRIVED,
@@ -30,7 +33,7 @@ from sim.highway.motion import (
     move,
 )
 from sim.highway.network import HighwayNetwork
-from sim.highway.scene import locate, read_motion, room_at_entry
+from sim.highway.scene import locate, read_motion
 from sim.highway.state import (
     ARRIVAL,
     EVENT,
@@ -42,65 +45,34 @@ from sim.highway.state import (
     WALKER,
     IntArray,
     Scene,
-    blank_vehicle,
+    blank_vehicles,
 )
-from sim.highway.tables import Records
-from sim.highway.vehicle import FIELDS, ProfileVehicle, RowView
-from sim.highway.walkers import Footway, Walker, find_footway, footways_of
+from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
+from sim.highway.walkers import Footway, find_footway, footways_of
 
 PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
 
-LEAST_ROOM: Final = 16
-"""Arrays have room for this many agents at first."""
 
-CROSSWISE: Final = 0.5
-"""Sine of the angle between two headings above which the ways cross: 30 degrees."""
+def _typed_once(kernel: Any) -> Callable[..., Any]:
+    """A kernel whose arguments have the same types at every call.
 
-FROM_JUNCTION_M: Final = 15.0
-"""Ways that cross this far from the ends of both do not meet in a junction, m (more than the
-longest vehicle)."""
-
-
-class Crowd:
-    """Agents of one kind: objects, and a row of an array for each.
-
-    Args:
-        kind: type of the rows.
+    Numba looks at the type of every array of a `Scene` at each call, which takes as long as a step
+    of ten cars.
     """
+    entry: Any = None
 
-    def __init__(self, kind: np.dtype[Any]) -> None:
-        self.array: Records = np.zeros(LEAST_ROOM, kind)
-        self.objects: list[Any] = []
+    def call(*arguments: Any) -> Any:
+        nonlocal entry
+        if entry is None:
+            compile_for = getattr(kernel, "compile", None)  # none with NUMBA_DISABLE_JIT
+            entry = compile_for(tuple(map(typeof, arguments))) if compile_for else kernel
+        return entry(*arguments)
 
-    @property
-    def rows(self) -> Records:
-        """The rows in use."""
-        return self.array[: len(self.objects)]
+    return call
 
-    def add(self, one: Any, row: Any) -> None:
-        """Add an agent with its first row."""
-        if len(self.objects) == len(self.array):
-            self.array = np.concatenate([self.array, np.zeros_like(self.array)])
-        self.objects.append(one)
-        self.array[len(self.objects) - 1] = row
-        self._show()
 
-    def keep(self, stays: Sequence[bool]) -> None:
-        """Keep some of the agents; views of those who leave show a copy of their last row."""
-        for one, keeps in zip(self.objects, stays, strict=True):
-            if not keeps and isinstance(one, RowView):
-                one.table, one.row = one.table[one.row : one.row + 1].copy(), 0
-        kept = self.rows[np.array(stays, bool)]
-        self.objects[:] = [one for one, keeps in zip(self.objects, stays, strict=True) if keeps]
-        self.array[: len(kept)] = kept
-        self._show()
-
-    def _show(self) -> None:
-        """Tell the views which rows they show."""
-        for row, one in enumerate(self.objects):
-            if isinstance(one, RowView):
-                one.table, one.row = self.array, row
+_advance, _begin, _read_motion = map(_typed_once, (advance, begin, read_motion))
 
 
 class TrafficRoad(Road):  # type: ignore[misc]
@@ -110,29 +82,32 @@ class TrafficRoad(Road):  # type: ignore[misc]
         network: the road in highway-env's terms.
 
     Attributes:
-        vehicles: the vehicles, in the order of their rows.
-        walkers: the pedestrians, likewise.
+        cars: the vehicles.
+        people: the pedestrians.
+        behaviors: of the drivers, by their ids, for colours only.
+        routes: the routes that have a number, by their numbers.
         footways: the ways on foot that have a number.
         signals: (g,) what each signal group shows.
         time_s: the time now, s.
     """
 
+    record_history = neighbour_vehicles_connected_lanes = False
+
     def __init__(self, network: HighwayNetwork) -> None:
-        super().__init__(network.net, np_random=np.random.RandomState(0))
-        self.network_info = network
-        self._cars, self._people = Crowd(VEHICLE), Crowd(WALKER)
-        self.vehicles: list[Any] = self._cars.objects
-        self.walkers: list[Walker] = self._people.objects
-        self.objects = self.walkers
+        self.network, self.network_info = network.net, network
+        self.np_random = np.random.RandomState(0)
+        self.cars, self.people = Crowd(self, VEHICLE, ProfileVehicle), Crowd(self, WALKER, Walker)
+        self.behaviors: dict[int, Behavior | None] = {}
         self.events: list[Event] = []
         self.footways: list[Footway] = []
+        self.routes: list[tuple[Stretch, ...]] = []
         self.signals = np.full(len(network.road.signal_groups), Signal.OFF.code, dtype=np.int8)
         self.signal_since = np.zeros(self.signals.size)
+        self._shown = frozen(self.signals.copy())
         self._now = np.zeros(1, NOW)
         self._plan_due_s = np.zeros(len(network.road.signal_plans))
-        self._routes: dict[tuple[Stretch, ...], int] = {}
-        self._footway_numbers: dict[tuple[str, ...], int] = {}
-        self._others: list[tuple[int, Vehicle]] = []
+        self._numbers: dict[tuple[Any, ...], int] = {}
+        self._egos: list[Any] = []
         self._touching: set[tuple[int, int]] = set()
         self._scene: Scene | None = None
         self._work: Scene | None = None
@@ -150,85 +125,90 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     # Who is there ----------------------------------------------------------------------------
 
-    def add(self, one: Any) -> None:
-        """Put a vehicle or a pedestrian on the road."""
-        if isinstance(one, Walker):
-            self._people.add(one, one.table[one.row])
-        elif isinstance(one, ProfileVehicle):
-            self._cars.add(one, one.table[one.row])
-        else:
-            row = blank_vehicle()
-            row["agent"], row["kind"] = one.agent, one.kind.code
-            for name, value in STOCK_FIELDS.items():
-                row[name] = value
-            row["route"] = self.route_number(one.stretches)
-            self._cars.add(one, row)
+    @property
+    def vehicles(self) -> list[Any]:
+        """The vehicles as objects of highway-env, in the order of their rows."""
+        return self.cars.objects
+
+    @property
+    def walkers(self) -> list[Any]:
+        """The pedestrians, likewise."""
+        return self.people.objects
+
+    objects = walkers
+
+    def add(self, row: Any) -> None:
+        """Put an agent on the road, by its row of `VEHICLE` or `WALKER`."""
+        (self.cars if row.dtype == VEHICLE else self.people).add(row)
+        self._changed()
+
+    def add_ego(self, ego: Any, agent: int, stretches: tuple[Stretch, ...]) -> None:
+        """Put a vehicle of highway-env on the road, to drive over some stretches."""
+        ego.agent, ego.behavior, ego.stretches = agent, None, stretches
+        row = blank_vehicles(1)
+        row["agent"], row["kind"] = agent, AgentKind.CAR.code
+        row["route"] = self.route_number(stretches)
+        for name, value in profile_fields(STOCK_DRIVER, AgentKind.CAR).items():
+            row[name] = value
+        self.cars.add(row[0], ego)
         self._changed()
 
     def remove(self, vehicle: Any) -> None:
         """Take a vehicle off the road."""
-        self._cars.keep([one is not vehicle for one in self.vehicles])
+        self.cars.keep(self.cars.rows["agent"] != vehicle.agent)
         self._changed()
 
     def _changed(self) -> None:
         """Note that somebody has come or gone."""
         self._scene = None
-        self._others = [(i, v) for i, v in enumerate(self.vehicles) if not isinstance(v, RowView)]
-        self._read_others()
+        self._egos = [one for one in self.cars.seen.values() if not isinstance(one, RowView)]
+        self._read_egos()
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
-        if stretches not in self._routes:
-            self._routes[stretches] = len(self._routes)
-            routes = self._route_table()
-            self._work = self._work and self._work._replace(routes=routes)
-            self._scene = self._scene and self._scene._replace(routes=routes)
-        return self._routes[stretches]
+        if stretches not in self._numbers:
+            self._numbers[stretches] = len(self.routes)
+            self.routes.append(stretches)
+            self._scene = self._work = None
+        return self._numbers[stretches]
 
     def footway_number(self, route: tuple[str, ...]) -> int:
         """The number of the way on foot along a route of edges; see `find_footway`."""
-        if route not in self._footway_numbers:
+        if ("on foot", *route) not in self._numbers:
+            self._numbers["on foot", *route] = len(self.footways)
             self.footways.append(find_footway(self.network_info.road, route))
-            self._footway_numbers[route] = len(self.footways) - 1
             self._scene = self._work = None
-        return self._footway_numbers[route]
+        return self._numbers["on foot", *route]
 
     def scene(self) -> Scene:
-        """Everybody on the road as arrays, with rows in the order of ``vehicles``."""
+        """Everybody on the road as arrays."""
         if self._scene is None:
-            self._scene = self._new_scene()
+            cars, people = self.cars.rows, self.people.rows
+            everybody = {
+                name: np.concatenate([cars[name], people[name]])
+                for name in ("agent", "length", "width", "kind")
+            }
+            order = self._order = np.argsort(everybody["agent"], kind="stable")
+            self._lasting = {name: frozen(of[order]) for name, of in everybody.items()}
+            if self._work is None or self._work.cell_link.size < len(order):
+                self._work = self._new_work()
+            self._scene = self._work._replace(vehicles=cars, walkers=people)
         return self._scene
 
-    def _read_others(self) -> None:
-        """Read the vehicles that are no views of their rows into them."""
-        cars, number = self._cars.array, self.network_info.number
-        for i, one in self._others:
-            cars["x"][i], cars["y"][i] = one.position
-            cars["heading"][i], cars["speed"][i] = one.heading, one.speed
-            cars["length"][i], cars["width"][i] = one.LENGTH, one.WIDTH
-            cars["crashed"][i], cars["lane"][i] = one.crashed, number[one.lane_index]
+    def _read_egos(self) -> None:
+        """Read the ego vehicles into their rows."""
+        number = self.network_info.number
+        for one in self._egos:
+            row = one.table[one.row]
+            row["x"], row["y"] = one.position
+            row["heading"], row["speed"], row["crashed"] = one.heading, one.speed, one.crashed
+            row["length"], row["width"] = one.LENGTH, one.WIDTH
             target = getattr(one, "target_lane_index", None) or one.lane_index
-            cars["target"][i] = number[target]
-
-    def _new_scene(self) -> Scene:
-        """The arrays of those who are there now."""
-        rows, people = self._cars.rows, self._people.rows
-        n, m = len(rows), len(people)
-        ids = np.concatenate([rows["agent"], people["agent"]])
-        kind = np.concatenate([rows["kind"], np.full(m, Walker.kind.code)]).astype(np.int8)
-        length = np.concatenate([rows["length"], people["length"]])
-        width = np.concatenate([rows["width"], people["width"]])
-        order = self._order = np.argsort(ids, kind="stable")
-        self._lasting = {
-            "ids": ids[order], "length": length[order], "width": width[order], "kind": kind[order]
-        }  # fmt: skip
-        if self._work is None or self._work.cell_link.size < n + m:
-            self._work = self._new_work()
-        return self._work._replace(vehicles=rows, walkers=people)
+            row["lane"], row["target"] = number[one.lane_index], number[target]
 
     def _new_work(self) -> Scene:
         """Arrays with room for twice as many as are there now."""
-        n, m = 2 * len(self.vehicles) + 8, 2 * len(self.walkers) + 8
+        n, m = 2 * len(self.cars.rows) + 8, 2 * len(self.people.rows) + 8
         net = self.network_info.arrays
         entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
@@ -238,8 +218,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
             footways=footways_of(self.footways),
             signals=self.signals,
             signal_since=self.signal_since,
-            vehicles=self._cars.rows,
-            walkers=self._people.rows,
+            vehicles=self.cars.rows,
+            walkers=self.people.rows,
             now=self._now,
             on_first=np.zeros(net.lanes.size + 1, np.int64),
             on=np.zeros(entries, ON),
@@ -257,10 +237,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
-        longest = max((len(route) for route in self._routes), default=0)
         numbers = self.network_info.stretch_number
-        table = np.full((len(self._routes) + 1, longest + 1), -1, dtype=np.int64)
-        for route, number in self._routes.items():
+        longest = max(map(len, self.routes), default=0)
+        table = np.full((len(self.routes) + 1, longest + 1), -1, dtype=np.int64)
+        for number, route in enumerate(self.routes):
             table[number, : len(route)] = [numbers[one] for one in route]
         return table
 
@@ -270,13 +250,14 @@ class TrafficRoad(Road):  # type: ignore[misc]
         Args:
             events: what happened; by default the events since they were last taken.
         """
-        events = self.take_events() if events is None else events
         scene, n = self.scene(), len(self._order)
-        xy, heading, speed = np.empty((n, 2)), np.empty(n), np.empty(n)
-        read_motion(self._order, scene, xy, heading, speed)
+        motion, lasting = np.empty(4 * n), self._lasting
+        _read_motion(self._order, scene, motion)
+        motion.flags.writeable = False
         return Frame(
-            time_s=self.time_s, xy=xy, heading=heading, speed=speed, signals=self.signals.copy(),
-            events=events, **self._lasting,
+            self.time_s, lasting["agent"], motion[: 2 * n].reshape(n, 2), motion[2 * n : 3 * n],
+            motion[3 * n :], lasting["length"], lasting["width"], lasting["kind"], self._shown,
+            self.take_events() if events is None else events,
         )  # fmt: skip
 
     # Signals and events ----------------------------------------------------------------------
@@ -284,7 +265,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
         plans, now_s = self.network_info.road.signal_plans, self.time_s
-        if not plans:
+        if not plans or self._plan_due_s.min() > now_s:
             return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
             plan = plans[number]
@@ -294,6 +275,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 if self.signals[group] != state:
                     self.signals[group] = state
                     self.signal_since[group] = now_s
+        self._shown = frozen(self.signals.copy())
 
     def take_events(self) -> tuple[Event, ...]:
         """The events since the last call."""
@@ -310,18 +292,20 @@ class TrafficRoad(Road):  # type: ignore[misc]
         while not locate(self.scene()):
             self._scene = self._work = None  # once more, with room for all entries
 
-    def on_lane(self, lane: LaneIndex) -> list[tuple[float, Any]]:
-        """The distances along a lane, ascending, m, of the vehicles on it at the last `locate`."""
+    def on_lane(self, lane: LaneIndex) -> tuple[list[float], ...]:
+        """Distances along a lane, ascending, lengths, m, and speeds, m/s, at the last `locate`."""
         scene, k = self.scene(), self.network_info.number[lane]
         here = scene.on[scene.on_first[k] : scene.on_first[k + 1]]
-        return [(s, self.vehicles[row]) for s, row in here[["s", "row"]].tolist()]
+        there = scene.vehicles[here["row"]]
+        return here["s"].tolist(), there["length"].tolist(), there["speed"].tolist()
 
-    def room_at_entry(self, lanes: IntArray, length: float) -> tuple[list[float], list[float]]:
-        """Bumper gap to the first vehicle on lanes or changing to them, m, and its speed, m/s."""
-        gap, speed = np.empty(lanes.size), np.empty(lanes.size)
-        self._read_others()
-        room_at_entry(lanes, length, self.scene(), gap, speed)
-        return gap.tolist(), speed.tolist()
+    def begin(self, row: Any, lanes: IntArray, then: int) -> bool:
+        """Let a vehicle begin on one of some lanes, on its way to a stretch, if there is room."""
+        self._read_egos()
+        if not _begin(row, lanes, then, self.scene()):
+            return False
+        self.add(row)
+        return True
 
     def crossings_in_use(self) -> set[int]:
         """The crossings that a pedestrian is on or steps onto within a metre."""
@@ -335,10 +319,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def advance(self, dt: float) -> None:
         """Let everybody decide and move for ``dt`` seconds; the same as `act` and `step`."""
-        if self._others:
+        if self._egos:
             self.act()
             return self.step(dt)
-        code = advance(dt, self.scene())
+        code = _advance(dt, self.scene())
         if code == NO_ROOM:
             self._scene = self._work = None
             return self.advance(dt)
@@ -349,51 +333,50 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def act(self) -> None:
         """Let everybody decide."""
-        self._read_others()
+        self._read_egos()
         self.locate()
         if act(self.scene()):
             self._reroute()
-        for _, vehicle in self._others:
-            vehicle.act()
+        for ego in self._egos:
+            ego.act()
 
     def _reroute(self) -> None:
         """Find other routes for those who need one, and let everybody decide."""
-        rows = self._cars.rows
+        rows, network = self.cars.rows, self.network_info
         for row in np.flatnonzero(rows["astray"]).tolist():
-            driver = self.vehicles[row]
-            route = self.network_info.way_to(driver.stretches[-1], int(rows["lane"][row]))
+            lane = int(rows["lane"][row])
+            route = network.way_to(self.routes[rows["route"][row]][-1], lane)
             if route is not None:
-                driver.stretches = (driver.lane_index[:2], *route)
+                rows["route"][row] = self.route_number((network.keys[lane][:2], *route))
+                rows["leg"][row] = 0
         decide(self.scene())
 
     def step(self, dt: float) -> None:
         """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
-        for _, vehicle in self._others:
-            vehicle.step(dt)
-        self._read_others()
+        for ego in self._egos:
+            ego.step(dt)
+        self._read_egos()
         self._end_step(move(dt, self.scene()))
 
     def _end_step(self, somebody_goes: bool) -> None:
         """Show signals, record what happened and remove who goes, after everybody has moved."""
-        scene = self.scene()
+        scene, now = self.scene(), self._now
         self.update_signals()
-        if self._now["pairs"][0] or self._touching:
+        if now["pairs"][0] or self._touching:
             self._collide(scene)
-        if self._now["events"][0]:
-            for kind, agent, time_s in scene.events[: int(self._now["events"][0])].tolist():
+        if now["events"][0]:
+            for kind, agent, time_s in scene.events[: int(now["events"][0])].tolist():
                 self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
-            self._now["events"] = 0
+            now["events"] = 0
         if somebody_goes:
-            self._clear(scene)
+            self._clear()
 
     def _collide(self, scene: Scene) -> None:
         """Record collisions of those that touch and did not touch before, the faster one first."""
-        touching, n = set(), len(self.vehicles)
+        touching, n = set(), len(scene.vehicles)
         for i, j in scene.pairs[: int(self._now["pairs"][0])].tolist():
             one, walks = scene.vehicles[i], j >= n
             other = scene.walkers[j - n] if walks else scene.vehicles[j]
-            if not walks and self._are_on_two_levels(one, other):
-                continue
             pair = (int(one.agent), int(other.agent))
             touching.add(pair)
             if pair in self._touching:
@@ -403,42 +386,15 @@ class TrafficRoad(Road):  # type: ignore[misc]
             pair = pair if walks or one.speed >= other.speed else pair[::-1]
             self._note(EventKind.COLLISION, *pair)
         self._touching = touching
-        for row, vehicle in self._others:
-            vehicle.crashed = bool(scene.vehicles["crashed"][row])
+        for ego in self._egos:
+            ego.crashed = bool(ego.table["crashed"][ego.row])
 
-    def _are_on_two_levels(self, one: Any, other: Any) -> bool:
-        """Whether one of two vehicles passes over the other on a bridge.
-
-        Roads have no heights; but lanes meet at junctions only, so where two of them cross far from
-        the ends of both, one lies above the other.
-        """
-        network, keys = self.network_info, self.network_info.keys
-        if keys[one.lane][:2] == keys[other.lane][:2]:
-            return False
-        if abs(math.sin(one.heading - other.heading)) < CROSSWISE:
-            return False
-        for vehicle in (one, other):
-            lane = network.lanes[keys[vehicle.lane]]
-            s = lane.local_coordinates(np.array([vehicle.x, vehicle.y]))[0]
-            inside = keys[vehicle.lane] in network.exit_of
-            if inside or min(s, lane.length - s) < FROM_JUNCTION_M:
-                return False
-        return True
-
-    def _clear(self, scene: Scene) -> None:
+    def _clear(self) -> None:
         """Remove who has arrived, is stuck, or crashed long ago."""
-        for crowd, rows in ((self._cars, scene.vehicles), (self._people, scene.walkers)):
-            for code, agent in rows[["leaves", "agent"]].tolist():
+        for crowd in (self.cars, self.people):
+            for code, agent in crowd.rows[["leaves", "agent"]].tolist():
                 if code not in (STAYS, ARRIVED):
                     rule = "stuck on the wrong side" if code == STUCK else "crashed"
                     self._note(EventKind.REMOVAL, agent, rule=rule)
-            crowd.keep((rows["leaves"] == STAYS).tolist())
+            crowd.keep(crowd.rows["leaves"] == STAYS)
         self._changed()
-
-
-STOCK_FIELDS: Final = {
-    name: value
-    for name, value in profile_fields(STOCK_DRIVER, Walker.kind.CAR).items()
-    if name in FIELDS
-}
-"""The fields of a row that others assume of a vehicle without a profile."""

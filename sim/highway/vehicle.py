@@ -1,8 +1,7 @@
-"""The objects that show rows of vehicles to others, as vehicles of highway-env.
+"""Rows of agents, and the objects that show them to others, as vehicles of highway-env.
 
-The rows (`sim.highway.state.VEHICLE`) are the truth; kernels read and write them. A
-`ProfileVehicle` is a view of one row, for those who look at ``road.vehicles``; setting an attribute
-changes the row.
+The rows are the truth; compiled functions read and write them. An object is a view of one row, made
+when somebody looks; setting an attribute changes the row. Ego vehicles alone are highway-env's own.
 
 Differs from highway-env: others see a decided lane change from the next step on, so that no
 decision depends on the order in which vehicles act; vehicles do not drive backwards.
@@ -10,26 +9,57 @@ decision depends on the order in which vehicles act; vehicles do not drive backw
 
 from __future__ import annotations
 
-import dataclasses
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.objects import Landmark
+from numpy.typing import NDArray
 
 from behaviors.labels import Behavior
-from behaviors.profiles import Profile
 from sim.frames import FloatArray
 from sim.highway.draws import CUTS_IN, LAPSES, STOPS, WRONG_WAY, driver_key, wait_s
 from sim.highway.driving import profile_fields
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
-from sim.highway.state import VEHICLE, blank_vehicle
+from sim.highway.state import blank_vehicles
 from sim.highway.tables import Records
 from sim.scenario import AgentSpec, CarFollowing
 
-FIELDS: Final = frozenset(VEHICLE.names or ())
+LEAST_ROOM: Final = 16
+"""Arrays have room for this many agents at first."""
+
+DRAWN_TIMES: Final = (
+    ("cut_in_at", "cut_ins", CUTS_IN, "cut_in_rate_per_min"),
+    ("stop_at", "stops", STOPS, "stop_rate_per_min"),
+    ("lapse_at", "lapses", LAPSES, "lapse_rate_per_min"),
+    ("wrong_way_at", "wrong_ways", WRONG_WAY, "wrong_way_rate_per_min"),
+)
+"""Times that are drawn: their field, the count of such draws, what is drawn, and how often."""
 
 
-def column(name: str, kind: type) -> Any:
+def driver_rows(agents: Sequence[AgentSpec], seed: int, law: CarFollowing = "IDM") -> Records:
+    """(n,) rows of `VEHICLE` of drivers that are on no road yet."""
+    rows = blank_vehicles(len(agents))
+    rows["profiled"] = True
+    drivers = [
+        {
+            "agent": one.id, "kind": one.kind.code, "length": one.length_m, "width": one.width_m,
+            "key": driver_key((seed, one.seed)), **profile_fields(one.profile, one.kind, law),
+        }
+        for one in agents
+        if one.profile is not None
+    ]  # fmt: skip
+    for name in drivers[0] if drivers else ():
+        rows[name] = [driver[name] for driver in drivers]
+    for at, count, kind, rate in DRAWN_TIMES:
+        pairs = zip(rows["key"], rows[rate].tolist(), strict=True)
+        rows[at] = [wait_s(key, kind, 0, per_minute) for key, per_minute in pairs]
+        rows[count] = 1
+    return rows
+
+
+def _column(name: str, kind: type) -> Any:
     """A property that shows a field of an object's row as a Python value, and sets it."""
 
     def show(self: Any) -> Any:
@@ -41,7 +71,7 @@ def column(name: str, kind: type) -> Any:
     return property(show, change)
 
 
-def lane_column(name: str) -> Any:
+def _lane_column(name: str) -> Any:
     """A property that shows the number of a lane as highway-env's index of it."""
 
     def show(self: Any) -> LaneIndex:
@@ -58,74 +88,40 @@ class RowView:
     """Shows one row of an array of agents as an object of highway-env.
 
     Attributes:
+        road: the `TrafficRoad`.
         table: the array.
         row: which of its rows.
     """
 
     table: Records
     row: int
-    heading = column("heading", float)
-    speed = column("speed", float)
-    LENGTH = column("length", float)
-    WIDTH = column("width", float)
-    agent = column("agent", int)
-    crashed = column("crashed", bool)
-    crashed_at = column("crashed_at", float)
+    heading = _column("heading", float)
+    speed = _column("speed", float)
+    LENGTH = _column("length", float)
+    WIDTH = _column("width", float)
+    agent = _column("agent", int)
+    crashed = _column("crashed", bool)
+
+    def __init__(self, road: Any) -> None:
+        self.road = road
 
     @property
     def position(self) -> FloatArray:
         """(2,) its place, m, in highway-env's axes."""
         return np.array([self.table["x"][self.row], self.table["y"][self.row]])
 
-    @position.setter
-    def position(self, xy: FloatArray) -> None:
-        self.table["x"][self.row], self.table["y"][self.row] = xy
-
 
 class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
-    """A vehicle driven by a `Profile`, seen as a highway-env vehicle.
+    """A vehicle driven by a `Profile`."""
 
-    Args:
-        road: the `TrafficRoad` where it will drive, once it is put on a lane.
-        spec: its kind, size, behaviour and profile.
-        stretches: the stretches of road that it will drive over.
-        seed: of the driver's own random numbers.
-        law: the car-following law.
-    """
-
-    lane_index = lane_column("lane")
-    target_lane_index = lane_column("target")
-    wanted_lane_index = lane_column("wanted")
-    stop_at = column("stop_at", float)
-    stop_until = column("stop_until", float)
-
+    lane_index = _lane_column("lane")
+    target_lane_index = _lane_column("target")
+    wanted_lane_index = _lane_column("wanted")
+    target_speed = _column("entry_speed", float)
+    crashed_at = _column("crashed_at", float)
+    stop_at = _column("stop_at", float)
+    stop_until = _column("stop_until", float)
     route = None
-
-    def __init__(
-        self,
-        road: Any,
-        spec: AgentSpec,
-        stretches: tuple[Stretch, ...],
-        seed: int | tuple[int, ...],
-        law: CarFollowing = "IDM",
-    ) -> None:
-        self.road, self.spec, self.law, self.kind = road, spec, law, spec.kind
-        self.table, self.row = np.array([blank_vehicle()], VEHICLE), 0
-        self.table["key"], self.table["profiled"] = driver_key(seed), True
-        self.table["kind"], self.agent = spec.kind.code, spec.id
-        self.LENGTH, self.WIDTH = spec.length_m, spec.width_m
-        self.stretches = stretches
-        assert spec.profile is not None
-        self.profile = spec.profile
-
-    def put(self, lane: LaneIndex, s: float, speed: float) -> ProfileVehicle:
-        """Place it in the middle of a lane, ``s`` m along it, at a speed in m/s."""
-        geometry = self.road.network_info.lanes[lane]
-        self.position, self.heading = geometry.position(s, 0.0), geometry.heading_at(s)
-        self.speed = self.target_speed = speed
-        self.lane_index = self.target_lane_index = self.wanted_lane_index = lane
-        self.table["timer"] = float(np.sum(self.position) * np.pi) % 1.0  # as in highway-env
-        return self
 
     @property
     def lane(self) -> PolylineLane:
@@ -136,38 +132,68 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     @property
     def behavior(self) -> Behavior | None:
         """The driver's true behaviour, for colours and labels only."""
-        return self.spec.behavior
+        found: Behavior | None = self.road.behaviors.get(self.agent)
+        return found
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
         """The stretches of road that it drives over."""
-        return self._stretches
+        found: tuple[Stretch, ...] = self.road.routes[int(self.table["route"][self.row])]
+        return found
 
-    @stretches.setter
-    def stretches(self, stretches: tuple[Stretch, ...]) -> None:
-        self._stretches = stretches
-        self.table["leg"][self.row] = 0
-        self.table["route"][self.row] = self.road.route_number(stretches)
+
+class Walker(RowView, Landmark):  # type: ignore[misc]
+    """A pedestrian."""
+
+    lane_index = lane = behavior = None
+    collidable = solid = False
+
+
+class Crowd:
+    """Agents of one kind: a row of an array for each, and an object of those looked at.
+
+    Args:
+        road: the `TrafficRoad`.
+        kind: type of the rows.
+        view: class of the objects.
+    """
+
+    def __init__(self, road: Any, kind: np.dtype[Any], view: type[RowView]) -> None:
+        self._road, self._view = road, view
+        self._array: Records = np.zeros(LEAST_ROOM, kind)
+        self.rows, self.seen = self._array[:0], dict[int, Any]()
+
+    def add(self, row: Any, one: Any = None) -> None:
+        """Add an agent with its first row, and its object if it is none of ours."""
+        n = len(self.rows)
+        if n == len(self._array):
+            self._array = np.concatenate([self._array, np.zeros_like(self._array)])
+        self._array[n] = row
+        self._take(n + 1)
+        if one is not None:
+            self.seen[one.agent] = one
+            one.table, one.row = self._array, n
+
+    def keep(self, stays: NDArray[np.bool_]) -> None:
+        """Keep some of the agents; objects of those who leave show their last row."""
+        kept = self.rows[stays]
+        self._array = np.concatenate([kept, np.zeros_like(self._array[len(kept) :])])
+        self._take(len(kept))
+
+    def _take(self, n: int) -> None:
+        """Take the first n rows, and tell the objects which of them they show."""
+        self.rows = self._array[:n]
+        if self.seen:
+            row_of = {agent: row for row, agent in enumerate(self.rows["agent"].tolist())}
+            self.seen = {agent: one for agent, one in self.seen.items() if agent in row_of}
+            for agent, one in self.seen.items():
+                one.table, one.row = self._array, row_of[agent]
 
     @property
-    def profile(self) -> Profile:
-        """The driver's profile; setting another one changes how the vehicle drives from now on."""
-        assert self.spec.profile is not None
-        return self.spec.profile
-
-    @profile.setter
-    def profile(self, profile: Profile) -> None:
-        self.spec = dataclasses.replace(self.spec, profile=profile)
-        row = self.table[self.row]
-        for name, value in profile_fields(profile, self.kind, self.law).items():
-            if name in FIELDS:
-                row[name] = value
-        row.late_since = -1
-        for at, kind, drawn, rate in (
-            ("cut_in_at", CUTS_IN, "cut_ins", row.cut_in_rate_per_min),
-            ("stop_at", STOPS, "stops", row.stop_rate_per_min),
-            ("lapse_at", LAPSES, "lapses", row.lapse_rate_per_min),
-            ("wrong_way_at", WRONG_WAY, "wrong_ways", row.wrong_way_rate_per_min),
-        ):
-            row[at] = row.clock + wait_s(row.key, kind, row[drawn], rate)
-            row[drawn] += 1
+    def objects(self) -> list[Any]:
+        """The objects of all, in the order of rows."""
+        for row, agent in enumerate(self.rows["agent"].tolist()):
+            if agent not in self.seen:
+                one = self.seen[agent] = self._view(self._road)
+                one.table, one.row = self._array, row
+        return [self.seen[agent] for agent in self.rows["agent"].tolist()]

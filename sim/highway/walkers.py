@@ -13,17 +13,14 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from highway_env.vehicle.objects import Landmark
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
-from sim.frames import AgentKind
 from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, FloatArray, Footways
 from sim.highway.tables import listed
-from sim.highway.vehicle import RowView
 from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
@@ -177,28 +174,13 @@ def footways_of(footways: Sequence[Footway]) -> Footways:
     return Footways(ways, steps, crossovers)
 
 
-class Walker(RowView, Landmark):  # type: ignore[misc]
-    """One pedestrian: a view of its row, as an object of highway-env.
-
-    Args:
-        spec: the pedestrian.
-        footway: its way.
-        number: of that way on the road.
-        seed: of how far aside it walks.
-    """
-
-    kind = AgentKind.PEDESTRIAN
-    road = lane_index = lane = behavior = None
-    collidable = solid = False
-
-    def __init__(
-        self, spec: AgentSpec, footway: Footway, number: int, seed: tuple[int, ...]
-    ) -> None:
-        self.table, self.row = np.zeros(1, WALKER), 0
-        self.agent, self.crashed_at = spec.id, math.inf
-        self.LENGTH, self.WIDTH = spec.length_m, spec.width_m
-        aside = float(np.random.default_rng(seed).uniform(-OFFSET_M, OFFSET_M))
-        x, y, ahead, beside, self.heading, _ = footway.steps[0]
-        self.position = np.array([x + aside * -beside, y + aside * ahead])
-        self.table["way"], self.table["aside"] = number, aside
-        self.table["free_speed"] = spec.speed_mps
+def walker_row(spec: AgentSpec, footway: Footway, number: int, seed: int) -> Any:
+    """The row of `WALKER` of a pedestrian at the beginning of a way of this number."""
+    row = np.zeros(1, WALKER)[0]
+    aside = float(np.random.default_rng((seed, spec.seed)).uniform(-OFFSET_M, OFFSET_M))
+    x, y, ahead, beside, row["heading"], _ = footway.steps[0]
+    row["x"], row["y"] = x + aside * -beside, y + aside * ahead
+    row["agent"], row["kind"], row["crashed_at"] = spec.id, spec.kind.code, math.inf
+    row["length"], row["width"], row["free_speed"] = spec.length_m, spec.width_m, spec.speed_mps
+    row["way"], row["aside"] = number, aside
+    return row

@@ -6,14 +6,13 @@ to the boxes, and a look-up costs what its cell holds, however large the road is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.frames import FloatArray, IntArray
-
-IndexArray = NDArray[np.int32]
 
 MOST_CELLS_PER_BOX: Final = 64
 """Bound on the number of cells: where few boxes are scattered over a wide area, cells are made
@@ -24,11 +23,9 @@ class Cells(NamedTuple):
     """Items by square cell; cells are numbered row by row from the south-west.
 
     Attributes:
-        x0: western edge, m.
-        y0: southern edge, m.
+        x0, y0: western and southern edge, m.
         size: width of a cell, m.
-        columns: number of columns.
-        rows: number of rows.
+        columns, rows: how many there are.
         first: (columns rows + 1,) where the items of each cell begin in ``items``.
         items: the items of all cells, ascending within a cell.
     """
@@ -39,7 +36,7 @@ class Cells(NamedTuple):
     columns: int
     rows: int
     first: IntArray
-    items: IndexArray
+    items: NDArray[np.int32]
 
 
 def members(first: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
@@ -69,10 +66,11 @@ def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
         The cells. A place inside a box of an item lies in a cell that lists the item.
 
     Examples:
-        >>> cells = cells_of(np.array([[0.0, 0.0, 9.0, 1.0], [8.0, 0.0, 8.5, 1.0]]), np.arange(2), 5.0)
+        >>> boxes = np.array([[0.0, 0.0, 9.0, 1.0], [8.0, 0.0, 8.5, 1.0]])
+        >>> cells = cells_of(boxes, np.arange(2), 5.0)
         >>> cells.first.tolist(), cells.items.tolist()
         ([0, 1, 3], [0, 0, 1])
-    """  # noqa: E501
+    """
     if not len(boxes):
         return Cells(0.0, 0.0, size_m, 1, 1, np.zeros(2, np.int64), np.empty(0, np.int32))
     x0, y0 = boxes[:, :2].min(axis=0)
@@ -82,10 +80,8 @@ def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
     columns, rows = int(width / size_m) + 1, int(height / size_m) + 1
     low = ((boxes[:, :2] - (x0, y0)) / size_m).astype(np.int64)
     high = ((boxes[:, 2:] - (x0, y0)) / size_m).astype(np.int64)
-    wide = high[:, 0] - low[:, 0] + 1
-    count = wide * (high[:, 1] - low[:, 1] + 1)
-    box = np.repeat(np.arange(len(boxes)), count)
-    number = np.arange(box.size) - np.repeat(np.cumsum(count) - count, count)
+    wide, tall = (high - low + 1).T
+    box, number = members(np.zeros_like(wide), wide * tall)
     row, column = low[box, 1] + number // wide[box], low[box, 0] + number % wide[box]
     most = int(item.max()) + 1
     keys = np.sort((row * columns + column) * most + item[box])
@@ -119,22 +115,18 @@ def near_pairs(boxes: FloatArray, others: FloatArray, size_m: float) -> IntArray
     cells = cells_of(np.concatenate([boxes, others]), np.arange(n + m), size_m)
     cell = np.repeat(np.arange(cells.first.size - 1), np.diff(cells.first))
     items = cells.items.astype(np.int64)
-    mine, theirs = items < n, items >= n
-    counts = np.bincount(cell[theirs], minlength=cells.first.size - 1)
-    begin = np.cumsum(counts) - counts
-    times = counts[cell[mine]]
-    one = np.repeat(items[mine], times)
-    number = np.arange(one.size) - np.repeat(np.cumsum(times) - times, times)
-    other = items[theirs][np.repeat(begin[cell[mine]], times) + number] - n
+    mine = items < n
+    count = np.bincount(cell[~mine], minlength=cells.first.size - 1)
+    which, at = members((np.cumsum(count) - count)[cell[mine]], count[cell[mine]])
+    one, other = items[mine][which], items[~mine][at] - n
     touch = (boxes[one, :2] <= others[other, 2:]).all(axis=1)
     touch &= (others[other, :2] <= boxes[one, 2:]).all(axis=1)
     pairs = np.unique(one[touch] * m + other[touch])
     return np.stack([pairs // m, pairs % m], axis=1)
 
 
-def boxes_of(lines: list[FloatArray], margin_m: float) -> FloatArray:
+def boxes_of(lines: Sequence[FloatArray], margin_m: float) -> FloatArray:
     """(n, 4) the box round each line (P, 2), with a margin, m."""
-    boxes = np.empty((len(lines), 4))
-    for i, line in enumerate(lines):
-        boxes[i, :2], boxes[i, 2:] = line.min(axis=0) - margin_m, line.max(axis=0) + margin_m
-    return boxes
+    low = np.reshape([np.min(line, axis=0) for line in lines], (-1, 2)) - margin_m
+    high = np.reshape([np.max(line, axis=0) for line in lines], (-1, 2)) + margin_m
+    return np.concatenate([low, high], axis=1)

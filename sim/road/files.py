@@ -1,19 +1,34 @@
-"""Reads a road from a file: a SUMO net, or the map of a recording."""
+"""Reads a road from a file: a SUMO net, the map of a recording, or a road that a dataset keeps.
+
+Datasets keep roads as JSON: maps inside recordings (CommonRoad, Waymo), maps that need the
+recording's origin (Lanelet2), and shifted maps. Unknown facts are stored with them.
+"""
 
 from __future__ import annotations
 
+import json
+import math
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from behaviors.errors import InputError
-from sim.input_files import broken_as_one_line, opened
-from sim.road import Road
+from sim.checked_arrays import frozen
+from sim.input_files import broken_as_one_line, opened, read_bytes, read_once
+from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
+from sim.road.checks import checked
 
-MAP_SUFFIX: Final = ".json"
-"""Ending of an Argoverse 2 map."""
+SUFFIX: Final = ".road.json"
+"""How the names of roads end that datasets keep."""
 
-ENDINGS: Final = (".road.json", MAP_SUFFIX, ".net.xml")
-"""Endings of the roads that a dataset keeps, in the order in which they are looked for."""
+ENDINGS: Final = (SUFFIX, ".json", ".net.xml")
+"""Endings of the roads in a dataset, in the order in which they are looked for; the second one is
+that of Argoverse 2 maps."""
+
+VERSION: Final = 1
+"""Version of the layout of a dataset's road."""
 
 ROOT_BYTES: Final = 4096
 """Bytes of an XML file that are read to find its root element."""
@@ -42,11 +57,9 @@ def read_road_file(
             from sim.road.maps import lanelet2
 
             return lanelet2.read_map(path, name, origin)
-        if path.name.endswith(".road.json"):
-            from sim.road.maps.stored import read_stored
-
+        if path.name.endswith(SUFFIX):
             return read_stored(path, name)
-        if path.suffix == MAP_SUFFIX:
+        if path.suffix == ".json":
             from sim.road.maps import argoverse2
 
             road = argoverse2.read_map(path, name)
@@ -62,3 +75,67 @@ def read_road_file(
         from sim.road.net import read_road
 
         return read_road(path, name)
+
+
+def encode_road(road: Road) -> bytes:
+    """A road as a dataset keeps it; equal roads have equal bytes, whatever they are called."""
+    stored = {
+        "version": VERSION,
+        "lanes": [_part(lane) for lane in road.lanes],
+        "connections": [asdict(connection) for connection in road.connections],
+        "crossings": [_part(crossing) for crossing in road.crossings],
+        "signal_groups": road.signal_groups,
+        "signal_plans": [asdict(plan) for plan in road.signal_plans],
+        "knows": asdict(road.knows),
+        **({"left_hand": True} if road.left_hand else {}),
+    }
+    return json.dumps(stored, sort_keys=True, allow_nan=False).encode() + b"\n"
+
+
+def _part(part: Lane | Crossing) -> dict[str, Any]:
+    """The fields of a lane or crossing, its line as lists and an unknown limit as None."""
+    values = {field.name: getattr(part, field.name) for field in fields(part)}
+    if not math.isfinite(values.get("speed_limit_mps", 0.0)):
+        values["speed_limit_mps"] = None
+    return {**values, "centerline": part.centerline.tolist()}
+
+
+@read_once
+def read_stored(path: Path, name: str | None = None) -> Road:
+    """Read a road that `encode_road` made.
+
+    Raises:
+        InputError: if the file is missing or broken; names the place in it.
+    """
+    with broken_as_one_line(path, "a road of a dataset"):
+        stored = json.loads(read_bytes(path))
+        if stored["version"] != VERSION:
+            raise InputError(f"version: found {stored['version']!r:.40}, expected {VERSION}")
+        road = Road(
+            name=name if name is not None else path.name.removesuffix(SUFFIX),
+            lanes=tuple(Lane(**_values(lane)) for lane in stored["lanes"]),
+            connections=tuple(Connection(**_values(link)) for link in stored["connections"]),
+            crossings=tuple(Crossing(**_values(one)) for one in stored["crossings"]),
+            signal_groups=tuple(stored["signal_groups"]),
+            source=path,
+            signal_plans=tuple(SignalPlan(**_values(plan)) for plan in stored["signal_plans"]),
+            knows=MapKnowledge(**stored["knows"]),
+            left_hand=stored.get("left_hand", False),
+        )
+        return checked(road)
+
+
+def _values(part: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a part of a road: tuples, a line as an array, an unknown limit as NaN."""
+    values: dict[str, Any] = {name: _tuples(value) for name, value in part.items()}
+    if "centerline" in part:
+        line = np.array(part["centerline"], dtype=np.float64).reshape(-1, 2)
+        values["centerline"] = frozen(line)
+    if part.get("speed_limit_mps", 0.0) is None:
+        values["speed_limit_mps"] = math.nan
+    return values
+
+
+def _tuples(value: Any) -> Any:
+    """Lists as tuples, those inside others, too."""
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -18,7 +18,7 @@ from behaviors.errors import InputError
 from sim.frames import BoolArray, FloatArray, IntArray
 from sim.geometry import LEAST_PIECE_M, Pieces, meeting, pieces_of
 from sim.road import LanePosition, Road
-from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
+from sim.road.cells import Cells, boxes_of, cells_of, members, near_pairs
 
 DIRECTIONS: Final = ("straight", "right", "left", "turnaround")
 """Directions at the end of a lane, by preference where nothing else is known; their order is the
@@ -27,6 +27,9 @@ code order of ``LaneGraph.direction``."""
 NEAR_M, CELL_M = 0.01, 30.0
 """Greatest distance between the boxes of lines that meet; width of the cells of the search, m
 (about the size of a junction)."""
+
+LEAST_SINE: Final = 0.3
+"""Sine of the angle below which a crossing is not made longer along a lane (17 degrees)."""
 
 TURN_COST_M, PATH_TURN_COST_M = 0.7, 4.0
 """Cost of facing across a lane in locating an agent, m, and the cost on a path inside a
@@ -43,28 +46,22 @@ class LaneGraph:
         width: (L,) m.
         internal: (L,) whether the lane crosses a junction.
         drivable: (L,) whether vehicles may use it.
-        left: (L,) lane next to it on the left, of the same edge.
-        right: (L,) lane next to it on the right, of the same edge.
+        left, right: (L,) lane next to it on either side, of the same edge.
         successors: (L, S) lanes that can follow, in the order of `DIRECTIONS`.
         ahead: (L,) the successor taken where nothing else is known: ``successors[:, 0]``.
         behind: (L,) the lane that most directly leads here.
         direction: (L,) code into `DIRECTIONS` of the lane's connection; 0 outside junctions.
         signal: (L,) signal group that guards entering the lane.
-        must_yield: (L,) whether others have priority over those who enter the lane.
-        must_stop: (L,) whether there is a stop sign before the lane.
         cross_lane: (Z,) lane of each place where a lane and a crossing meet.
         cross_first: (L + 1,) where those of each lane begin.
         cross_id: (Z,) the crossing, index into ``Road.crossings``.
-        cross_s: (Z,) distance along the lane of the crossing's near edge, m.
-        cross_exit_s: (Z,) distance along the lane of its far edge, m.
+        cross_s, cross_exit_s: (Z,) distance along the lane of its near and far edge, m.
         cross_u: (Z,) distance along the crossing of the lane's centre line, m.
-        segment_start: (G, 2) where each straight piece of centre line begins, m.
-        segment_direction: (G, 2) unit vector of each piece.
-        segment_heading: (G,) of each piece, rad.
-        segment_length: (G,) of each piece, m.
+        segment_start, segment_direction: (G, 2) where each straight piece of centre line begins,
+            m, and its unit vector.
+        segment_heading, segment_length: (G,) of each piece, rad and m.
         segment_at: (G,) distance along its lane at which each piece begins, m.
-        segment_first: (L,) first piece of each lane.
-        segment_last: (L,) last piece of each lane.
+        segment_first, segment_last: (L,) first and last piece of each lane.
     """
 
     length: FloatArray
@@ -79,8 +76,6 @@ class LaneGraph:
     behind: IntArray
     direction: IntArray
     signal: IntArray
-    must_yield: BoolArray
-    must_stop: BoolArray
     cross_lane: IntArray
     cross_first: IntArray
     cross_id: IntArray
@@ -114,15 +109,21 @@ class LaneGraph:
         Returns:
             (n, 2) positions, m, and (n,) headings of the lane there, rad.
         """
+        xy, piece = self.placed(lane, s, np.zeros(lane.size) if offset is None else offset)
+        return xy, self.segment_heading[piece]
+
+    def placed(
+        self, lane: IntArray, s: FloatArray, offset: FloatArray
+    ) -> tuple[FloatArray, IntArray]:
+        """(n, 2) positions as of `position`, m, and (n,) the piece of centre line beside each."""
         from sim.road.lane_coordinates import place  # compiled: only who asks pays for loading it
 
         xy, piece = np.empty((lane.size, 2)), np.empty(lane.size, np.int64)
         place(
-            lane, s, np.zeros(lane.size) if offset is None else offset, self.segment_first,
-            self.segment_last, self.segment_at, self.segment_start, self.segment_direction, xy,
-            piece,
+            lane, s, offset, self.segment_first, self.segment_last, self.segment_at,
+            self.segment_start, self.segment_direction, xy, piece,
         )  # fmt: skip
-        return xy, self.segment_heading[piece]
+        return xy, piece
 
     @cached_property
     def _fitted(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, Cells]:
@@ -135,9 +136,9 @@ class LaneGraph:
             raise InputError("road: found no drivable lane, expected at least one")
         start, direction = self.segment_start[piece], self.segment_direction[piece]
         length = self.segment_length[piece]
+        # long pieces are cut, as their boxes would cover many cells
         parts = np.maximum(np.ceil(length / FIT_CELL_M), 1.0).astype(np.int64)
-        whole = np.repeat(np.arange(parts.size), parts)
-        number = np.arange(whole.size) - np.repeat(np.cumsum(parts) - parts, parts)
+        whole, number = members(np.zeros_like(parts), parts)
         step = (length / parts)[whole, None] * direction[whole]
         ends = start[whole, None] + step[:, None] * (number[:, None] + [0.0, 1.0])[..., None]
         low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
@@ -150,14 +151,7 @@ class LaneGraph:
 
         The fit is the distance to the centre line plus, in metres, a cost of the heading's
         deviation. The cost is small on ordinary lanes and large inside junctions, where only the
-        heading separates overlapping paths.
-
-        Args:
-            xy: (n, 2) m.
-            heading: (n,) rad.
-
-        Returns:
-            Lane index, distance along it and signed offset of each point.
+        heading separates overlapping paths. Points are (n, 2), m, and headings (n,), rad.
 
         Raises:
             InputError: if the road has no lane for vehicles.
@@ -180,6 +174,8 @@ class LaneGraph:
 def _build(road: Road) -> LaneGraph:
     lanes = road.lanes
     pieces = [_pieces(lane.centerline) for lane in lanes]
+    end = np.cumsum([each.length.size for each in pieces])
+    start, direction, length, at = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     rules = road.knows.limits_rule
     return LaneGraph(
         length=np.array([each.length.sum() for each in pieces]),
@@ -187,11 +183,25 @@ def _build(road: Road) -> LaneGraph:
         width=np.array([lane.width_m for lane in lanes]),
         internal=np.array([lane.internal for lane in lanes]),
         drivable=np.array([not lane.walking for lane in lanes]),
+        segment_start=start,
+        segment_direction=direction,
+        segment_heading=np.arctan2(direction[:, 1], direction[:, 0]),
+        segment_length=length,
+        segment_at=at,
+        segment_first=np.append(0, end[:-1]),
+        segment_last=end - 1,
         **_beside(road),
         **_following(road),
         **_crossed(road),
-        **_segments(pieces),
     )
+
+
+def _pieces(line: FloatArray) -> Pieces:
+    """The straight pieces of a centre line; a stub for one of no length keeps the arrays whole."""
+    found = pieces_of(line)
+    if found.length.size:
+        return found
+    return Pieces(line[:1], np.array([[1.0, 0.0]]), np.array([1e-9]), np.zeros(1))
 
 
 def _beside(road: Road) -> dict[str, Any]:
@@ -209,27 +219,20 @@ def _beside(road: Road) -> dict[str, Any]:
 def _following(road: Road) -> dict[str, Any]:
     """The lanes after and before each lane, and what guards its entry."""
     index, n = road.lane_index, len(road.lanes)
-    following: list[list[tuple[int, int]]] = [[] for _ in range(n)]
-    direction = np.zeros(n, dtype=np.int64)
-    signal = np.full(n, -1)
-    must_yield, must_stop = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    for connection in road.connections:
-        if connection.from_lane not in index or connection.to_lane not in index:
+    following: list[set[tuple[int, int]]] = [set() for _ in range(n)]
+    direction, signal = np.zeros(n, dtype=np.int64), np.full(n, -1)
+    for way in road.connections:
+        if way.from_lane not in index or way.to_lane not in index:
             continue
-        code = DIRECTIONS.index(connection.direction)
-        chain = [index[i] for i in (connection.from_lane, *connection.via, connection.to_lane)]
+        code = DIRECTIONS.index(way.direction)
+        chain = [index[i] for i in (way.from_lane, *way.via, way.to_lane)]
         for one, then in itertools.pairwise(chain):
-            if (code, then) not in following[one]:
-                following[one].append((code, then))
-        for via in chain[1:-1]:
-            direction[via] = code
-        entry = chain[1]
-        if connection.via:
-            signal[entry] = connection.signal
-            must_yield[entry] = connection.must_yield
-            must_stop[entry] = connection.must_stop
+            following[one].add((code, then))
+        direction[chain[1:-1]] = code
+        if way.via:
+            signal[chain[1]] = way.signal
 
-    most = max((len(f) for f in following), default=0) or 1
+    most = max((len(ways) for ways in following), default=0) or 1
     successors = np.full((n, most), -1)
     behind, rank = np.full(n, -1), np.full(n, len(DIRECTIONS))
     for i, ways in enumerate(following):
@@ -243,24 +246,21 @@ def _following(road: Road) -> dict[str, Any]:
         "behind": behind,
         "direction": direction,
         "signal": signal,
-        "must_yield": must_yield,
-        "must_stop": must_stop,
     }
 
 
 def _crossed(road: Road) -> dict[str, Any]:
     """Where lanes meet crossings."""
     lanes = [i for i, lane in enumerate(road.lanes) if not lane.walking]
-    lines = [crossing.centerline for crossing in road.crossings]
-    near = near_pairs(
-        boxes_of([road.lanes[i].centerline for i in lanes], NEAR_M), boxes_of(lines, NEAR_M), CELL_M
-    )
-    meets = [
-        (i, c, *meet)
-        for i, c in ((lanes[k], c) for k, c in near.tolist())
-        if (meet := _meet(road.lanes[i].centerline, lines[c], road.crossings[c].width_m))
-        is not None
-    ]
+    lines = [road.lanes[i].centerline for i in lanes]
+    across = [crossing.centerline for crossing in road.crossings]
+    meets = []
+    for k, c in near_pairs(boxes_of(lines, NEAR_M), boxes_of(across, NEAR_M), CELL_M).tolist():
+        found = meeting(lines[k], across[c])
+        if found is not None:
+            half_m = 0.5 * road.crossings[c].width_m / max(found.sine, LEAST_SINE)
+            near_m, far_m = found.along - half_m, found.along + half_m
+            meets.append((lanes[k], c, near_m, far_m, found.along_other))
     table = np.array(meets, dtype=np.float64).reshape(-1, 5)
     lane = table[:, 0].astype(np.int64)
     # kernels are compiled again for columns that do not lie together, as those of no row do
@@ -273,37 +273,3 @@ def _crossed(road: Road) -> dict[str, Any]:
         "cross_exit_s": exit_s,
         "cross_u": across_m,
     }
-
-
-def _pieces(line: FloatArray) -> Pieces:
-    """The straight pieces of a centre line; a stub for one of no length keeps the arrays whole."""
-    found = pieces_of(line)
-    if found.length.size:
-        return found
-    return Pieces(line[:1], np.array([[1.0, 0.0]]), np.array([1e-9]), np.zeros(1))
-
-
-def _segments(pieces: list[Pieces]) -> dict[str, Any]:
-    """The straight pieces of all centre lines."""
-    direction = np.concatenate([each.direction for each in pieces])
-    end = np.cumsum([each.length.size for each in pieces])
-    return {
-        "segment_start": np.concatenate([each.start for each in pieces]),
-        "segment_direction": direction,
-        "segment_heading": np.arctan2(direction[:, 1], direction[:, 0]),
-        "segment_length": np.concatenate([each.length for each in pieces]),
-        "segment_at": np.concatenate([each.at for each in pieces]),
-        "segment_first": np.concatenate([[0], end[:-1]]).astype(np.int64),
-        "segment_last": (end - 1).astype(np.int64),
-    }
-
-
-def _meet(
-    lane: FloatArray, crossing: FloatArray, width_m: float
-) -> tuple[float, float, float] | None:
-    """Where a lane meets a crossing: near edge and far edge along the lane, place across it, m."""
-    found = meeting(lane, crossing)
-    if found is None:
-        return None
-    half = 0.5 * width_m / max(found.sine, 0.3)
-    return found.along - half, found.along + half, found.along_other

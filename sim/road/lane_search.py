@@ -33,17 +33,15 @@ class LaneView(NamedTuple):
     """Neighbours of m vehicles along their lanes; distances are +inf and indices -1 for none.
 
     Attributes:
-        lane: (m,) lane that the vehicle's centre is on.
-        segment: (m,) straight piece of centre line beside it.
+        lane, segment: (m,) lane that the vehicle's centre is on, and the straight piece of centre
+            line beside it.
         missed: (m,) how far the vehicle is from its lane coordinates, as beyond a lane's end, m.
         lane_heading: (m,) heading relative to the lane's, rad in (-pi, pi].
-        leader: (m,) row of the vehicle ahead.
-        gap: (m,) bumper to bumper to the leader, m.
+        leader, gap: (m,) row of the vehicle ahead, and bumper to bumper to it, m.
         follower: (m,) row of the nearest vehicle that has this one as its leader.
-        stop_distance: (m,) front bumper to the next junction entry, m; negative inside a junction.
-        signal_group: (m,) signal group that guards the entry.
-        crossing: (m,) the next crossing.
-        crossing_distance: (m,) front bumper to its near edge, m.
+        stop_distance, signal_group: (m,) front bumper to the next junction entry, m, negative
+            inside a junction, and the signal group that guards the entry.
+        crossing, crossing_distance: (m,) the next crossing, and front bumper to its near edge, m.
     """
 
     lane: IntArray
@@ -65,43 +63,31 @@ def perceive(
 ) -> LaneView:  # fmt: skip
     """Place vehicles on lanes; find their leaders and the stop lines and crossings ahead of them.
 
-    Args:
-        xy: (m, 2) centres, m.
-        heading: (m,) rad.
-        length: (m,) m.
-        drives: (m,) whether the row is a vehicle's; the others are on no lane.
-        lane: (m,) lane that fits best, as `LaneGraph.project` finds it.
-        s: (m,) distance along it, m.
-        offset: (m,) distance to its left, m.
-        by_time: (m,) the rows in order of time.
-        begins: (T + 1,) where in ``by_time`` those of each time begin, and m.
-        graph: the road.
-
-    Returns:
-        Neighbours of each row.
+    The (m,) rows have (m, 2) centres, headings, lengths, whether they are vehicles, and lane
+    coordinates as `LaneGraph.project` finds them. ``by_time`` are the rows in order of time,
+    ``begins`` (T + 1,) where in it those of each time begin, and m.
     """
     m = s.size
-    on_lane, forward, segment = np.full(m, -1), np.full(m, -1), np.empty(m, np.int64)
-    missed, turned, front = np.empty(m), np.empty(m), np.empty(m)
-    _place(
-        xy, heading, length, drives, lane, s, offset,
-        (
-            graph.segment_first, graph.segment_last, graph.segment_at, graph.segment_start,
-            graph.segment_direction, graph.segment_heading, graph.width,
-        ),
-        (on_lane, forward, segment, missed, turned, front),
-    )  # fmt: skip
+    there, segment = graph.placed(lane, s, offset)
+    missed = np.hypot(*(xy - there).T)
+    turned = np.pi - (np.pi - (heading - graph.segment_heading[segment])) % (2 * np.pi)
+    on = drives & (np.abs(offset) <= graph.width[lane] / 2 + BESIDE_LANE_M) & (missed < OFF_END_M)
+    on_lane = np.where(on, lane, -1)
+    forward = np.where(np.abs(turned) < np.pi / 2, on_lane, -1)
     leaders, gaps = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
     leader, gap = leaders[:, 0], gaps[:, 0]
     group, crossing = np.full(m, -1), np.full(m, -1)
     stop, to_crossing = np.full(m, np.inf), np.full(m, np.inf)
     _find_stops(
-        forward, front,
+        forward, s + length / 2,
         (graph.internal, graph.signal, graph.length, graph.ahead),
         (graph.cross_first, graph.cross_id, graph.cross_s, graph.cross_exit_s),
         (stop, group, crossing, to_crossing),
     )  # fmt: skip
-    follower = _followers(leader, gap)
+    follower = np.full(m, -1)
+    behind = np.flatnonzero(leader >= 0)
+    behind = behind[np.argsort(-gap[behind], kind="stable")]
+    follower[leader[behind]] = behind  # the last one written, with the least gap, stays
     return LaneView(
         on_lane, segment, missed, turned, leader, gap, follower, stop, group, crossing, to_crossing
     )
@@ -112,11 +98,7 @@ def adjacent_vehicles(
 ) -> tuple[IntArray, FloatArray]:
     """Find the vehicles ahead and behind on the lanes beside, at one instant.
 
-    Args:
-        lane: (p,) lane that each vehicle is on, -1: none.
-        s: (p,) distance along it, m.
-        length: (p,) m.
-        graph: the road.
+    The (p,) vehicles have lanes, -1 for none, distances along them and lengths, m.
 
     Returns:
         (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
@@ -147,43 +129,6 @@ def _search(
     return who, gap
 
 
-def _followers(leader: IntArray, gap: FloatArray) -> IntArray:
-    """(m,) nearest vehicle behind each; the last of several at the same distance."""
-    follower = np.full(leader.size, -1)
-    behind = np.flatnonzero(leader >= 0)
-    behind = behind[np.argsort(-gap[behind], kind="stable")]
-    follower[leader[behind]] = behind  # the last one written, with the least gap, stays
-    return follower
-
-
-@in_place()
-def _place(
-    xy: Any, heading: Any, length: Any, drives: Any, lane: Any, s: Any, offset: Any, segments: Any,
-    out: Any,
-) -> None:  # fmt: skip
-    """Place vehicles on the straight pieces of their lanes; fills the six arrays of ``out``."""
-    first, last, at, start, direction, segment_heading, width = segments
-    on_lane, forward, segment, missed, turned, front = out
-    for i in range(s.size):
-        on = lane[i]
-        g = first[on]
-        while g < last[on] and at[g + 1] <= s[i]:
-            g += 1
-        ux, uy = direction[g, 0], direction[g, 1]
-        along = s[i] - at[g]
-        east = xy[i, 0] - (start[g, 0] + ux * along + offset[i] * -uy)
-        north = xy[i, 1] - (start[g, 1] + uy * along + offset[i] * ux)
-        relative = heading[i] - segment_heading[g]
-        segment[i], missed[i] = g, np.hypot(east, north)
-        turned[i] = np.pi - (np.pi - relative) % (2 * np.pi)
-        front[i] = s[i] + length[i] / 2
-        beside = abs(offset[i]) <= width[on] / 2 + BESIDE_LANE_M
-        if drives[i] and beside and missed[i] < OFF_END_M:
-            on_lane[i] = on
-            if abs(turned[i]) < np.pi / 2:
-                forward[i] = on
-
-
 @in_place()
 def next_vehicle(
     lanes: Any, at: Any, first: int, last: int, lane: Any, s: Any, forward: bool, lane_length: Any,
@@ -191,19 +136,9 @@ def next_vehicle(
 ) -> tuple[Any, Any]:  # fmt: skip
     """The first vehicle strictly ahead of (or behind) a place, along the lane and beyond.
 
-    Args:
-        lanes: (m,) lane of each vehicle, in order of lane, then of place.
-        at: (m,) distance along it, m.
-        first: the first of the vehicles that are looked at.
-        last: the first after them.
-        lane: where the search begins, -1: nowhere.
-        s: distance along the lane, m.
-        forward: whether to look ahead.
-        lane_length: (L,) m.
-        onward: (L,) the lane after (or before) each, -1: none.
-
-    Returns:
-        Its place in the order or -1, and the distance between the centres, m, or +inf.
+    Vehicles are given by (m,) lanes and distances along them, in that order; those from ``first``
+    to before ``last`` are looked at. The result is the place in that order or -1, and the distance
+    between the centres, m, or +inf.
     """
     now, travelled, place = lane, 0.0, s
     for _ in range(MAX_LANES_AHEAD):

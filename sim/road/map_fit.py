@@ -6,15 +6,14 @@ direction. Maps of another place, or in other coordinates, show at once.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
-from sim.frames import PEDESTRIAN, FloatArray, Tracks
+from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
 
@@ -56,8 +55,8 @@ class MapFit:
         vehicles: how many move.
     """
 
-    share: float
-    limit_ratio: float
+    share: float = math.nan
+    limit_ratio: float = math.nan
     vehicles: int = 0
 
     @property
@@ -87,47 +86,28 @@ class MapFit:
 
 
 def map_fit(road: Road, tracks: Tracks) -> MapFit:
-    """How a map fits a recording.
-
-    Args:
-        road: the map.
-        tracks: the recording.
-
-    Returns:
-        The share inside, and how speeds compare with limits.
-    """
+    """How a map fits a recording: the share inside, and how speeds compare with limits."""
     rows = tracks.rows
     drives = (tracks.kind != PEDESTRIAN)[rows.index.agent]
     moving = np.flatnonzero(drives & (rows.speed >= MOVING_MPS))
     if moving.size > MOST_POINTS:
         moving = moving[np.linspace(0, moving.size - 1, MOST_POINTS).astype(np.int64)]
     if moving.size < LEAST_POINTS or all(lane.walking for lane in road.lanes):
-        return MapFit(math.nan, math.nan)
-    xy, heading, agent = rows.xy[moving], rows.heading[moving], rows.index.agent[moving]
+        return MapFit()
+    xy, heading = rows.xy[moving], rows.heading[moving]
     graph = LaneGraph.of(road)
     place = graph.project(xy, heading)
     nearest, direction = graph.position(place.lane, place.s)
-    away_m = np.hypot(*(nearest - xy).T)
-    inside = (away_m <= graph.width[place.lane] / 2) & (np.cos(direction - heading) > 0)
+    inside = np.hypot(*(nearest - xy).T) <= graph.width[place.lane] / 2
+    inside &= np.cos(direction - heading) > 0
     limit = np.array([lane.speed_limit_mps for lane in road.lanes])[place.lane]
-    ratio = _limit_ratio(agent, rows.speed[moving] / limit)
-    return MapFit(float(np.mean(inside)), ratio, np.unique(agent).size)
+    agent = rows.index.agent[moving]
+    ratio = pd.Series(rows.speed[moving] / limit, index=agent)
+    fastest = ratio[np.isfinite(ratio)].groupby(level=0).max()
+    typical = float(fastest.median()) if len(fastest) >= LEAST_VEHICLES else math.nan
+    return MapFit(float(np.mean(inside)), typical, np.unique(agent).size)
 
 
 def shifted(road: Road, shift_m: tuple[float, float]) -> Road:
     """A road moved by a translation, m."""
-    by = np.array(shift_m)
-    lanes = [dataclasses.replace(lane, centerline=lane.centerline + by) for lane in road.lanes]
-    crossings = [dataclasses.replace(c, centerline=c.centerline + by) for c in road.crossings]
-    return dataclasses.replace(road, lanes=tuple(lanes), crossings=tuple(crossings))
-
-
-def _limit_ratio(agent: NDArray[np.int64], ratio: FloatArray) -> float:
-    """Median over vehicles of the highest ratio of speed to limit."""
-    known = np.isfinite(ratio)
-    vehicles, whose = np.unique(agent[known], return_inverse=True)
-    if vehicles.size < LEAST_VEHICLES:
-        return math.nan
-    fastest = np.zeros(vehicles.size)
-    np.maximum.at(fastest, whose, ratio[known])
-    return float(np.median(fastest))
+    return road.with_lines(lambda line: line + np.array(shift_m))

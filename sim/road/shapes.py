@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from sim.frames import FloatArray
-from sim.geometry import distances_along, offset_line, points_at
+from sim.geometry import borders, distances_along, points_at
 from sim.road import Lane, Road
 
 DASH_M: Final = (3.0, 6.0)
@@ -29,6 +29,9 @@ CORNER_M: Final = 4.0
 
 SAME_LINE_M: Final = 0.5
 """Lane borders of two directions that are this close are one line, m."""
+
+STOP_M: Final = 1.5
+"""Lanes that end this close to a crossing have a stop line, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,43 +70,54 @@ class RoadShapes:
     stops: tuple[StopLine, ...]
 
 
-def band(line: FloatArray, width_m: float) -> FloatArray:
-    """The outline of a band along a line.
+def road_shapes(road: Road) -> RoadShapes:
+    """Everything about a road that pictures draw."""
+    driving = [lane for lane in road.lanes if not (lane.internal or lane.walking)]
+    walking = [lane for lane in road.lanes if lane.walking and not lane.internal]
+    asphalt = [_band(lane.centerline, lane.width_m) for lane in driving]
+    paving = [_band(lane.centerline, lane.width_m) for lane in walking]
+    junctions: dict[str, list[Lane]] = {}  # a net names their paths :JUNCTION_number
+    for lane in road.lanes:
+        if lane.internal and not lane.walking:
+            junctions.setdefault(lane.edge.rpartition("_")[0], []).append(lane)
+    for paths in junctions.values():
+        asphalt.append(_hull(paths, 0.0))
+        if walking:
+            paving.append(_hull(paths, CORNER_M))
+    dashes, edges, middles = _painted(driving)
+    return RoadShapes(
+        paving=tuple(paving),
+        asphalt=tuple(asphalt),
+        dashes=np.concatenate([np.empty((0, 2, 2)), *dashes]),
+        edges=tuple(edges),
+        middles=tuple(middles),
+        bars=tuple(bar for one in road.crossings for bar in _bars(one.centerline, one.width_m)),
+        stops=_stop_lines(road, driving),
+    )
 
-    Args:
-        line: (P, 2) m.
-        width_m: m.
 
-    Returns:
-        (2 P, 2) its right side (for y up) forwards, then its left side backwards, m.
-
-    Examples:
-        >>> band(np.array([[0.0, 0.0], [4.0, 0.0]]), 2.0).tolist()
-        [[0.0, -1.0], [4.0, -1.0], [4.0, 1.0], [0.0, 1.0]]
-    """
-    right, left = offset_line(line, -width_m / 2), offset_line(line, width_m / 2)
+def _band(line: FloatArray, width_m: float) -> FloatArray:
+    """(2 P, 2) the outline of a band along a line (P, 2): its right side, then its left back."""
+    left, right = borders(line, width_m)
     return np.concatenate([right, left[::-1]])
 
 
-def hull(points: FloatArray) -> FloatArray:
-    """The convex hull of points (n, 2), counter-clockwise."""
+def _hull(paths: list[Lane], wider_m: float) -> FloatArray:
+    """The convex hull of paths across a junction, counter-clockwise."""
+    points = np.concatenate([_band(path.centerline, path.width_m + wider_m) for path in paths])
     return points[ConvexHull(points, qhull_options="QJ").vertices]
 
 
-def zebra_bars(line: FloatArray, width_m: float) -> list[FloatArray]:
-    """(4, 2) corners of each bar of a zebra crossing along a line (P, 2), m."""
-    step = line[-1] - line[0]
-    size = float(np.hypot(*step))
-    direction = step / size
-    aside = np.array([-direction[1], direction[0]]) * width_m / 2
-    bars = []
-    for begin in np.arange(BAR_M[1] / 2, min(size, LONGEST_M) - BAR_M[0], sum(BAR_M)):
-        a, b = line[0] + direction * begin, line[0] + direction * (begin + BAR_M[0])
-        bars.append(np.array([a - aside, b - aside, b + aside, a + aside]))
-    return bars
+def _bars(line: FloatArray, width_m: float) -> list[FloatArray]:
+    """(4, 2) corners of each bar of a zebra crossing between the ends of a line (P, 2), m."""
+    straight = line[[0, -1]]
+    length_m = min(float(distances_along(straight)[-1]), LONGEST_M)
+    begins = np.arange(BAR_M[1] / 2, length_m - BAR_M[0], sum(BAR_M))
+    ends = points_at(straight, np.stack([begins, begins + BAR_M[0]], axis=1).ravel())
+    return [_band(bar, width_m) for bar in ends.reshape(-1, 2, 2)]
 
 
-def dashes_along(line: FloatArray) -> FloatArray:
+def _dashes(line: FloatArray) -> FloatArray:
     """(D, 2, 2) ends of the dashes along a line (P, 2), m."""
     length_m = distances_along(line)[-1]
     begin = np.arange(0.0, length_m, sum(DASH_M))
@@ -111,67 +125,24 @@ def dashes_along(line: FloatArray) -> FloatArray:
     return np.stack([points_at(line, begin), points_at(line, end)], axis=1)
 
 
-def road_shapes(road: Road) -> RoadShapes:
-    """Everything about a road that pictures draw."""
-    plain = [lane for lane in road.lanes if not lane.internal]
-    driving = [lane for lane in plain if not lane.walking]
-    asphalt = [band(lane.centerline, lane.width_m) for lane in driving]
-    paving = [band(lane.centerline, lane.width_m) for lane in plain if lane.walking]
-    for paths in _junctions(road):
-        bands = [band(path.centerline, path.width_m) for path in paths]
-        asphalt.append(hull(np.concatenate(bands)))
-        if any(lane.walking for lane in plain):
-            bands = [band(path.centerline, path.width_m + CORNER_M) for path in paths]
-            paving.append(hull(np.concatenate(bands)))
-    dashes, edges, middles = _painted(driving)
-    bars = [bar for c in road.crossings for bar in zebra_bars(c.centerline, c.width_m)]
-    return RoadShapes(
-        paving=tuple(paving),
-        asphalt=tuple(asphalt),
-        dashes=np.concatenate(dashes) if dashes else np.empty((0, 2, 2)),
-        edges=tuple(edges),
-        middles=tuple(middles),
-        bars=tuple(bars),
-        stops=_stop_lines(road, driving),
-    )
-
-
-def _junctions(road: Road) -> list[list[Lane]]:
-    """The paths of vehicles across each junction; a net names them ``:JUNCTION_number``."""
-    found: dict[str, list[Lane]] = {}
-    for lane in road.lanes:
-        if lane.internal and not lane.walking:
-            found.setdefault(lane.edge.rpartition("_")[0], []).append(lane)
-    return list(found.values())
-
-
-def _right_and_left(lane: Lane) -> tuple[FloatArray, FloatArray]:
-    half_m = lane.width_m / 2
-    return offset_line(lane.centerline, -half_m), offset_line(lane.centerline, half_m)
-
-
 def _painted(
     driving: list[Lane],
 ) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
     """Dashes, edges and middle lines of the lanes."""
-    dashes, edges, middles = [], [], []
-    leftmost = {lane.edge: lane for lane in sorted(driving, key=lambda lane: lane.index)}
+    dashes, edges, middles = list[FloatArray](), list[FloatArray](), list[FloatArray]()
     rightmost = {lane.edge: lane for lane in sorted(driving, key=lambda lane: -lane.index)}
-    borders = {edge: _right_and_left(lane)[1] for edge, lane in leftmost.items()}
+    leftmost = {lane.edge: lane for lane in sorted(driving, key=lambda lane: lane.index)}
+    ends = [borders(lane.centerline, lane.width_m)[0][-1] for lane in leftmost.values()]
     for lane in driving:
-        right, left = _right_and_left(lane)
+        left, right = borders(lane.centerline, lane.width_m)
         if rightmost[lane.edge] is lane:
             edges.append(right)
         if leftmost[lane.edge] is not lane or lane.opposite:
-            dashes.append(dashes_along(left))
-        elif any(
-            np.hypot(*(left[0] - other[-1])) < SAME_LINE_M
-            for edge, other in borders.items()
-            if edge != lane.edge
-        ):
-            middles.append(left)
-        else:
-            edges.append(left)
+            dashes.append(_dashes(left))
+            continue
+        near = np.hypot(*(np.array(ends) - left[0]).T) < SAME_LINE_M
+        near &= np.array([edge != lane.edge for edge in leftmost])
+        (middles if near.any() else edges).append(left)
     return dashes, edges, middles
 
 
@@ -183,12 +154,12 @@ def _stop_lines(road: Road, driving: list[Lane]) -> tuple[StopLine, ...]:
         held = any(link.must_stop or (link.must_yield and link.signal < 0) for link in ways)
         end = lane.centerline[-1]
         crossed = any(
-            _distance(end, crossing.centerline) < crossing.width_m / 2 + 1.5
+            _distance(end, crossing.centerline) < crossing.width_m / 2 + STOP_M
             for crossing in road.crossings
         )
         signal = max((link.signal for link in ways), default=-1)
         if ways and (held or crossed or signal >= 0):
-            right, left = _right_and_left(lane)
+            left, right = borders(lane.centerline, lane.width_m)
             found.append(StopLine(np.stack([right[-1], left[-1]]), signal))
     return tuple(found)
 

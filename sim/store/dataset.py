@@ -12,16 +12,16 @@ import html
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from behaviors.display import counted
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
+from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.traits import ShownTrait
 from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
@@ -29,15 +29,8 @@ from sim.road import Road
 from sim.road.files import read_road_file
 from sim.safety import Conflicts
 from sim.scenario import AgentSpec
-from sim.store.catalogue import (
-    EPISODES,
-    entries_of,
-    read_catalogue,
-    read_header,
-    rows_where,
-    totals_of,
-)
-from sim.store.decode import read_conflicts, read_tables
+from sim.store.catalogue import EPISODES, entries_of, read_catalogue, read_header, words_of
+from sim.store.parquet import read_rows
 from sim.store.schema import (
     CATALOGUE,
     TABLES,
@@ -45,16 +38,18 @@ from sim.store.schema import (
     Manifest,
     Split,
     TableName,
+    shard_file,
     table_schema,
 )
-from sim.store.shards import ShardName, read_rows
+from sim.store.tables import read_conflicts, read_tables
 
 SHOWN_EPISODES: Final = 10
 """Most episodes that a notebook shows of a dataset."""
 
-_COLUMNS: Final = (
+SHOWN_COLUMNS: Final = [
     "id", "scenario", "engine", "seed", "index", "split", "frames", "agents", "agent_steps",
-)  # fmt: skip
+]  # fmt: skip
+"""What it shows of each."""
 
 
 @dataclass(frozen=True)
@@ -109,22 +104,18 @@ class Dataset:
     @cached_property
     def manifest(self) -> Manifest:
         """Everything that is known of the dataset, an object for each episode."""
-        return Manifest(**dict(self.header), episodes=self.entries(self.catalogue))
-
-    @cached_property
-    def totals(self) -> pa.Table:
-        """Sums over the episodes of each scenario and split.
-
-        Its columns are ``scenario``, ``split``, ``episodes``, and sums of ``agents``,
-        ``agent_steps`` and of every behaviour and kind that was drawn.
-        """
-        return totals_of(self.catalogue)
+        return Manifest(**dict(self.header), episodes=self._entries(self.catalogue))
 
     @property
     def behaviors(self) -> tuple[Behavior, ...]:
         """The behaviours that its drivers may have: the six, then those of one's own."""
         said = self.header.configuration.get("behaviors")
         return (*BEHAVIORS, *read_behaviors(said if isinstance(said, dict) else None))
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """Names of the scenarios that have episodes, sorted."""
+        return tuple(sorted(pc.unique(self.catalogue["scenario"]).to_pylist()))
 
     def __len__(self) -> int:
         """How many episodes there are."""
@@ -158,13 +149,40 @@ class Dataset:
         Raises:
             InputError: if a filter is not a behaviour or a mix.
         """
-        if (split, scenario, behavior, mix, flow) == (None,) * 5:
-            return self.manifest.episodes
-        return self.entries(rows_where(self.catalogue, split, scenario, behavior, mix, flow))
+        return self._entries(self._fitting(split, scenario, behavior, mix, flow))
 
-    def entries(self, rows: pa.Table) -> tuple[EpisodeEntry, ...]:
-        """Rows of the `catalogue` as entries, in their order."""
+    def _entries(self, rows: pa.Table) -> tuple[EpisodeEntry, ...]:
+        """Rows of the catalogue as entries."""
         return entries_of(rows, self.path / EPISODES)
+
+    def _fitting(
+        self,
+        split: str | None = None,
+        scenario: str | None = None,
+        behavior: str | None = None,
+        mix: str | Mapping[str, float] | None = None,
+        flow: str | float | None = None,
+    ) -> pa.Table:
+        """The rows of the catalogue that fit; arguments are as of `episodes`."""
+        for name, value, known in (
+            ("split", split, get_args(Split)),
+            ("behavior", behavior, self.behaviors),
+        ):
+            if value is not None and value not in known:
+                raise InputError(f"{name}: found {value!r}, expected one of {', '.join(known)}")
+        table = self.catalogue
+        wanted = {
+            "split": split,
+            "scenario": scenario,
+            "mix": None if mix is None else _mix_words(mix),
+            "flow": flow if flow is None or isinstance(flow, str) else words_of(float(flow)),
+        }
+        fits = [pc.equal(table[name], value) for name, value in wanted.items() if value is not None]
+        if behavior in BEHAVIORS:
+            fits.append(pc.greater(table[str(behavior)], 0))
+        elif behavior is not None:  # one's own is drawn if the mix has it
+            fits.append(pc.match_substring(table["mix"], f'"{behavior}": '))
+        return table.filter(reduce(pc.and_, fits)) if fits else table
 
     def scan(self, table: str = "steps", **filters: Any) -> Any:
         """One table of all episodes that fit, to be read in pieces.
@@ -184,10 +202,12 @@ class Dataset:
 
         if table not in TABLES:
             raise InputError(f"table: found {table!r}, expected one of {', '.join(TABLES)}")
-        fitting = rows_where(self.catalogue, **filters)
+        fitting = self._fitting(**filters)
         keys = ["scenario", "split", "shard"]
-        shards = fitting.select(keys).group_by(keys).aggregate([]).to_pylist()
-        files = sorted(ShardName(*(one[key] for key in keys)).file(table) for one in shards)
+        shards = fitting.group_by(keys).aggregate([("index", "min")]).to_pylist()
+        files = sorted(
+            shard_file(table, one["scenario"], one["split"], one["index_min"]) for one in shards
+        )
         schema = table_schema(table, bool(pc.any(fitting.column("exact")).as_py()))
         parts = pa.schema([("scenario", pa.string()), ("split", pa.string())])
         found = arrow_dataset.dataset(
@@ -203,16 +223,11 @@ class Dataset:
         ids = pa.array(fitting.column("id").to_pylist(), pa.string())
         return found.filter(pc.field("episode").isin(ids))
 
-    @property
-    def scenarios(self) -> tuple[str, ...]:
-        """Names of the scenarios that have episodes, sorted."""
-        return tuple(sorted(set(self.totals.column("scenario").to_pylist())))
-
     def __repr__(self) -> str:
         """Counts of episodes by split, of scenarios, agents and agent-steps, and the size."""
-        splits = Counter(self.catalogue.column("split").to_pylist())
+        splits = Counter(self.catalogue["split"].to_pylist())
         agents, steps = (
-            pc.sum(self.totals[name]).as_py() or 0 for name in ("agents", "agent_steps")
+            pc.sum(self.catalogue[name]).as_py() or 0 for name in ("agents", "agent_steps")
         )
         by_split = ", ".join(f"{splits[name]} {name}" for name in sorted(splits))
         size = sum(file.size for file in self.header.files.values()) / 1e6
@@ -225,7 +240,7 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """A table of the first episodes, for notebooks."""
-        table = self.catalogue.slice(0, SHOWN_EPISODES).select(_COLUMNS).to_pandas()
+        table = self.catalogue.slice(0, SHOWN_EPISODES).select(SHOWN_COLUMNS).to_pandas()
         more = len(self) - SHOWN_EPISODES
         last = f"<p>and {more} more</p>" if more > 0 else ""
         return f"<p>{html.escape(repr(self))}</p>{table.to_html(index=False)}{last}"
@@ -255,37 +270,15 @@ class Dataset:
     def rows(
         self, entry: EpisodeEntry, table: TableName, columns: list[str] | None = None
     ) -> pa.Table:
-        """An episode's rows of one table, read from its own part of the file.
-
-        Args:
-            entry: one of `episodes`.
-            table: its name.
-            columns: those to read; None for all.
-
-        Raises:
-            InputError: if the file is missing, altered, or does not fit the schema; names the file.
-        """
+        """An episode's rows of one table, with some ``columns`` or all; errors are as of `read`."""
         return read_rows(self._place, table, entry, columns)
 
     def conflicts(self, entry: EpisodeEntry) -> Conflicts:
-        """The conflicts of an episode, as `sim.safety.conflicts` finds them in its tracks.
-
-        Args:
-            entry: one of `episodes`.
-
-        Raises:
-            InputError: if the file is missing, altered, or does not fit the schema; names the file.
-        """
+        """The conflicts of an episode, as `sim.safety.conflicts` finds them in its tracks."""
         return read_conflicts(self._place, entry)
 
     def road(self, entry: EpisodeEntry) -> Road | None:
-        """The road an episode happened on.
-
-        Args:
-            entry: one of `episodes`.
-
-        Returns:
-            The road; None where it is not known.
+        """The road an episode happened on; None where it is not known.
 
         Raises:
             InputError: if the net is missing or altered.
@@ -298,11 +291,29 @@ class Dataset:
         if self._place.size(name) is None:
             raise InputError(f"{path}: found no file, expected the road of {entry.id}")
         with temporary_folder("road") as scratch:
-            copy = scratch / path.name
-            copy.write_bytes(self._place.read(name))
-            if hashlib.sha256(copy.read_bytes()).hexdigest() != entry.road:
+            copy, data = scratch / path.name, self._place.read(name)
+            copy.write_bytes(data)
+            if hashlib.sha256(data).hexdigest() != entry.road:
                 raise InputError(f"{path}: found another checksum than its name, expected its own")
             return read_road_file(copy if self._place.remote else path, entry.scenario)
+
+
+def _mix_words(mix: str | Mapping[str, float]) -> str | None:
+    """A mix as the catalogue has it."""
+    if isinstance(mix, str) and not mix.startswith("{"):
+        parts = [part.partition("=") for part in mix.split(",")]
+        try:
+            mix = {name.strip(): float(share) for name, _, share in parts}
+        except ValueError:
+            raise InputError(f"mix: found {mix!r}, expected behavior=share,...") from None
+    if isinstance(mix, str):
+        return mix
+    styles = {str(style): [b for b in BEHAVIORS if b.style is style] for style in Style}
+    shares: dict[str, Any] = {}
+    for name, share in mix.items():
+        members = styles.get(str(name), [str(name)])
+        shares |= {str(member): float(share) / len(members) for member in members}
+    return words_of(shares)
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -26,6 +26,7 @@ float64, exactly.
 from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal, get_args
+from urllib.parse import quote
 
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
@@ -71,12 +72,6 @@ def split_of(index: int) -> Split:
     The pattern does not depend on the number of episodes, so every episode keeps its split when a
     dataset grows. Three episodes already give one of each.
 
-    Args:
-        index: 0 for a scenario's first episode.
-
-    Returns:
-        The split.
-
     Examples:
         >>> [split_of(i) for i in range(6)]
         ['train', 'validation', 'test', 'train', 'train', 'train']
@@ -85,16 +80,10 @@ def split_of(index: int) -> Split:
 
 
 def block_of(index: int) -> tuple[int, int]:
-    """The block that a scenario's episode belongs to: the episodes that one worker makes.
+    """First and last episode of the block of a scenario's episodes that one worker makes.
 
     Blocks are small at first, so that all processors have work in a small dataset, and grow, so
     that a large one has few files. They depend on the index alone, so a dataset can grow.
-
-    Args:
-        index: 0 for a scenario's first episode.
-
-    Returns:
-        The first and the last index of the block.
 
     Examples:
         >>> block_of(0), block_of(7), block_of(161), block_of(325), block_of(10**6)
@@ -107,137 +96,131 @@ def block_of(index: int) -> tuple[int, int]:
     return first, first + size - 1
 
 
-def _column(name: str, kind: pa.DataType) -> pa.Field:
-    """A column that has a value in every row."""
-    return pa.field(name, kind, nullable=False)
+def shard_file(table: TableName, scenario: str, split: str, index: int) -> str:
+    """The file of a table that holds an episode, below the dataset's folder.
+
+    Examples:
+        >>> shard_file("steps", "a road", "train", 3)
+        'steps/scenario=a%20road/split=train/000000-000004.parquet'
+    """
+    first, last = block_of(index)
+    folder = f"{table}/scenario={quote(scenario, safe='')}/split={split}"
+    return f"{folder}/{first:06}-{last:06}.parquet"
 
 
-_OF_EPISODE: Final = _column("episode", pa.string())
+def _schema(**columns: Any) -> pa.Schema:
+    """A schema: a type for each column; ``[type]`` for a column that may be null."""
+    return pa.schema(
+        pa.field(name, *kind) if isinstance(kind, list) else pa.field(name, kind, nullable=False)
+        for name, kind in columns.items()
+    )
+
+
+BOOL, INT, FLOAT, TEXT = pa.bool_(), pa.int64(), pa.float64(), pa.string()
 
 
 def steps_schema(exact: bool) -> pa.Schema:
     """Columns of ``steps``: one row per agent and step, sorted by agent, then step.
 
-    Args:
-        exact: whether the numbers are float64 as they came; otherwise rounded float32.
-
-    Returns:
-        The schema. ``agent`` is the id in ``agents``, ``step`` that in ``frames``, ``time_s`` its
-        time. Columns after ``speed_mps`` are null where unknown, such as on unknown roads.
+    ``agent`` is the id in ``agents``, ``step`` that in ``frames``, ``time_s`` its time. Numbers are
+    float64 as they came if ``exact``; otherwise rounded float32. Columns after ``speed_mps`` are
+    null where unknown, such as on unknown roads.
     """
-    number = pa.float64() if exact else pa.float32()
-    return pa.schema(
-        [
-            _OF_EPISODE,
-            _column("agent", pa.int64()),
-            _column("step", pa.int32()),
-            _column("time_s", pa.float64()),
-            _column("x_m", number),
-            _column("y_m", number),
-            _column("heading_rad", number),
-            _column("speed_mps", number),
-            pa.field("lane", pa.string()),  # id of the road's lane; null: on none
-            pa.field("lane_s_m", number),  # distance along the lane
-            pa.field("acceleration_mps2", number),  # change of speed since the step before
-            pa.field("leader", pa.int64()),  # the agent ahead on its way
-            pa.field("gap_m", number),  # bumper to bumper to the leader
-        ]
+    number = FLOAT if exact else pa.float32()
+    return _schema(
+        episode=TEXT,
+        agent=INT,
+        step=pa.int32(),
+        time_s=FLOAT,
+        x_m=number,
+        y_m=number,
+        heading_rad=number,
+        speed_mps=number,
+        lane=[TEXT],  # id of the road's lane; null: on none
+        lane_s_m=[number],  # distance along the lane
+        acceleration_mps2=[number],  # change of speed since the step before
+        leader=[INT],  # the agent ahead on its way
+        gap_m=[number],  # bumper to bumper to the leader
     )
 
 
-AGENTS: Final = pa.schema(
-    [
-        _OF_EPISODE,
-        _column("agent", pa.int64()),
-        _column("name", pa.string()),  # the source's own id
-        _column("kind", pa.string()),  # car bus truck motorcycle bicycle ...
-        pa.field("behavior", pa.string()),  # null: not known, or does not drive
-        pa.field("style", pa.string()),  # aggressive, conservative; null: not known
-        _column("length_m", pa.float64()),
-        _column("width_m", pa.float64()),
-        _column("depart_s", pa.float64()),  # when it is due to enter
-        pa.field("route", pa.list_(pa.field("element", pa.string())), nullable=False),  # edges
-        _column("walking_speed_mps", pa.float64()),  # 0 for those that drive
-        _column("seed", pa.int64()),  # of the agent's own chance decisions
-        _column("jaywalks", pa.bool_()),  # crosses anywhere and on red
-        *(pa.field(name, pa.float64()) for name in PROFILE_FIELDS),  # null: no profile
-    ]
+AGENTS: Final = _schema(
+    episode=TEXT,
+    agent=INT,
+    name=TEXT,  # the source's own id
+    kind=TEXT,  # car bus truck motorcycle bicycle ...
+    behavior=[TEXT],  # null: not known, or does not drive
+    style=[TEXT],  # aggressive, conservative; null: not known
+    length_m=FLOAT,
+    width_m=FLOAT,
+    depart_s=FLOAT,  # when it is due to enter
+    route=pa.list_(pa.field("element", TEXT)),  # edges
+    walking_speed_mps=FLOAT,  # 0 for those that drive
+    seed=INT,  # of the agent's own chance decisions
+    jaywalks=BOOL,  # crosses anywhere and on red
+    **{name: [FLOAT] for name in PROFILE_FIELDS},  # null: no profile
 )
 """Columns of ``agents``: one row per agent, in order of id."""
 
-FRAMES: Final = pa.schema(
-    [
-        _OF_EPISODE,
-        _column("step", pa.int32()),
-        _column("time_s", pa.float64()),
-    ]
-)
+FRAMES: Final = _schema(episode=TEXT, step=pa.int32(), time_s=FLOAT)
 """Columns of ``frames``: one row per time step."""
 
-SIGNALS_TABLE: Final = pa.schema(
-    [
-        _OF_EPISODE,
-        _column("step", pa.int32()),
-        _column("time_s", pa.float64()),
-        _column("group", pa.int16()),  # signal group of the road
-        _column("state", pa.string()),  # red yellow green off
-    ]
+SIGNALS_TABLE: Final = _schema(
+    episode=TEXT,
+    step=pa.int32(),
+    time_s=FLOAT,
+    group=pa.int16(),  # signal group of the road
+    state=TEXT,  # red yellow green off
 )
 """Columns of ``signals``: the state of every group at step 0, then every change."""
 
-EVENTS: Final = pa.schema(
-    [
-        _OF_EPISODE,
-        _column("time_s", pa.float64()),
-        _column("kind", pa.string()),
-        _column("agent", pa.int64()),  # whose event it is
-        pa.field("other", pa.int64()),  # the second party
-        _column("rule", pa.string()),  # the rule, or the cause
-        pa.field("end_s", pa.float64()),  # collision: when the two last touch
-        pa.field("time_to_collision_s", pa.float64()),  # near miss: the least one
-        pa.field("post_encroachment_s", pa.float64()),  # near miss: one was there so soon after
-        pa.field("distance_m", pa.float64()),  # wrong way: how far
-        pa.field("cut_in_headway_s", pa.float64()),  # collision after a cut-in: the gap it left
-    ]
+EVENTS: Final = _schema(
+    episode=TEXT,
+    time_s=FLOAT,
+    kind=TEXT,
+    agent=INT,  # whose event it is
+    other=[INT],  # the second party
+    rule=TEXT,  # the rule, or the cause
+    end_s=[FLOAT],  # collision: when the two last touch
+    time_to_collision_s=[FLOAT],  # near miss: the least one
+    post_encroachment_s=[FLOAT],  # near miss: one was there so soon after
+    distance_m=[FLOAT],  # wrong way: how far
+    cut_in_headway_s=[FLOAT],  # collision after a cut-in: the gap it left
 )
 """Columns of ``events``: one row per event, in time order; a collision is one event. Numbers that
 do not belong to an event are null."""
 
-TRAITS_TABLE: Final = pa.schema(
-    [
-        _OF_EPISODE,
-        _column("agent", pa.int64()),  # the agent that showed it
-        _column("trait", pa.string()),  # a row of the paper's trait table
-        _column("begin_s", pa.float64()),
-        _column("end_s", pa.float64()),
-        _column("value", pa.float64()),  # the detector's number
-        pa.field("other", pa.int64()),  # the second party
-    ]
+TRAITS_TABLE: Final = _schema(
+    episode=TEXT,
+    agent=INT,  # the agent that showed it
+    trait=TEXT,  # a row of the paper's trait table
+    begin_s=FLOAT,
+    end_s=FLOAT,
+    value=FLOAT,  # the detector's number
+    other=[INT],  # the second party
 )
 """Columns of ``traits``: the shown traits, found by `behaviors.traits`, in time order. The detector
 gives meaning and unit of the value. Empty for recordings."""
 
-CONFLICTS: Final = pa.schema(
-    [
-        _OF_EPISODE,
-        _column("first", pa.int64()),  # agents, the smaller id first
-        _column("second", pa.int64()),
-        _column("kind", pa.string()),  # following merging crossing oncoming ...
-        _column("begin_s", pa.float64()),
-        _column("end_s", pa.float64()),
-        pa.field("ttc_s", pa.float64()),  # least time to collision; null: never on that course
-        pa.field("ttc_time_s", pa.float64()),  # when
-        pa.field("mttc_s", pa.float64()),  # the same with accelerations
-        pa.field("drac_mps2", pa.float64()),  # largest deceleration to avoid the crash
-        pa.field("pet_s", pa.float64()),  # post-encroachment time; null: no place in common
-        pa.field("pet_time_s", pa.float64()),  # when the later one came there
-        pa.field("gap_m", pa.float64()),  # least distance of the outlines
-        pa.field("closing_mps", pa.float64()),  # how fast it shrank then
-        pa.field("delta_v_mps", pa.float64()),  # of the lighter one, had they collided
-        pa.field("passed_first", pa.int64()),  # the one that was there first
-        pa.field("priority", pa.int64()),  # the one with priority; null if the map does not give it
-        _column("near_miss", pa.bool_()),
-    ]
+CONFLICTS: Final = _schema(
+    episode=TEXT,
+    first=INT,  # agents, the smaller id first
+    second=INT,
+    kind=TEXT,  # following merging crossing oncoming ...
+    begin_s=FLOAT,
+    end_s=FLOAT,
+    ttc_s=[FLOAT],  # least time to collision; null: never on that course
+    ttc_time_s=[FLOAT],  # when
+    mttc_s=[FLOAT],  # the same with accelerations
+    drac_mps2=[FLOAT],  # largest deceleration to avoid the crash
+    pet_s=[FLOAT],  # post-encroachment time; null: no place in common
+    pet_time_s=[FLOAT],  # when the later one came there
+    gap_m=[FLOAT],  # least distance of the outlines
+    closing_mps=[FLOAT],  # how fast it shrank then
+    delta_v_mps=[FLOAT],  # of the lighter one, had they collided
+    passed_first=[INT],  # the one that was there first
+    priority=[INT],  # the one with priority; null if the map does not give it
+    near_miss=BOOL,
 )
 """Columns of ``conflicts``: one row per encounter of two road users, as `sim.safety.Conflicts` has
 them, by begin and ids."""
@@ -249,53 +232,41 @@ TABLES: Final[tuple[TableName, ...]] = get_args(TableName)
 
 
 def table_schema(table: TableName, exact: bool = False) -> pa.Schema:
-    """The columns of a table.
-
-    Args:
-        table: which.
-        exact: of steps, as for `steps_schema`.
+    """The columns of a table; ``exact`` is of steps, as for `steps_schema`.
 
     Examples:
         >>> table_schema("frames").names
         ['episode', 'step', 'time_s']
     """
-    return {
-        "steps": steps_schema(exact),
-        "agents": AGENTS,
-        "frames": FRAMES,
-        "signals": SIGNALS_TABLE,
-        "events": EVENTS,
-        "traits": TRAITS_TABLE,
-        "conflicts": CONFLICTS,
-    }[table]
+    others = AGENTS, FRAMES, SIGNALS_TABLE, EVENTS, TRAITS_TABLE, CONFLICTS
+    return dict(zip(TABLES, (steps_schema(exact), *others), strict=True))[table]
 
 
-CATALOGUE: Final = pa.schema(
-    [
-        _column("id", pa.string()),
-        _column("scenario", pa.string()),
-        _column("engine", pa.string()),
-        _column("split", pa.string()),
-        _column("index", pa.int64()),
-        _column("seed", pa.uint64()),
-        pa.field("recording", pa.string()),  # the recording's own name; null: simulated
-        pa.field("flow", pa.string()),  # option of that name, in words; null: not given
-        pa.field("mix", pa.string()),  # option of that name as JSON with sorted keys; null: none
-        _column("frames", pa.int64()),
-        _column("agents", pa.int64()),  # that were seen
-        _column("agent_steps", pa.int64()),
-        *(_column(name, pa.int32()) for name in (*BEHAVIORS, *KINDS)),  # drawn
-        pa.field("road", pa.string()),  # checksum; null: not known
-        _column("exact", pa.bool_()),  # float64 as it came, not rounded float32
-        _column("shard", pa.string()),  # name of its shard, without ending
-        _column("options", pa.string()),  # JSON
-        _column("made_with", pa.string()),  # JSON
-    ]
+CATALOGUE: Final = _schema(
+    id=TEXT,
+    scenario=TEXT,
+    engine=TEXT,
+    split=TEXT,
+    index=INT,
+    seed=pa.uint64(),
+    recording=[TEXT],  # the recording's own name; null: simulated
+    flow=[TEXT],  # option of that name, in words; null: not given
+    mix=[TEXT],  # option of that name as JSON with sorted keys; null: none
+    frames=INT,
+    agents=INT,  # that were seen
+    agent_steps=INT,
+    **{name: pa.int32() for name in (*BEHAVIORS, *KINDS)},  # drawn
+    road=[TEXT],  # checksum; null: not known
+    exact=BOOL,  # float64 as it came, not rounded float32
+    shard=TEXT,  # name of its shard, without ending
+    options=TEXT,  # JSON
+    made_with=TEXT,  # JSON
 )
 """Columns of ``episodes.parquet``, the catalogue: one row per episode, by scenario, engine, index
 and id. A count of drawn agents stands under each behaviour and kind."""
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Count = Annotated[int, Field(ge=0)]
 EpisodeId = Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
 
 
@@ -313,8 +284,8 @@ class FileEntry(_Strict):
     """
 
     sha256: Sha256
-    size: Annotated[int, Field(ge=0)]
-    rows: Annotated[int, Field(ge=0)] = 0
+    size: Count
+    rows: Count = 0
 
 
 class EpisodeMeta(_Strict):
@@ -332,8 +303,8 @@ class EpisodeMeta(_Strict):
 
     scenario: Annotated[str, Field(min_length=1, max_length=200)]
     engine: Annotated[str, Field(min_length=1, max_length=200)]
-    seed: Annotated[int, Field(ge=0)] = 0
-    index: Annotated[int, Field(ge=0)] = 0
+    seed: Count = 0
+    index: Count = 0
     split: Split = "train"
     options: dict[str, JsonValue] = {}
     made_with: dict[str, str] = {}
@@ -355,11 +326,11 @@ class EpisodeEntry(EpisodeMeta):
 
     id: EpisodeId
     road: Sha256 | None = None
-    frames: Annotated[int, Field(ge=0)]
-    agents: Annotated[int, Field(ge=0)]
-    agent_steps: Annotated[int, Field(ge=0)]
+    frames: Count
+    agents: Count
+    agent_steps: Count
     exact: bool = False
-    drawn: dict[str, Annotated[int, Field(ge=0)]] = {}
+    drawn: dict[str, Count] = {}
 
     @property
     def shard(self) -> str:
@@ -369,27 +340,39 @@ class EpisodeEntry(EpisodeMeta):
     @property
     def recording(self) -> str | None:
         """Name of the recording that it was read from; None for a simulated episode."""
-        return self._option("recording")
+        found = self.options.get("recording")
+        return found if isinstance(found, str) else None
 
     @property
     def file(self) -> str | None:
         """The file that the recording was read from; None for a simulated episode."""
-        return self._option("file")
+        found = self.options.get("file")
+        return found if isinstance(found, str) else None
 
     @property
     def behaviors(self) -> dict[str, Any]:
         """Behaviours of one's own, beside the six, as `behaviors.read_behaviors` takes them."""
-        found = self.options.get("behaviors", {})
+        found = self.options.get("behaviors")
         return found if isinstance(found, dict) else {}
-
-    def _option(self, name: str) -> str | None:
-        value = self.options.get(name)
-        return value if isinstance(value, str) else None
 
     @property
     def name(self) -> str:
         """Display name: its recording, or its scenario and index."""
         return self.recording or f"{self.scenario} {self.index}"
+
+
+class Shard(_Strict):
+    """A shard that is finished; its table of agents says this in its metadata.
+
+    Attributes:
+        configuration: what the dataset is made from.
+        entries: its episodes, in order.
+        files: size and checksum of its roads and other tables, by name.
+    """
+
+    configuration: dict[str, JsonValue]
+    entries: tuple[EpisodeEntry, ...]
+    files: dict[str, FileEntry]
 
 
 class Header(_Strict):
@@ -401,7 +384,7 @@ class Header(_Strict):
         files: size and checksum of every shard's tables and every road, by name.
     """
 
-    schema_version: int
+    schema_version: Literal[3]
     configuration: dict[str, JsonValue]
     files: dict[str, FileEntry] = {}
 

@@ -1,9 +1,15 @@
-"""Writes episodes into shards, and whole datasets."""
+"""Writes episodes into shards, and whole datasets.
+
+A shard is a file for each table that holds several episodes, each a row group of its own. Its files
+are written into a hidden folder and moved to their places when the shard is finished.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,37 +20,41 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from pydantic import JsonValue
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
 from behaviors.traits import ShownTrait
-from sim.episode.annotate import Annotations, annotate
-from sim.files import Place, local_path, new_folder, place_of, temporary_folder
+from sim.episode.annotate import annotate
+from sim.files import PARTIAL_PREFIX, Place, local_path, new_folder, place_of, temporary_folder
 from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
-from sim.road.files import ENDINGS, read_road_file
-from sim.road.maps.stored import SUFFIX, encode_road
+from sim.road.files import ENDINGS, SUFFIX, encode_road, read_road_file
 from sim.safety import Conflicts, conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import EPISODES, catalogue_table, write_catalogue
-from sim.store.encode import agents_table, derived, encode, rounded
+from sim.store.parquet import METADATA_KEY, parquet_options
 from sim.store.schema import (
     EPISODE_VERSION,
-    MAX_STEPS,
+    TABLES,
     EpisodeEntry,
     EpisodeMeta,
     FileEntry,
+    Shard,
+    TableName,
+    shard_file,
+    table_schema,
 )
-from sim.store.shards import ShardName, ShardWriter
+from sim.store.tables import encode, road_columns, rounded, written_schema
 
-_DETERMINING: Final[dict[str, tuple[str, ...]]] = {
-    "sumo": ("libsumo",),
-    "sumo-idm": ("libsumo",),
-    "highway": ("highway-env",),
-    "highway-krauss": ("highway-env",),
+_DETERMINING: Final = {
+    "sumo": "libsumo",
+    "sumo-idm": "libsumo",
+    "highway": "highway-env",
+    "highway-krauss": "highway-env",
 }
-"""Packages that determine an engine's bytes, beside this one, numpy and pyarrow."""
+"""The package that determines an engine's bytes, beside this one, numpy and pyarrow."""
 
 
 def made_with(*engines: str) -> dict[str, str]:
@@ -56,13 +66,67 @@ def made_with(*engines: str) -> dict[str, str]:
     Returns:
         Version by package name.
     """
-    own = [name for engine in engines for name in _DETERMINING.get(engine, ())]
+    own = [_DETERMINING[engine] for engine in engines if engine in _DETERMINING]
     return {name: metadata.version(name) for name in ("graphrqi", "numpy", "pyarrow", *own)}
 
 
 def checksum(data: bytes) -> str:
     """SHA-256 in hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
+
+
+class _OpenShard:
+    """A shard to which episodes are added, in a hidden folder."""
+
+    def __init__(self, place: Place, first: EpisodeEntry) -> None:
+        self.entries: list[EpisodeEntry] = []
+        self.roads: dict[str, FileEntry] = {}
+        self._place, self._first = place, first
+        home = None if place.remote else place.path
+        self._folder = Path(tempfile.mkdtemp(prefix=f"{PARTIAL_PREFIX}shard-", dir=home))
+        self._writers = {
+            table: pq.ParquetWriter(
+                self._folder / table,
+                written_schema(table, first.exact),
+                **parquet_options(table_schema(table, first.exact)),
+            )
+            for table in sorted(TABLES, key=lambda table: table == "agents")
+        }
+        self._rows = dict.fromkeys(TABLES, 0)
+
+    def add(self, entry: EpisodeEntry, tables: Mapping[TableName, pa.Table]) -> None:
+        """Write an episode."""
+        for table, rows in tables.items():
+            if rows.num_rows:
+                self._writers[table].write_table(rows, row_group_size=rows.num_rows)
+                self._rows[table] += rows.num_rows
+        self.entries.append(entry)
+
+    def close(self, configuration: Mapping[str, JsonValue]) -> dict[str, FileEntry]:
+        """Move the files to their places, that of agents last; returns them and the roads."""
+        files = dict(sorted(self.roads.items()))
+        places = {}
+        for table, writer in self._writers.items():
+            if table == "agents":
+                shard = Shard(
+                    configuration=dict(configuration), entries=tuple(self.entries), files=files
+                )
+                writer.add_key_value_metadata({METADATA_KEY: shard.model_dump_json()})
+            writer.close()
+            file, first = self._folder / table, self._first
+            with file.open("rb") as content:
+                sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+            name = shard_file(table, first.scenario, first.split, first.index)
+            files[name] = FileEntry(sha256=sha256, size=file.stat().st_size, rows=self._rows[table])
+            places[file] = name
+        for file, name in places.items():
+            self._place.put(file, name)
+        self.remove()
+        return files
+
+    def remove(self) -> None:
+        """Remove what is left in the hidden folder."""
+        shutil.rmtree(self._folder, ignore_errors=True)
 
 
 class EpisodeWriter:
@@ -82,7 +146,7 @@ class EpisodeWriter:
 
     def __init__(self, place: Place, configuration: Mapping[str, JsonValue]) -> None:
         self._place, self._configuration = place, configuration
-        self._open: dict[ShardName, ShardWriter] = {}
+        self._open: dict[tuple[str, str], _OpenShard] = {}  # by scenario and split
         self._roads: set[str] = set()
         self.entries: list[EpisodeEntry] = []
         self.files: dict[str, FileEntry] = {}
@@ -93,8 +157,12 @@ class EpisodeWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Put the shards in their places, or remove them after an error."""
-        for writer in self._open.values():
-            self.files |= writer.close(kind is None)
+        try:
+            for shard in self._open.values() if kind is None else ():
+                self.files |= shard.close(self._configuration)
+        finally:
+            for shard in self._open.values():
+                shard.remove()
 
     def write_episode(
         self,
@@ -139,12 +207,9 @@ class EpisodeWriter:
         if road is not None and tracks.time_s.size > 2:
             where = read_road_file(road)
             found = annotate(tracks, where)
-            tracks, shown, met = (
-                replace(tracks, events=found.events),
-                found.shown_traits,
-                found.conflicts,
-            )
-            known = _known(tracks, found, where)
+            tracks = replace(tracks, events=found.events)
+            shown, met = found.shown_traits, found.conflicts
+            known = road_columns(tracks, found, where)
         if since_s is not None:
             first = int(np.searchsorted(tracks.time_s, since_s + 1e-9))
             later = pa.array(tracks.rows.index.step >= first)
@@ -219,10 +284,10 @@ class EpisodeWriter:
             agents: the agents that are written, in order of id.
             road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
             exact: whether to write float64 as it is; else the numbers are multiples of the schema's
-                quanta, see `sim.store.encode.rounded`.
+                quanta, see `sim.store.tables.rounded`.
             drawn: the agents that determine the episode; None for ``agents``.
             shown: the traits that were shown.
-            known: columns of the steps beyond those of the tracks; those left out are null.
+            known: columns of the steps that come from the road; those left out are null.
             met: its conflicts; None to look for them.
 
         Returns:
@@ -232,8 +297,7 @@ class EpisodeWriter:
             InputError: if a number is not finite.
             OSError: if something cannot be written.
         """
-        names = {int(i): name for i, name in zip(tracks.ids, tracks.names, strict=True)}
-        kept = {} if road is None else dict([self._keep_road(road)])
+        kept = {} if road is None else self._keep_road(road)
         sha256 = next((file.sha256 for file in kept.values()), None)
         index = tracks.rows.index
         entry = EpisodeEntry(
@@ -247,21 +311,20 @@ class EpisodeWriter:
             drawn=_drawn(agents),
         )
         if met is None:
-            where = read_road_file(road) if isinstance(road, Path) else road
-            met = conflicts(tracks, where)
-        tables = encode(tracks, exact, known, agents_table(agents, names), shown, met, entry.id)
-        name = ShardName.of(entry)
-        if name not in self._open:
-            for other in list(self._open):
-                if (other.scenario, other.split) == (name.scenario, name.split):
-                    self.files |= self._open.pop(other).close()
-            self._open[name] = ShardWriter(self._place, name, exact, self._configuration)
-        self._open[name].add(entry, tables, kept)
+            met = conflicts(tracks, read_road_file(road) if isinstance(road, Path) else road)
+        tables = encode(tracks, exact, known, agents, shown, met, entry.id)
+        of = entry.scenario, entry.split
+        if of in self._open and self._open[of].entries[0].shard != entry.shard:
+            self.files |= self._open.pop(of).close(self._configuration)
+        if of not in self._open:
+            self._open[of] = _OpenShard(self._place, entry)
+        self._open[of].roads |= kept
+        self._open[of].add(entry, tables)
         self.entries.append(entry)
         return entry
 
-    def _keep_road(self, road: Path | Road) -> tuple[str, FileEntry]:
-        """Put a road into the dataset, unless it is there already, and say what its file is."""
+    def _keep_road(self, road: Path | Road) -> dict[str, FileEntry]:
+        """Put a road into the dataset, unless it is there already; returns its file."""
         data = encode_road(road) if isinstance(road, Road) else road.read_bytes()
         sha256 = checksum(data)
         name = SUFFIX if isinstance(road, Road) else road.name
@@ -269,7 +332,7 @@ class EpisodeWriter:
         if file not in self._roads and self._place.size(file) != len(data):
             self._place.write(file, data)
         self._roads.add(file)
-        return file, FileEntry(sha256=sha256, size=len(data))
+        return {file: FileEntry(sha256=sha256, size=len(data))}
 
 
 def _identity(
@@ -294,28 +357,13 @@ def _drawn(agents: Sequence[AgentSpec]) -> dict[str, int]:
 
 
 def _checked(frames: Iterable[Frame]) -> Iterator[Frame]:
-    """The same frames, whose times must increase and whose rows must not be too many."""
-    count, before = 0, -np.inf
+    """The same frames, whose times must increase."""
+    before = -np.inf
     for frame in frames:
         if frame.time_s <= before:
             raise InputError(f"frame.time_s: found {frame.time_s}, expected later than {before}")
-        count, before = count + len(frame), frame.time_s
-        if count > MAX_STEPS:
-            raise InputError(f"steps: found {count} rows, expected at most {MAX_STEPS}")
+        before = frame.time_s
         yield frame
-
-
-def _known(tracks: Tracks, found: Annotations, road: Road) -> dict[str, pa.Array]:
-    """The columns of steps that come from the road."""
-    agent = tracks.ids[tracks.rows.index.agent]
-    lane = pa.array(found.lane, pa.int32(), mask=found.lane < 0)
-    lane_ids = pa.array([lane.id for lane in road.lanes], pa.string())
-    return {
-        "lane": pa.DictionaryArray.from_arrays(lane, lane_ids),
-        "lane_s_m": derived(found.lane_s, exact=False),
-        "leader": pa.array(agent[found.leader], mask=found.leader < 0),
-        "gap_m": derived(found.gap, exact=False),
-    }
 
 
 @contextmanager

@@ -14,14 +14,14 @@ from sim.engines import get_engine
 from sim.frames import Tracks
 from sim.highway.decide import _error, _late
 from sim.highway.draws import driver_key
-from sim.highway.state import VEHICLE, blank_vehicle
+from sim.highway.state import blank_vehicles
 from sim.scenario import sample_agents
 
 STEP_S = 0.5
 
 
 def errors_of_highway(drivers: int, steps: int) -> np.ndarray:
-    cars = np.array([blank_vehicle()] * drivers, VEHICLE).view(np.recarray)
+    cars = blank_vehicles(drivers).view(np.recarray)
     cars.key = [driver_key(seed) for seed in range(drivers)]
     found = np.empty((drivers, steps))
     for step in range(steps):
@@ -57,7 +57,7 @@ def test_the_error_of_perception_is_an_ornstein_uhlenbeck_process(errors_of):
 
 @pytest.mark.parametrize("step_s", [0.1, 0.05])
 def test_a_driver_does_what_it_wanted_a_reaction_time_ago(step_s):
-    car = np.array([blank_vehicle()], VEHICLE).view(np.recarray)[0]
+    car = blank_vehicles(1).view(np.recarray)[0]
     car.reaction_time_s, car.clock = 1.5, 40.0
     done = []
     for step in range(round(4 / step_s)):

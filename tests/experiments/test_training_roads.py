@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.training import roads
+from experiments import model
 from sim.store.dataset import open_dataset
 
 
 def test_roundabouts_have_rings_of_their_radius_and_lanes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(roads, "ROUNDABOUTS", ((13.0, 1), (30.0, 2)))
-    monkeypatch.setattr(roads, "ROUNDABOUT_EPISODES", 1)
-    monkeypatch.setattr(roads, "EPISODE_S", 6.0)
-    monkeypatch.setattr(roads, "MOTORWAYS", ("motorway",))
-    monkeypatch.setattr(roads, "MOTORWAY_EPISODES", 1)
-    made = roads.generate_roads(tmp_path, 5, quiet=True)
+    monkeypatch.setattr(model, "ROUNDABOUTS", ((13.0, 1), (30.0, 2)))
+    monkeypatch.setattr(model, "ROUNDABOUT_EPISODES", 1)
+    monkeypatch.setattr(model, "ROAD_S", 6.0)
+    monkeypatch.setattr(model, "MOTORWAYS", ("motorway",))
+    monkeypatch.setattr(model, "MOTORWAY_EPISODES", 1)
+    made = model.generate_roads(tmp_path, quiet=True)
     assert [folder.name for folder in made] == ["recorded-free", "recorded-roundabouts"]
     motorways, rings = (open_dataset(folder) for folder in made)
     assert [len(list(one.episodes())) for one in (motorways, rings)] == [1, 2]

@@ -17,9 +17,8 @@ from experiments.data.windows import gather
 from experiments.generate import RANDOM_WORLD
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.generate.worlds.roads import FAMILIES, JUNCTIONS, ramp_net, straight_net
-from experiments.generate.worlds.sensor import Sensor
-from experiments.generate.worlds.world import draw_world
+from experiments.generate.world_roads import FAMILIES, JUNCTIONS, ramp_net, straight_net
+from experiments.generate.worlds import Sensor, draw_world
 from sim.frames import Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset

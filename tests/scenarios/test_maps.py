@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from experiments.cli.commands import app
-from experiments.generate.worlds.roads import straight_net
+from experiments.generate.world_roads import straight_net
 from scenarios.networks.build import find_program
 from scenarios.networks.convert import open_map
 from scenarios.own.own_road import own_road

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from behaviors import InputError
-from experiments.generate.worlds.roads import ramp_net
+from experiments.generate.world_roads import ramp_net
 from scenarios import SCENARIOS, get_scenario
 from scenarios.networks.build import grid_net
 from scenarios.own.flows import EdgeGraph, flows_of

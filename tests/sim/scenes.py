@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import feather
 
-from sim.formats.waymo.messages import masked_checksum
+from sim.formats.waymo import masked_checksum
 from sim.frames import FloatArray
 
 
@@ -76,7 +76,7 @@ KITTI_OXTS = "".join(
 
 def waymo_message() -> bytes:
     """A scenario of two steps as protobuf: a car, a cyclist seen once, a light and three lanes."""
-    from sim.formats.waymo.messages import scenario_class
+    from sim.formats.waymo import scenario_class
 
     scenario = scenario_class()(scenario_id=b"abc123", sdc_track_index=0)
     scenario.timestamps_seconds.extend([0.0, 0.1])

@@ -487,7 +487,7 @@ TABLE = "id,t,x,y\n1,0.0,1.5,2\n1,0.1,2.5,2\n1,0.2,3.5,2\n"
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("# camera 3\n" + TABLE, "found the columns '# camera 3', expected a column t"),
+        ("# camera 3\n" + TABLE, "found the columns '# camera 3', expected a column id"),
         (TABLE.replace("\n1,0.0", "\n-,s,m,m\n1,0.0"), "column t, row 2: found 's'"),
         (TABLE.replace("3.5", '"1,003.5"'), "found '1,003.5', expected a number"),
         (TABLE.replace("0.1", "2024-05-01T12:00:00.1"), "column t, row 3: found '2024-05-01T12"),

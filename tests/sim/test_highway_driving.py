@@ -10,7 +10,7 @@ from behaviors.labels import PROFILES, Behavior
 from sim.frames import AgentKind
 from sim.highway import driving
 from sim.highway.driving import Beside, change_incentive, profile_fields
-from sim.highway.state import blank_vehicle
+from sim.highway.state import blank_vehicles
 
 PROFILE = dataclasses.replace(
     PROFILES[Behavior.CAREFUL],
@@ -30,10 +30,9 @@ NOBODY = (math.inf, 0.0)
 def row(**changes):
     """The row of a driver."""
     profile = dataclasses.replace(PROFILE, **changes)
-    made = blank_vehicle()
+    made = blank_vehicles(1)[0]
     for name, value in profile_fields(profile, AgentKind.CAR).items():
-        if name in made.dtype.names:
-            made[name] = value
+        made[name] = value
     made.length, made.speed = 4.0, 10.0
     return made
 

@@ -15,10 +15,11 @@ from scenarios.networks.build import find_program
 from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
+from sim.highway import entry
 from sim.highway.engine import network_of, run
 from sim.highway.motion import CLEAR_AFTER_S
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
+from sim.highway.vehicle import driver_rows
 from sim.road.net import read_road
 from sim.scenario import WALK_START_M, AgentSpec, Scenario, sample_agents
 
@@ -53,13 +54,12 @@ def tracks(name: str, agents, duration_s: float, seed: int = 0, **options) -> Tr
     return Tracks.from_frames(run(scenario, agents, seed), {a.id: a.behavior for a in agents})
 
 
-def put(
-    road: TrafficRoad, lane, s: float, speed: float, behavior: Behavior, number: int = 0, law="IDM"
-):
-    spec = driver(behavior, number)
-    vehicle = ProfileVehicle(road, spec, (lane[:2],), number, law).put(lane, s, speed)
-    road.add(vehicle)
-    return vehicle
+def put(road, lane, s: float, speed: float, behavior: Behavior, number=0, law="IDM", **changes):
+    (row,) = driver_rows([driver(behavior, number, **changes)], 0, law)
+    row["route"], network = road.route_number((lane[:2],)), road.network_info
+    entry.put(row, network.number[lane], s, speed, network.arrays)
+    road.add(row)
+    return road.vehicles[-1]
 
 
 def straight_network():
@@ -88,16 +88,14 @@ def test_a_driver_runs_the_same_lights_whoever_else_is_there():
 @pytest.mark.parametrize("law", ["IDM", "Krauss"])
 def test_follows_at_the_law_s_equilibrium_gap_from_bumper_to_bumper(law):
     road = TrafficRoad(straight_network())
-    leader = put(road, ("east_in<", "east_out>", 0), 100.0, 8.0, Behavior.CAREFUL, 1)
-    leader.profile = dataclasses.replace(
-        PROFILES[Behavior.CAREFUL], speed_factor=8.0 / 13.89, lane_change_gain=0.0
-    )
-    follower = put(road, ("east_in<", "east_out>", 0), 70.0, 8.0, Behavior.CAREFUL, 2, law)
-    follower.profile = dataclasses.replace(PROFILES[Behavior.CAREFUL], lane_change_gain=0.0)
+    lane, slow = ("east_in<", "east_out>", 0), 8.0 / 13.89
+    changes = {"lane_change_gain": 0.0}
+    leader = put(road, lane, 100.0, 8.0, Behavior.CAREFUL, 1, speed_factor=slow, **changes)
+    follower = put(road, lane, 70.0, 8.0, Behavior.CAREFUL, 2, law, **changes)
     for _ in range(700):
         road.act()
         road.step(0.1)
-    profile = follower.profile
+    profile = PROFILES[Behavior.CAREFUL]
     speed, wanted = follower.speed, profile.speed_factor * 13.89
     gap = leader.position[0] - follower.position[0] - (leader.LENGTH + follower.LENGTH) / 2
     expected = profile.min_gap_m + speed * profile.time_headway_s
@@ -125,7 +123,7 @@ def test_stops_behind_what_stands_in_the_way(behavior):
     assert not own.crashed
     gap = 200.0 - own.position[0] - own.LENGTH
     assert own.speed < 0.3
-    assert 0.0 < gap < 3.0 * own.profile.min_gap_m + 1.0
+    assert 0.0 < gap < 3.0 * PROFILES[behavior].min_gap_m + 1.0
 
 
 def test_a_driver_who_stops_for_no_reason_does_and_goes_on():
@@ -150,11 +148,9 @@ def test_nobody_drives_backwards_and_the_road_clears():
 def test_an_impatient_driver_overtakes_and_a_timid_one_stays_behind():
     for behavior, overtakes in ((Behavior.IMPATIENT, True), (Behavior.TIMID, False)):
         road = TrafficRoad(straight_network())
-        slow = put(road, ("east_in<", "east_out>", 1), 60.0, 5.0, Behavior.TIMID, 1)
-        slow.profile = dataclasses.replace(
-            PROFILES[Behavior.TIMID], speed_factor=0.36, stop_rate_per_min=0.0
-        )
-        own = put(road, ("east_in<", "east_out>", 1), 20.0, 9.0, behavior, 2)
+        lane, changes = ("east_in<", "east_out>", 1), {"stop_rate_per_min": 0.0}
+        slow = put(road, lane, 60.0, 5.0, Behavior.TIMID, 1, speed_factor=0.36, **changes)
+        own = put(road, lane, 20.0, 9.0, behavior, 2)
         for _ in range(300):
             road.act()
             road.step(0.1)
@@ -177,10 +173,8 @@ def test_a_lane_change_takes_about_three_seconds():
 def test_a_threatening_driver_cuts_in_just_ahead_of_somebody():
     road = TrafficRoad(straight_network())
     put(road, ("east_in<", "east_out>", 0), 90.0, 10.0, Behavior.CAREFUL, 1)
-    own = put(road, ("east_in<", "east_out>", 1), 102.0, 10.5, Behavior.THREATENING, 2)
-    own.profile = dataclasses.replace(
-        PROFILES[Behavior.THREATENING], lane_change_gain=0.0, cut_in_rate_per_min=600.0
-    )
+    changes = {"lane_change_gain": 0.0, "cut_in_rate_per_min": 600.0}
+    own = put(road, ("east_in<", "east_out>", 1), 102.0, 10.5, Behavior.THREATENING, 2, **changes)
     for _ in range(60):
         road.act()
         road.step(0.1)

@@ -116,6 +116,3 @@ def test_routes_that_do_not_exist_are_refused_by_name():
         made.stretches(("up",))
     with pytest.raises(InputError, match="no way"):
         made.stretches(("east_out", "west_in"))
-
-
-# Profiles ------------------------------------------------------------------------------------

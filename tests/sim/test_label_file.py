@@ -46,11 +46,11 @@ def test_a_behaviour_or_a_style_in_any_of_these_columns(tmp_path, text):
         ("name,behavior\n3,aggressive\n", "line 2: behavior: found 'aggressive'"),
         ("name,label\n3,careful\n3,timid\n", "line 3: found '3' twice"),
         ("name,label\n,timid\n", "line 2: name: found none"),
-        ("name,label\n3,timid,really\n", "line 2: found more cells than columns"),
+        ("name,label\n3,timid,really\n", "Expected 2 columns, got 3"),
         ("name,behavior,style\n3,timid,aggressive\n", "line 2: style: found 'aggressive'"),
         ("driver,label\n3,careful\n", "found the columns"),
         ("name,label,style\n3,careful,conservative\n", "found the columns"),
-        ("name,label\n", "found no label"),
+        ("name,label\n", "found no rows"),
         ("", "found the columns"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import pytest
 from sim.formats import read_recordings
 from sim.road import Road
 from sim.road.maps.lanelet2 import read_map
-from sim.road.maps.transverse_mercator import EQUATOR_M, FLATTENING, SCALE, to_metres
 
 NODES = {1: (0, 3), 2: (20, 3), 3: (40, 3), 4: (0, 0), 5: (20, 0), 6: (40, 0), 7: (40, -3)}
 NODES |= {8: (0, -3), 9: (20, -3)}
@@ -75,17 +75,15 @@ def test_latitudes_and_longitudes_around_zero_are_projected(tmp_path: Path) -> N
     np.testing.assert_allclose(road.lanes[0].centerline, [[0, 1.5], [20, 1.5]], atol=0.05)
 
 
-def test_utm() -> None:
-    # the textbook's easting of (0, 0) in zone 31; northings are lengths of the meridian
-    np.testing.assert_allclose(
-        to_metres(np.zeros(1), np.zeros(1), 31), [[166_021.443, 0.0]], atol=1e-3
-    )
-    latitude = np.radians(np.linspace(0.0, 49.0, 200_001))
-    squared = FLATTENING * (2 - FLATTENING)
-    curvature = EQUATOR_M * (1 - squared) / (1 - squared * np.sin(latitude) ** 2) ** 1.5
-    north = SCALE * np.trapezoid(curvature, latitude)
-    found = to_metres(np.array([49.0, -49.0]), np.array([9.0, 9.0]), 32)
-    np.testing.assert_allclose(found, [[500_000.0, north], [500_000.0, -north]], atol=1e-3)
+def test_latitudes_and_longitudes_are_projected_to_their_zone(tmp_path: Path) -> None:
+    text = re.sub(r'lat="([-.0-9]+)" lon="([-.0-9]+)"', moved_to_49_north, osm("degrees"))
+    line = read(tmp_path, text).lanes[0].centerline
+    # the textbook's place of 49 degrees north on the central meridian of a zone
+    np.testing.assert_allclose(line[0], [500_000.0, 5_427_455.8 + 1.5], atol=0.1)
+
+
+def moved_to_49_north(found: re.Match[str]) -> str:
+    return f'lat="{float(found[1]) + 49}" lon="{float(found[2]) + 9}"'
 
 
 def test_priority(tmp_path: Path) -> None:

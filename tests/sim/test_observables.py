@@ -67,8 +67,6 @@ def test_lane_graph_orders_ways_on_from_straight_to_turning(junction):
     assert graph.left[at["in_1"]] == -1
     assert DIRECTIONS[graph.direction[at[":l"]]] == "left"
     assert graph.signal[[at[":s"], at[":l"], at["out"]]].tolist() == [0, 1, -1]
-    assert graph.must_yield[at[":l"]]
-    assert not graph.must_yield[at[":s"]]
 
 
 def test_position_inverts_project_and_goes_on_straight(junction):

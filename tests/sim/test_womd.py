@@ -60,7 +60,7 @@ def test_tfrecord(tmp_path: Path) -> None:
 def protobuf_json() -> dict[str, Any]:
     from google.protobuf.json_format import MessageToDict
 
-    from sim.formats.waymo.messages import scenario_class
+    from sim.formats.waymo import scenario_class
 
     told: dict[str, Any] = MessageToDict(scenario_class().FromString(waymo_message()))
     told["scenarioId"] = "abc123"

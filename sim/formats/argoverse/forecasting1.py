@@ -10,7 +10,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -19,13 +18,13 @@ import pandas
 
 from behaviors.errors import InputError
 from sim.files import write_whole
-from sim.formats.common.columns import Columns
 from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
+from sim.formats.common.tables import read_rows
 from sim.formats.common.windows import behavior_words, focal_windows, labels_beside
 from sim.frames import KINDS, Tracks
 from sim.input_files import stem
 
-COLUMNS: Final = Columns(id=("track_id",), t="timestamp", words=("object_type",), from_zero=True)
+COLUMNS: Final = {"id": "track_id", "t": "timestamp", "x": "x", "y": "y"}
 
 STEPS: Final = 50
 """Length of a recording: 20 steps observed, 30 to predict."""
@@ -42,21 +41,11 @@ CITY: Final = "PIT"
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one CSV file.
-
-    Args:
-        path: the file; labels are looked for beside it.
-
-    Yields:
-        One recording; times count from its first row's earliest.
-
-    Raises:
-        InputError: if the file is broken; the message names file and column or row.
-    """
-    rows = COLUMNS.rows(COLUMNS.read(path))
-    rows = replace(rows, behavior=labels_beside(path.with_suffix(LABELS_SUFFIX), rows.names))
+    """The recording of one file, with the labels beside it; its first time is 0."""
+    rows = read_rows(path, COLUMNS, from_zero=True)
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
-    yield recorded(path, stem(path), rows, notes)
+    labels = labels_beside(path.with_suffix(LABELS_SUFFIX))
+    yield recorded(stem(path), rows, notes).with_codes(labels)
 
 
 def _is_number(label: str) -> bool:

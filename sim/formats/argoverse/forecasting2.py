@@ -14,7 +14,6 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,8 +22,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sim.files import whole_folder
-from sim.formats.common.columns import Columns
 from sim.formats.common.recording import Recording, left_out, recorded
+from sim.formats.common.tables import among, read_table, rows_of
 from sim.formats.common.windows import behavior_words, focal_windows, labels_beside
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.input_files import stem
@@ -92,38 +91,29 @@ BEHAVIOR_SCHEMA: Final = pa.schema(
 """Columns of the file beside the official ones that holds the behaviours, which the format cannot
 hold."""
 
-COLUMNS: Final = Columns(
-    id=("track_id",), t="timestep", xy=("position_x", "position_y"), heading="heading",
-    speed=("velocity_x", "velocity_y"), kind="object_type", kinds=OBJECT_TYPES,
-)  # fmt: skip
+COLUMNS: Final = {
+    "id": "track_id", "t": "timestep", "x": "position_x", "y": "position_y", "heading": "heading",
+    "vx": "velocity_x", "vy": "velocity_y", "kind": "object_type",
+}  # fmt: skip
+NUMBERS: Final = ("timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y")
 """Columns that are read."""
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one scenario file; numbers are kept to the last digit.
-
-    Args:
-        path: ``scenario_<id>.parquet``; its map and its labels are looked for beside it.
-
-    Yields:
-        One recording, labelled where there are labels.
-
-    Raises:
-        InputError: if a file is broken; the message names file and column.
-    """
-    table = COLUMNS.read(path)
-    road_agents, others = table.among("object_type", OBJECT_TYPES)
-    rows = COLUMNS.rows(table.part(road_agents), rate_hz=10.0)
+    """The recording of one scenario, with the map and the labels beside it."""
+    table = read_table(path, NUMBERS, ("track_id", "object_type"))
+    table, others = among(table, "object_type", OBJECT_TYPES)
+    rows = rows_of(table, COLUMNS, OBJECT_TYPES)
+    rows["t"] /= 10.0
     name = stem(path).removeprefix("scenario_")
-    labels = labels_beside(path.with_name(f"behavior_{name}.parquet"), rows.names)
     notes = ["sizes are not in this format: those usual for each kind are assumed"]
     notes += left_out(others)
     archive = path.with_name(f"log_map_archive_{name}.json")
     road = archive if archive.is_file() and read_map(archive) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    rows = replace(rows, behavior=labels)
-    yield recorded(path, name, rows, notes, road, own_road=True)
+    labels = labels_beside(path.with_name(f"behavior_{name}.parquet"))
+    yield recorded(name, rows, notes, road, own_road=True).with_codes(labels)
 
 
 # --- writing ------------------------------------------------------------------------------------

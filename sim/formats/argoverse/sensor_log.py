@@ -17,14 +17,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, first_sizes, left_out, recorded
-from sim.formats.common.tables import Table, read_table
+from sim.formats.common.recording import Recording, left_out, recorded
+from sim.formats.common.tables import among, kinds_in, names_in, read_table, whole
 from sim.frames import AgentKind, FloatArray
-from sim.input_files import beside
+from sim.input_files import beside, broken_as_one_line
 from sim.road.maps.argoverse2 import read_map
 
 POSES: Final = "city_SE3_egovehicle.feather"
@@ -64,24 +65,14 @@ estimate, since the format does not tell: py123d takes 1.339 m for this car)."""
 UNIT_TOLERANCE: Final = 0.01
 """How far the length of a quaternion may be from one (rounding to six digits stays far below)."""
 
-_TURN: Final = ("qw", "qx", "qy", "qz")
-_PLACE: Final = ("tx_m", "ty_m", "tz_m")
+_TURN: Final = ["qw", "qx", "qy", "qz"]
+_PLACE: Final = ["tx_m", "ty_m", "tz_m"]
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read one log; sizes are those of an agent's first box, speeds follow from the motion.
+    """The recording of one log in the city's frame, called like the log's folder.
 
-    Args:
-        path: ``annotations.feather`` (or ``.feather.gz``); the poses must lie beside it. The map
-            is looked for in the folder ``map`` there, and beside it.
-
-    Yields:
-        One recording in the city's frame, m, called like the log's folder. Its times are those of
-        the sweeps that have boxes, s from the first.
-
-    Raises:
-        InputError: if a file is missing or broken, or a sweep has no pose; the message names file
-            and column.
+    Its times are those of the sweeps that have boxes, s from the first.
     """
     numbers = ("timestamp_ns", *_TURN, *_PLACE, "length_m", "width_m")
     boxes = read_table(path, numbers, ("track_uuid", "category"))
@@ -91,67 +82,59 @@ def read(path: Path) -> Iterator[Recording]:
             f"{path}: found no {POSES} beside it, expected it: without it the recording car's "
             "motion cannot be undone"
         )
-    sweeps, sweep = np.unique(boxes.whole("timestamp_ns"), return_inverse=True)
+    sweeps, boxes["sweep"] = np.unique(whole(boxes, "timestamp_ns"), return_inverse=True)
     turn, place = _poses_at(poses, sweeps)
     time_s = (sweeps - sweeps[0]) / 1e9
 
-    of_agents, others = boxes.among("category", CATEGORIES)
-    agents, at = boxes.part(of_agents), sweep[of_agents]
-    agent, names = agents.names("track_uuid")
-    xy = np.einsum("nij,nj->ni", turn[at, :2], agents.stacked(*_PLACE)) + place[at, :2]
-    ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(agents)[:, :, 0])
-    ego = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
-    heading = np.concatenate([ahead, turn[:, :2, 0]])
-    sizes = first_sizes(agent, agents.stacked("length_m", "width_m"))
-    rows = Rows(
-        np.append(agent, np.full(sweeps.size, len(names))),
-        (*names, EGO_NAME),
-        np.append(time_s[at], time_s),
-        np.concatenate([xy, ego]),
-        np.arctan2(heading[:, 1], heading[:, 0]),
-        kinds=[*agents.kinds("category", agent, CATEGORIES), AgentKind.CAR],
-        sizes=np.concatenate([sizes, [EGO_SIZE_M]]),
-    )
+    boxes, others = among(boxes, "category", CATEGORIES)
+    at = boxes["sweep"].to_numpy()
+    xy = np.einsum("nij,nj->ni", turn[at, :2], boxes[_PLACE].to_numpy()) + place[at, :2]
+    ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(path, boxes)[:, :, 0])
+    centre = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
+    agents = pandas.DataFrame(
+        {"id": names_in(boxes["track_uuid"]), "t": time_s[at], "x": xy[:, 0], "y": xy[:, 1],
+         "heading": np.arctan2(ahead[:, 1], ahead[:, 0]), "length": boxes["length_m"],
+         "width": boxes["width_m"], "kind": kinds_in(boxes["category"], CATEGORIES)}
+    )  # fmt: skip
+    ego = pandas.DataFrame(
+        {"id": EGO_NAME, "t": time_s, "x": centre[:, 0], "y": centre[:, 1],
+         "heading": np.arctan2(turn[:, 1, 0], turn[:, 0, 0]), "length": EGO_SIZE_M[0],
+         "width": EGO_SIZE_M[1], "kind": AgentKind.CAR.code}
+    )  # fmt: skip
     notes = [
         f"the recording car's motion is undone with its poses; it is the agent {EGO_NAME}, a Ford "
         f"Fusion of {EGO_SIZE_M[0]:g} by {EGO_SIZE_M[1]:g} m",
         "speeds are taken from the motion",
     ]
     notes += left_out(set(others) - {EGO_CATEGORY})
-    maps = _maps_of(path)
+    home = path.absolute().parent
+    maps = [*home.glob("map/log_map_archive_*.json"), *home.glob("log_map_archive_*.json")]
     if len(maps) > 1:
         notes.append(f"found {len(maps)} maps: none is used")
     road = maps[0] if len(maps) == 1 and read_map(maps[0]) is not None else None
     if road is not None:
         notes.append("limits, signals and who has priority are not in this format: unknown")
-    name = path.absolute().parent.name
-    yield recorded(path, name, rows, notes, road, own_road=True)
+    yield recorded(home.name, pandas.concat([agents, ego]), notes, road, own_road=True)
 
 
-def _maps_of(path: Path) -> list[Path]:
-    """The maps of a log, in its folder ``map`` or beside its boxes."""
-    home = path.absolute().parent
-    return [*home.glob("map/log_map_archive_*.json"), *home.glob("log_map_archive_*.json")]
-
-
-def _rotations(table: Table) -> FloatArray:
+def _rotations(path: Path, table: pandas.DataFrame) -> FloatArray:
     """(rows, 3, 3) rotations of a table's unit quaternions."""
-    quaternion = table.stacked(*_TURN)
+    quaternion = table[_TURN].to_numpy()
     length = np.sqrt((quaternion**2).sum(axis=1))
-    bad = np.flatnonzero(~(np.abs(length - 1) <= UNIT_TOLERANCE))
-    if bad.size:
+    bad = ~(np.abs(length - 1) <= UNIT_TOLERANCE)
+    if bad.any():
         raise InputError(
-            f"{table.path}: columns {', '.join(_TURN)}: found length {length[bad[0]]:g} in row "
-            f"{bad[0]}, expected 1"
+            f"{path}: columns {', '.join(_TURN)}: found length {length[bad][0]:g} in row "
+            f"{table.index[bad][0]}, expected 1"
         )
-    turns = Rotation.from_quat(quaternion, scalar_first=True)
-    return np.asarray(turns.as_matrix())
+    return np.asarray(Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
 
 
 def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """(sweeps, 3, 3) rotation and (sweeps, 3) place of the recording car at each sweep, m."""
-    poses = read_table(path, ("timestamp_ns", *_TURN, *_PLACE), ())
-    stamp = poses.whole("timestamp_ns")
+    poses = read_table(path, ("timestamp_ns", *_TURN, *_PLACE))
+    with broken_as_one_line(path, "poses"):
+        stamp = whole(poses, "timestamp_ns")
     unique, first, count = np.unique(stamp, return_index=True, return_counts=True)
     at = np.minimum(np.searchsorted(unique, sweeps), unique.size - 1)
     for wrong, found in ((unique[at] != sweeps, "no pose"), (count[at] > 1, "several poses")):
@@ -160,4 +143,4 @@ def _poses_at(path: Path, sweeps: NDArray[np.int64]) -> tuple[FloatArray, FloatA
                 f"{path}: column timestamp_ns: found {found} at {sweeps[wrong.argmax()]}, expected "
                 "one at each annotated sweep"
             )
-    return _rotations(poses)[first[at]], poses.stacked(*_PLACE)[first[at]]
+    return _rotations(path, poses)[first[at]], poses[_PLACE].to_numpy()[first[at]]

@@ -6,18 +6,19 @@ by steps, lanes with their successors, crosswalks, and what each lane's light sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.recording import Recording, Rows, recorded
+from sim.formats.common.recording import Recording, recorded
 from sim.frames import AgentKind, FloatArray, Signal
-from sim.road.maps.waymo import WaymoLane, waymo_road
+from sim.road.maps.lanelets import Lanelet
+from sim.road.maps.waymo import waymo_road
 
 STATES: Final = (
     Signal.OFF, Signal.RED, Signal.YELLOW, Signal.GREEN, Signal.RED, Signal.YELLOW, Signal.GREEN,
@@ -26,24 +27,8 @@ STATES: Final = (
 """What lights show, by the format's number: unknown; stop, caution and go as arrows, then as discs;
 flashing stop and caution."""
 
-
-@dataclass(frozen=True)
-class SceneAgent:
-    """An agent of a scenario.
-
-    Attributes:
-        name: its own name.
-        kind: what it is.
-        steps: (k,) the steps at which it is seen.
-        values: (k, 6) x, y, heading, speed, length and width at these steps.
-        behavior: code into ``BEHAVIORS``; -1 where it has none.
-    """
-
-    name: str
-    kind: AgentKind
-    steps: NDArray[np.int64]
-    values: FloatArray
-    behavior: int = -1
+VALUES: Final = ("x", "y", "heading", "speed", "length", "width")
+"""What is known of an agent at each step, in this order."""
 
 
 @dataclass
@@ -54,20 +39,23 @@ class DrivingScene:
         path: its file.
         name: its own name.
         time_s: (T,) of the steps, s.
-        agents: that are road-agents.
-        lanes: of the map.
+        agents: name and kind of each road-agent, the (k,) steps at which it is seen, and its
+            (k, 6) `VALUES` there.
+        lanes: of the map; an unknown width is NaN.
         crosswalks: (P, 2) outline of each, m, by id.
         lights: what the lights show at each step: index into `STATES` by lane.
+        behaviors: codes into ``BEHAVIORS``, by agent's name.
         left_out: how many objects are no road-agents.
     """
 
     path: Path
     name: str
     time_s: FloatArray
-    agents: list[SceneAgent] = field(default_factory=list)
-    lanes: list[WaymoLane] = field(default_factory=list)
+    agents: list[tuple[str, AgentKind, NDArray[np.int64], FloatArray]] = field(default_factory=list)
+    lanes: list[Lanelet] = field(default_factory=list)
     crosswalks: dict[str, FloatArray] = field(default_factory=dict)
     lights: list[dict[int, int]] = field(default_factory=list)
+    behaviors: dict[str, int] = field(default_factory=dict)
     left_out: int = 0
 
 
@@ -75,59 +63,37 @@ def recording_of(scene: DrivingScene) -> Recording:
     """The scenario as a recording with its road.
 
     Raises:
-        InputError: if its times do not increase, or an id is twice.
+        InputError: if its times do not increase.
     """
-    path, time_s = scene.path, scene.time_s
+    time_s = scene.time_s
     if not time_s.size or not (np.diff(time_s) > 0).all() or not (np.abs(time_s) < 1e9).all():
-        raise InputError(f"{path}: timestamps: found {time_s.size}, expected some that increase")
-    seen = [agent for agent in scene.agents if len(agent.steps)]
-    names = [agent.name for agent in seen]
-    if len(set(names)) != len(names):
-        raise InputError(f"{path}: tracks: found an id twice, expected each once")
-    table = np.concatenate([np.empty((0, 6)), *(agent.values for agent in seen)])
-    steps = np.concatenate([np.empty(0, dtype=np.int64), *(agent.steps for agent in seen)])
-    behavior = np.array([agent.behavior for agent in seen], dtype=np.int8)
-    recording = recorded(
-        path,
-        scene.name,
-        Rows(
-            np.repeat(np.arange(len(seen)), [len(agent.steps) for agent in seen]),
-            names,
-            time_s[steps] - time_s[0],
-            table[:, :2],
-            table[:, 2],
-            table[:, 3],
-            [agent.kind for agent in seen],
-            np.array([_size(agent.values[:, 4:]) for agent in seen]).reshape(-1, 2),
-            behavior=behavior if (behavior >= 0).any() else None,
-            empty_s=(time_s - time_s[0]).tolist(),
-        ),
-    )
+        raise InputError(f"timestamps: found {time_s.size}, expected some that increase")
+    seen_s = time_s - time_s[0]
+    for *_, states in scene.agents:  # sizes are measured anew at each step
+        known = states[(states[:, 4:] > 0).all(axis=1), 4:]
+        if len(known):
+            states[:, 4:] = np.median(known, axis=0)
+    values = [np.empty((0, len(VALUES))), *(agent[3] for agent in scene.agents)]
+    rows = pandas.DataFrame(np.concatenate(values), columns=VALUES)
+    counts = [len(agent[2]) for agent in scene.agents]
+    rows["id"] = np.repeat(np.array([agent[0] for agent in scene.agents], dtype=object), counts)
+    rows["kind"] = np.repeat(np.array([a[1].code for a in scene.agents], dtype=int), counts)
+    steps = [np.empty(0, dtype=np.int64), *(agent[2] for agent in scene.agents)]
+    rows["t"] = seen_s[np.concatenate(steps)]
+    recording = recorded(scene.name, rows, empty_s=seen_s.tolist()).with_codes(scene.behaviors)
     lights = sorted({lane for shown in scene.lights for lane in shown})
-    road = waymo_road(path, scene.name, scene.lanes, scene.crosswalks, lights)
+    road = waymo_road(scene.path, scene.name, scene.lanes, scene.crosswalks, lights)
     notes = ["vehicles are taken for cars, whatever they are"]
     if scene.left_out:
         notes.append(f"left out, because they are not road-agents: {scene.left_out} objects")
     tracks = recording.tracks
     if road is not None:
-        tracks = replace(tracks, signals=_signals(scene, lights))
+        codes = np.full((len(lights), time_s.size), Signal.OFF.code, dtype=np.int8)
+        for step, shown in enumerate(scene.lights[: time_s.size]):
+            for lane, state in shown.items():
+                codes[lights.index(lane), step] = STATES[state].code
+        tracks = replace(tracks, signals=codes)
         notes.append("widths of lanes are told from neighbours, or assumed to be 3.5 m")
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
     return replace(recording, tracks=tracks, notes=tuple(notes), road=road, own_road=True)
-
-
-def _size(sides: FloatArray) -> FloatArray:
-    """(2,) the median length and width of the steps that have both; of none, the first ones."""
-    known = (sides > 0).all(axis=1)
-    return np.asarray(np.median(sides[known], axis=0) if known.any() else sides[0])
-
-
-def _signals(scene: DrivingScene, lights: Sequence[int]) -> NDArray[np.int8]:
-    """(lights, T) codes of what they show; off where a light was not seen."""
-    group = {lane: i for i, lane in enumerate(lights)}
-    codes = np.full((len(lights), scene.time_s.size), Signal.OFF.code, dtype=np.int8)
-    for t, shown in enumerate(scene.lights[: scene.time_s.size]):
-        for lane, state in shown.items():
-            codes[group[lane], t] = STATES[state].code
-    return codes

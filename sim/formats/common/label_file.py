@@ -1,4 +1,4 @@
-"""Labels of drivers from a CSV file that somebody wrote, for recordings of any format.
+"""Labels of drivers from a table that somebody wrote, for recordings of any format.
 
 The file has the column ``name`` (the recording's own id of the driver) and one of ``label`` (a
 behaviour or a style), ``behavior`` or ``style``; both of the latter may be there. With a column
@@ -7,8 +7,6 @@ behaviour or a style), ``behavior`` or ``style``; both of the latter may be ther
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +15,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
-from sim.input_files import broken_as_one_line, opened
-
-LABELS: Final = ("label", "behavior", "style")
-"""Columns that may say what a driver is."""
+from sim.formats.common.tables import read_table, words_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +43,15 @@ class DriverLabel:
         )
 
 
+_STYLES: Final = {style.value: DriverLabel(style) for style in Style}
+_BEHAVIORS: Final = {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
+_WORDS: Final = {"label": _STYLES | _BEHAVIORS, "behavior": _BEHAVIORS, "style": _STYLES}
+"""Columns that may say what a driver is, and what each word of them stands for."""
+
+_TOGETHER: Final = ({"label"}, {"behavior"}, {"style"}, {"behavior", "style"})
+"""Which of these columns may be there together."""
+
+
 class DriverLabels:
     """Labels of drivers of one or several recordings, by name.
 
@@ -61,7 +65,6 @@ class DriverLabels:
     def __init__(self, path: Path, labels: Mapping[tuple[str | None, str], DriverLabel]) -> None:
         self._path = path
         self._labels = labels
-        self._places = {place for place, _ in labels if place is not None}
         self._used: dict[tuple[str | None, str], str] = {}
 
     def __len__(self) -> int:
@@ -82,10 +85,10 @@ class DriverLabels:
             InputError: if a row that names no recording fits the drivers of two.
         """
         own = {part for word in called if word for part in (word, re.split("[/\\\\]", word)[-1])}
-        places: list[str | None] = [None, *sorted(self._places & own)]
+        places = sorted({place for place, _ in self._labels if place is not None} & own)
         first = next((word for word in called if word), "")
         found: list[DriverLabel | None] = [None] * len(names)
-        for place in places:
+        for place in (None, *places):
             for row, name in enumerate(names):
                 label = self._labels.get((place, name))
                 if label is None:
@@ -122,59 +125,37 @@ def read_driver_labels(path: Path) -> DriverLabels:
     Raises:
         InputError: if the file is not such a table; the message names the line.
     """
-    found: dict[tuple[str | None, str], DriverLabel] = {}
-    with broken_as_one_line(path, "a CSV file of labels in UTF-8"), opened(path) as file:
-        text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
-        table = csv.DictReader(text, strict=True, skipinitialspace=True)
-        given = [raw.strip().lower().replace("behaviour", "behavior") for raw in
-                 table.fieldnames or ()]  # fmt: skip
-        labels = set(LABELS) & set(given)
-        known = sorted(given) == sorted({"name", *labels, *({"recording"} & set(given))})
-        if not known or labels not in _LABELLED:
-            raise InputError(
-                f"{path}: found the columns {', '.join(table.fieldnames or ())!r:.200}, expected "
-                "name and label (or behavior, or style), and at most recording"
-            )
-        table.fieldnames = given
-        for row in table:
-            where = f"{path}: line {table.line_num}"
-            if None in row:
-                raise InputError(f"{where}: found more cells than columns")
-            cells = {column: (cell or "").strip() for column, cell in row.items()}
-            place, name = cells.get("recording") or None, cells["name"]
-            if not name:
-                raise InputError(f"{where}: name: found none, expected the driver's")
-            if (place, name) in found:
-                raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
-            found[place, name] = _label(where, cells)
-    if not found:
-        raise InputError(f"{path}: found no label, expected at least one")
-    return DriverLabels(path, found)
-
-
-_LABELLED: Final = ({"label"}, {"behavior"}, {"style"}, {"behavior", "style"})
-"""Which columns may say what a driver is, together."""
-
-_STYLES: Final = {style.value: DriverLabel(style) for style in Style}
-_BEHAVIORS: Final = {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
-_WORDS: Final = {"label": _STYLES | _BEHAVIORS, "behavior": _BEHAVIORS, "style": _STYLES}
-"""What each word of these columns stands for."""
-
-
-def _label(where: str, cells: Mapping[str, str]) -> DriverLabel:
-    """What the cells of a row say of its driver."""
-    columns = [column for column in LABELS if column in cells]
-    labels = []
-    for column in [column for column in columns if cells[column]] or columns[:1]:
-        label = _WORDS[column].get(cells[column].lower())
-        if label is None:
-            raise InputError(
-                f"{where}: {column}: found {cells[column].lower()!r:.60}, expected one of "
-                f"{', '.join(_WORDS[column])}"
-            )
-        labels.append(label)
-    if len({label.style for label in labels}) > 1:
+    optional = (*_WORDS, "behaviour", "recording")
+    table = read_table(path, (), ("name", *optional), optional)
+    table = table.rename(columns={"behaviour": "behavior"})
+    columns = [column for column in _WORDS if column in table]
+    if set(columns) not in _TOGETHER:
         raise InputError(
-            f"{where}: style: found {cells['style']!r:.60}, expected that of {cells['behavior']}"
+            f"{path}: found the columns {', '.join(table)!r:.200}, expected name and label "
+            "(or behavior, or style), and at most recording"
         )
-    return labels[0]
+    cells = {column: [(word or "").strip() for word in words_in(table[column])] for column in table}
+    found: dict[tuple[str | None, str], DriverLabel] = {}
+    for row, name in enumerate(cells["name"]):
+        where = f"{path}: line {row + 2}"
+        place = cells["recording"][row] or None if "recording" in cells else None
+        if not name:
+            raise InputError(f"{where}: name: found none, expected the driver's")
+        if (place, name) in found:
+            raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
+        stated = {column: cells[column][row].lower() for column in columns}
+        labels = []
+        for column in [column for column in columns if stated[column]] or columns[:1]:
+            label = _WORDS[column].get(stated[column])
+            if label is None:
+                raise InputError(
+                    f"{where}: {column}: found {stated[column]!r:.60}, expected one of "
+                    f"{', '.join(_WORDS[column])}"
+                )
+            labels.append(label)
+        if len({label.style for label in labels}) > 1:
+            raise InputError(
+                f"{where}: style: found {stated['style']!r}, expected that of {stated['behavior']}"
+            )
+        found[place, name] = labels[0]
+    return DriverLabels(path, found)

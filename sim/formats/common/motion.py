@@ -41,23 +41,18 @@ def motion(
 def row_motion(
     agent: NDArray[np.int64], xy: FloatArray, time_s: FloatArray, rest_heading: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Heading and speed from positions.
+    """(m,) heading, rad, and (m,) speed, m/s, from positions.
 
     The velocity at each time is the difference of the neighbouring positions of the agent
-    (one-sided at the ends). Below ``MOVING_MPS`` the heading is that of the last time it moved,
-    before the first such time that of the first, and ``rest_heading`` for those that never move.
+    (one-sided at the ends). Below ``MOVING_MPS`` the heading is held, see `hold_heading`.
 
     Args:
         agent: (m,) ascending.
         xy: (m, 2) m.
         time_s: (m,) s, ascending for each agent.
         rest_heading: rad.
-
-    Returns:
-        (m,) heading, rad, and (m,) speed, m/s.
     """
-    m = agent.size
-    row = np.arange(m)
+    row = np.arange(agent.size)
     same = agent[1:] == agent[:-1]
     before, after = row.copy(), row.copy()
     before[1:][same] -= 1
@@ -78,16 +73,10 @@ def hold_heading(
     moving: NDArray[np.bool_],
     rest_heading: float,
 ) -> FloatArray:
-    """Fill the times without motion with the last heading in motion.
+    """(m,) directions, rad, in which times without motion have that of the last time in motion.
 
-    Args:
-        agent: (m,) ascending.
-        direction: (m,) rad; meaningful where moving.
-        moving: (m,) where it is.
-        rest_heading: for agents that never move, rad.
-
-    Returns:
-        (m,) rad.
+    Before the first such time it is that of the first, and ``rest_heading`` for agents that never
+    move. The agents of the rows are ascending.
     """
     m = agent.size
     row = np.arange(m)
@@ -100,13 +89,9 @@ def hold_heading(
 
 
 def at_rate(tracks: Tracks, rate_hz: float) -> Tracks:
-    """The tracks with times stretched to another rate.
+    """The tracks, of two times at least, with times stretched to another rate.
 
     Speeds that are those of the motion are taken from it again; stated ones stay.
-
-    Args:
-        tracks: as read, at two times at least.
-        rate_hz: frames per second that the recording really has.
     """
     first, rows = tracks.time_s[0], tracks.rows
     time_s = first + (tracks.time_s - first) / (rate_hz * tracks.step_s)

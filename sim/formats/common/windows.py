@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from sim.formats.common.tables import read_table
+from sim.formats.common.tables import read_table, words_in
 from sim.frames import PEDESTRIAN, Tracks
 
 PERIOD_S: Final = 0.1
@@ -26,19 +25,12 @@ class NoWindowError(InputError):
 
 
 def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
-    """Consecutive windows that do not overlap, each of times 0.1 s apart.
+    """Consecutive windows of so many times 0.1 s apart, with the agents seen in each.
 
     A new window begins after a gap; the incomplete windows before a gap and at the end are dropped.
 
-    Args:
-        tracks: an episode, its step a divisor of 0.1 s.
-        steps: length of a window.
-
-    Yields:
-        Each window with the agents seen in it.
-
     Raises:
-        InputError: if the step is not a divisor of 0.1 s.
+        InputError: if the step of the tracks is not a divisor of 0.1 s.
     """
     if tracks.time_s.size < 2:
         return  # too short for a window, and without a step
@@ -47,65 +39,21 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
         raise InputError(
             f"step_s: found {tracks.step_s:g}, expected a divisor of {PERIOD_S} for this format"
         )
-    following = _following(tracks.time_s)
-    index = tracks.rows.index
+    time_s, index = tracks.time_s, tracks.rows.index
+    wanted = time_s + PERIOD_S
+    after = np.minimum(np.searchsorted(time_s, wanted), time_s.size - 1)
+    nearest = after - (wanted - time_s[after - 1] < time_s[after] - wanted)
+    follows = np.abs(time_s[nearest] - wanted) <= TOLERANCE_S
     column, window = 0, list[int]()
-    while column < tracks.time_s.size:
+    while column < time_s.size:
         window.append(column)
         if len(window) == steps:
             seen = np.unique(np.concatenate([index.agent[index.at(step)] for step in window]))
             yield tracks.part(seen, np.array(window))
             window = []
-        if following[column] < 0:  # a gap: the next time begins a new window
+        if not follows[column]:  # a gap: the next time begins a new window
             window = []
-            column += 1
-        else:
-            column = int(following[column])
-
-
-def _following(time_s: NDArray[np.float64]) -> NDArray[np.int64]:
-    """(T,) index of the time that is nearest to 0.1 s after each; -1 where there is none."""
-    wanted = time_s + PERIOD_S
-    after = np.minimum(np.searchsorted(time_s, wanted), time_s.size - 1)
-    nearer_before = wanted - time_s[after - 1] < time_s[after] - wanted
-    nearest = np.where(nearer_before, after - 1, after)
-    return np.where(np.abs(time_s[nearest] - wanted) <= TOLERANCE_S, nearest, -1)
-
-
-def focal_agents(window: Tracks) -> list[int]:
-    """Rows of the vehicles seen in every step, the one that travels farthest first."""
-    rows = np.flatnonzero(window.valid.all(axis=1) & (window.kind != PEDESTRIAN))
-    way = np.hypot(*np.moveaxis(window.xy[rows, -1] - window.xy[rows, 0], -1, 0))
-    return [int(r) for r in rows[np.argsort(-way, kind="stable")]]
-
-
-def labels_beside(path: Path, names: Sequence[str]) -> NDArray[np.int8] | None:
-    """The behaviours of a recording's agents, from the table of labels beside it.
-
-    Args:
-        path: the table, with the columns ``track_id`` and ``behavior``.
-        names: the recording's agents.
-
-    Returns:
-        (len(names),) codes into ``BEHAVIORS`` (-1: none); None where no agent has one, or there is
-        no such file.
-
-    Raises:
-        InputError: if an agent is in the file twice or a word is no behaviour.
-    """
-    if not path.is_file():
-        return None
-    table = read_table(path, (), ("track_id", "behavior"), empty=("behavior",))
-    known: dict[str, int] = {}
-    for name, word in zip(table.words("track_id"), table.words("behavior"), strict=True):
-        if name in known or (word and word not in BEHAVIORS):
-            found = f"behavior {word!r:.60}" if name not in known else "it twice"
-            raise InputError(
-                f"{path}: agent {name!r:.60}: found {found}, expected one of {', '.join(BEHAVIORS)}"
-            )
-        known[name] = BEHAVIORS.index(word) if word else -1
-    codes = np.array([known.get(name, -1) for name in names], dtype=np.int8)
-    return codes if (codes >= 0).any() else None
+        column = int(nearest[column]) if follows[column] else column + 1
 
 
 def focal_windows(name: str, tracks: Tracks, steps: int) -> Iterator[tuple[int, Tracks, list[int]]]:
@@ -121,18 +69,41 @@ def focal_windows(name: str, tracks: Tracks, steps: int) -> Iterator[tuple[int, 
 
     Raises:
         NoWindowError: if there is none.
-        InputError: if the step is not a divisor of 0.1 s.
     """
     found = False
     for number, window in enumerate(windows(tracks, steps)):
-        focal = focal_agents(window)
-        if focal:
+        rows = np.flatnonzero(window.valid.all(axis=1) & (window.kind != PEDESTRIAN))
+        way = np.hypot(*np.moveaxis(window.xy[rows, -1] - window.xy[rows, 0], -1, 0))
+        if rows.size:
             found = True
-            yield number, window, focal
+            yield number, window, rows[np.argsort(-way, kind="stable")].tolist()
     if not found:
         raise NoWindowError(
             f"{name}: found no {steps / 10:g} s with an agent seen all the time, expected some"
         )
+
+
+def labels_beside(path: Path) -> dict[str, int]:
+    """Codes into ``BEHAVIORS`` by an agent's name, from the table of labels beside a recording.
+
+    Args:
+        path: the table, with the columns ``track_id`` and ``behavior``; it may be missing.
+
+    Raises:
+        InputError: if an agent is in the file twice or a word is no behaviour.
+    """
+    if not path.is_file():
+        return {}
+    table = read_table(path, (), ("track_id", "behavior"), ("behavior",))
+    codes: dict[str, int] = {}
+    for name, word in zip(words_in(table["track_id"]), words_in(table["behavior"]), strict=True):
+        if not name or name in codes or (word and word not in BEHAVIORS):
+            found = f"behavior {word!r:.60}" if name not in codes else "it twice"
+            raise InputError(
+                f"{path}: agent {name!r:.60}: found {found}, expected one of {', '.join(BEHAVIORS)}"
+            )
+        codes[name] = BEHAVIORS.index(word) if word else -1
+    return codes
 
 
 def behavior_words(tracks: Tracks) -> list[str | None]:

@@ -17,14 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray
-from sim.geometry import offset_line
+from sim.geometry import borders
 from sim.input_files import broken_as_one_line, read_bytes, read_once
-from sim.road import Crossing, Lane, Road
+from sim.road import Crossing, Road
 from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
 
 # --- reading ------------------------------------------------------------------------------------
@@ -32,15 +31,9 @@ from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
 
 @read_once
 def read_map(path: Path, name: str | None = None) -> Road | None:
-    """Read a map.
+    """The road of a map (``log_map_archive_<id>.json``), None for one without lane segments.
 
-    Args:
-        path: ``log_map_archive_<id>.json``.
-        name: what to call the road; by default the file's name without its ending.
-
-    Returns:
-        Its lanes, ways and crossings; lane and crossing ids are those of the file. None for a map
-        without lane segments.
+    Lane and crossing ids are those of the file.
 
     Raises:
         InputError: if the file is missing or no such map; names the place in it.
@@ -86,84 +79,60 @@ def _crossing(crosswalk: Mapping[str, Any]) -> Crossing:
     one, other = (_array(crosswalk[edge])[[0, -1]] for edge in ("edge1", "edge2"))
     if (one[1] - one[0]) @ (other[1] - other[0]) < 0:
         other = other[::-1]
-    return Crossing(
-        id=str(crosswalk["id"]),
-        centerline=(one + other) / 2,
-        width_m=float(np.hypot(*(one - other).T).mean()),
-        edges=(),
-        priority=False,
-    )
+    width_m = float(np.hypot(*(one - other).T).mean())
+    return Crossing(str(crosswalk["id"]), (one + other) / 2, width_m, (), priority=False)
 
 
 # --- writing ------------------------------------------------------------------------------------
 
 
-def _points(line: NDArray[np.float64]) -> list[dict[str, float]]:
-    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
-
-
 def static_map(road: Road | None) -> dict[str, Any]:
-    """The map as the official package reads it.
-
-    Args:
-        road: what to describe; None for an empty map.
-
-    Returns:
-        Lane segments, drivable areas and pedestrian crossings by id.
-    """
+    """The map of a road as the official package reads it; an empty one of none."""
+    segments, areas, crossings = dict[str, Any](), dict[str, Any](), dict[str, Any]()
+    written = {
+        "drivable_areas": areas,
+        "lane_segments": segments,
+        "pedestrian_crossings": crossings,
+    }
     if road is None:
-        return {"drivable_areas": {}, "lane_segments": {}, "pedestrian_crossings": {}}
+        return written
     number = {lane.id: i + 1 for i, lane in enumerate(road.lanes) if not lane.walking}
     chains = [(c.from_lane, *c.via, c.to_lane) for c in road.connections]
-    follows = {pair for chain in chains for pair in pairwise(chain)}
-    by_place = {(lane.edge, lane.index): lane for lane in road.lanes if not lane.walking}
-    segments = {}
-    areas = {}
+    follows = [p for chain in chains for p in pairwise(chain) if number.keys() >= {*p}]
+    by_place = {(lane.edge, lane.index): lane.id for lane in road.lanes if not lane.walking}
     for lane in road.lanes:
         if lane.walking:
             continue
-        left = offset_line(lane.centerline, 0.5 * lane.width_m)
-        right = offset_line(lane.centerline, -0.5 * lane.width_m)
         identity = number[lane.id]
-        segments[str(identity)] = {
+        left, right = borders(lane.centerline, lane.width_m)
+        segment = {
             "id": identity,
             "is_intersection": lane.internal,
             "lane_type": "VEHICLE",
             "centerline": _points(lane.centerline),
             "left_lane_boundary": _points(left),
             "right_lane_boundary": _points(right),
-            **_sides(lane, by_place, number),
-            "predecessors": sorted(number[a] for a, b in follows if b == lane.id and a in number),
-            "successors": sorted(number[b] for a, b in follows if a == lane.id and b in number),
         }
+        beside = {
+            side: by_place.get((lane.edge, lane.index + step))
+            for side, step in (("left", 1), ("right", -1))
+        }
+        for side, other in beside.items():
+            segment[f"{side}_neighbor_id"] = None if other is None else number[other]
+        for side, other in beside.items():
+            line = "SOLID_WHITE" if other is None else "DASHED_WHITE"
+            segment[f"{side}_lane_mark_type"] = "NONE" if lane.internal else line
+        segment["predecessors"] = sorted({number[a] for a, b in follows if b == lane.id})
+        segment["successors"] = sorted({number[b] for a, b in follows if a == lane.id})
+        segments[str(identity)] = segment
         boundary = np.concatenate([left, right[::-1]])
         areas[str(identity)] = {"id": identity, "area_boundary": _points(boundary)}
-    crossings = {}
-    for i, crossing in enumerate(road.crossings):
-        identity = len(road.lanes) + 1 + i
-        ends = crossing.centerline[[0, -1]]
-        crossings[str(identity)] = {
-            "id": identity,
-            "edge1": _points(offset_line(ends, 0.5 * crossing.width_m)),
-            "edge2": _points(offset_line(ends, -0.5 * crossing.width_m)),
-        }
-    return {
-        "drivable_areas": areas,
-        "lane_segments": segments,
-        "pedestrian_crossings": crossings,
-    }
+    for identity, crossing in enumerate(road.crossings, len(road.lanes) + 1):
+        left, right = borders(crossing.centerline[[0, -1]], crossing.width_m)
+        edges = {"edge1": _points(left), "edge2": _points(right)}
+        crossings[str(identity)] = {"id": identity, **edges}
+    return written
 
 
-def _sides(
-    lane: Lane, by_place: dict[tuple[str, int], Lane], number: dict[str, int]
-) -> dict[str, Any]:
-    left = by_place.get((lane.edge, lane.index + 1))
-    right = by_place.get((lane.edge, lane.index - 1))
-    outer = "NONE" if lane.internal else "SOLID_WHITE"
-    inner = "NONE" if lane.internal else "DASHED_WHITE"
-    return {
-        "left_neighbor_id": None if left is None else number[left.id],
-        "right_neighbor_id": None if right is None else number[right.id],
-        "left_lane_mark_type": outer if left is None else inner,
-        "right_lane_mark_type": outer if right is None else inner,
-    }
+def _points(line: FloatArray) -> list[dict[str, float]]:
+    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]

@@ -15,22 +15,16 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.frames import Signal
-from sim.road import Crossing, Road, SignalPlan
-from sim.road.maps.lanelets import (
-    MAX_COORDINATE_M,
-    Lanelet,
-    between,
-    road_of_lanelets,
-    with_junctions,
-)
+from sim.frames import FloatArray, Signal
+from sim.road import Road, SignalPlan
+from sim.road.checks import MAX_COORDINATE_M
+from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.xml_tree import read_tree, whole_number
 
 ROOT: Final = "commonRoad"
@@ -42,7 +36,7 @@ LIMIT_SIGNS: Final = frozenset(
 Italy, Russia and Spain, as CommonRoad numbers them."""
 
 STOP_SIGNS: Final = frozenset({"206", "R1-1"})
-YIELD_SIGNS: Final = frozenset({"205", "R1-2"})
+YIELD_SIGNS: Final = frozenset({"205", "R1-2"}) | STOP_SIGNS
 PRIORITY_SIGNS: Final = frozenset({"301", "306"})
 
 NOT_FOR_CARS: Final = frozenset(
@@ -61,20 +55,16 @@ COLORS: Final = {
     "inactive": Signal.OFF,
 }
 
-SHORTEST_YELLOW_S: Final = 1.0
-"""A programme with a shorter yellow, or a green below twice that, has a wrong unit and is ignored
-(codes of practice ask for 3 s)."""
+LEAST_S: Final = {Signal.YELLOW: 1.0, Signal.GREEN: 2.0}
+"""A programme with a shorter yellow or green has a wrong unit and is ignored, s (codes of practice
+ask for a yellow of 3 s)."""
+
+Signs = Mapping[int, tuple[frozenset[str], float]]
+"""The kinds of the signs at each post, by its id, and the limit that they give, m/s, or NaN."""
 
 
 def read_map(path: Path, name: str | None = None) -> Road:
-    """Read the road of a scenario.
-
-    Args:
-        path: a CommonRoad ``.xml`` or ``.xml.gz``.
-        name: what to call the road; by default the file's name without its ending.
-
-    Returns:
-        Its lanes, ways, crossings and lights; lane ids are those of the file.
+    """The road of a scenario (``.xml`` or ``.xml.gz``); lane ids are those of the file.
 
     Raises:
         InputError: if the file is broken or has no lanelet; names the file and the element.
@@ -86,15 +76,7 @@ def read_map(path: Path, name: str | None = None) -> Road:
 
 
 def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
-    """The road of a scenario that is already parsed.
-
-    Args:
-        path: the file, for messages.
-        root: its ``commonRoad`` element.
-        name: what to call the road; by default the file's name without its ending.
-
-    Returns:
-        The road; None where the scenario has no lanelets.
+    """The road of a scenario that is already parsed; None where it has no lanelets.
 
     Raises:
         InputError: as `read_map`.
@@ -104,34 +86,28 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     elements = root.findall("lanelet")
     if not elements:
         return None
-    signs = _signs(path, root)
-    lights = _lights(path, root)
-    found: dict[int, Lanelet] = {}
-    crossings: list[Crossing] = []
-    inside = _inside(path, root)
-    broken: list[str] = []
-    for element in sorted(elements, key=lambda e: whole_number(path, e, "id")):
-        try:
-            lanelet, types = _lanelet(path, element, signs, lights, inside)
-        except InputError as error:
-            broken.append(str(error))
-            continue
-        if lanelet.id in found:
-            raise InputError(f"{path}: found lanelet {lanelet.id} twice, expected it once")
-        if "crosswalk" in types:
-            crossings.append(Crossing(str(lanelet.id), lanelet.centerline, lanelet.width_m, ()))
-        else:
-            found[lanelet.id] = lanelet
-    found = _with_predecessors(path, elements, found)
-    if not any(one.internal for one in found.values()):
-        found = with_junctions(found)
-    priority = _yielding(path, root, found, signs)
+    signs, lights = _signs(path, root), _lights(path, root)
+    ways = [f"successors{way}" for way in ("Left", "Straight", "Right")]
+    inside = {i for one in root.iterfind("intersection/incoming") for i in _refs(path, one, *ways)}
+
+    def read(identity: int, element: Element) -> Lanelet:
+        return _lanelet(path, identity, element, signs, lights, identity in inside)
+
+    found, broken = read_lanelets(path, elements, read)
     left, right = (
         len(root.findall(f"lanelet/adjacent{side}[@drivingDir='opposite']"))
         for side in ("Left", "Right")
     )
     return road_of_lanelets(
-        path, name, found, crossings, priority, lights.groups, lights.plans, right > left, broken
+        path,
+        name,
+        found,
+        find_junctions=True,
+        priority=_add_priority(path, root, found, signs),
+        signal_groups=tuple(plan.id for plan in lights),
+        signal_plans=lights,
+        left_hand=right > left,
+        broken=broken,
     )
 
 
@@ -146,195 +122,135 @@ def real(path: Path, text: str | None, what: str) -> float:
     except ValueError:
         raise InputError(f"{path}: {what}: found {str(text)[:40]!r}, expected a number") from None
     if not abs(value) <= MAX_COORDINATE_M:
-        raise InputError(
-            f"{path}: {what}: found {value}, expected a number up to {MAX_COORDINATE_M:g}"
-        )
+        most = f"expected a number up to {MAX_COORDINATE_M:g}"
+        raise InputError(f"{path}: {what}: found {value}, {most}")
     return value
 
 
-def line_of(path: Path, element: Element | None, what: str) -> NDArray[np.float64]:
-    """(P, 2) the ``point`` elements of an element, m.
+def _above_zero(path: Path, text: str | None, what: str) -> float:
+    value = real(path, text, what)
+    if value <= 0:
+        raise InputError(f"{path}: {what}: found {value:g}, expected more than 0")
+    return value
 
-    Raises:
-        InputError: if there are fewer than two, or a coordinate is missing or no number.
-    """
+
+def _refs(path: Path, element: Element, *tags: str) -> list[int]:
+    return [whole_number(path, e, "ref") for tag in tags for e in element.iterfind(tag)]
+
+
+def _texts(element: Element, tag: str) -> frozenset[str]:
+    return frozenset((e.text or "").strip() for e in element.iterfind(tag))
+
+
+def _line(path: Path, element: Element | None, what: str) -> FloatArray:
+    """(P, 2) the points of a border, m."""
     points = [] if element is None else list(element.iter("point"))
     if len(points) < 2:
         raise InputError(f"{path}: {what}: found {len(points)} points, expected 2 or more")
-    told = [[point.findtext(axis) or "" for axis in "xy"] for point in points]
+    texts = [[point.findtext(axis) or "" for axis in "xy"] for point in points]
     try:
-        return np.array(told, dtype=np.float64)
+        return np.array(texts, dtype=np.float64)
     except ValueError:
         raise InputError(f"{path}: {what}: found a point that is not a number") from None
 
 
-class _Sign(NamedTuple):
-    """Meaning of a traffic sign."""
-
-    limit_mps: float = math.nan
-    stop: bool = False
-    yields: bool = False
-    goes_first: bool = False
-
-
-def _signs(path: Path, root: Element) -> dict[int, _Sign]:
+def _signs(path: Path, root: Element) -> Signs:
     """Every traffic sign by its id."""
     found = {}
     for sign in root.iterfind("trafficSign"):
-        parts = [((e.findtext("trafficSignID") or "").strip(), e.findtext("additionalValue"))
-                 for e in sign.iterfind("trafficSignElement")]  # fmt: skip
-        kinds = {kind for kind, _ in parts}
-        limits = [_limit(path, text) for kind, text in parts if text and kind in LIMIT_SIGNS]
-        found[whole_number(path, sign, "id")] = _Sign(
-            limits[-1] if limits else math.nan,
-            stop=bool(kinds & STOP_SIGNS),
-            yields=bool(kinds & (YIELD_SIGNS | STOP_SIGNS)),
-            goes_first=bool(kinds & PRIORITY_SIGNS),
-        )
+        kinds, limit = set[str](), math.nan
+        for part in sign.iterfind("trafficSignElement"):
+            kind = (part.findtext("trafficSignID") or "").strip()
+            kinds.add(kind)
+            if kind in LIMIT_SIGNS and (text := part.findtext("additionalValue")):
+                limit = _above_zero(path, text, "speed limit")
+        found[whole_number(path, sign, "id")] = frozenset(kinds), limit
     return found
 
 
-def _limit(path: Path, text: str) -> float:
-    value = real(path, text, "speed limit")
-    if value <= 0:
-        raise InputError(f"{path}: speed limit: found {value:g}, expected more than 0")
-    return value
-
-
-class _Lights(NamedTuple):
-    """Traffic lights with a plausible programme, and the group of each by its id."""
-
-    groups: tuple[str, ...] = ()
-    plans: tuple[SignalPlan, ...] = ()
-    group_of: Mapping[int, int] = {}
-
-
-def _lights(path: Path, root: Element) -> _Lights:
+def _lights(path: Path, root: Element) -> tuple[SignalPlan, ...]:
     """The lights of a scenario; none where any light's programme is missing or odd."""
     step_s = real(path, root.get("timeStepSize"), "timeStepSize")
-    plans, group_of = list[SignalPlan](), dict[int, int]()
+    plans = dict[int, SignalPlan]()
     for light in root.iterfind("trafficLight"):
         identity = whole_number(path, light, "id")
-        phases = _phases(path, light, step_s)
-        if phases is None or identity in group_of:
-            return _Lights()
+        durations, states = list[float](), list[Signal]()
+        for element in light.iterfind("cycle/cycleElement"):
+            color = (element.findtext("color") or "").strip()
+            if color not in COLORS:
+                expected = f"expected one of {list(COLORS)}"
+                raise InputError(f"{path}: color: found {color[:40]!r}, {expected}")
+            states.append(COLORS[color])
+            duration = _above_zero(path, element.findtext("duration"), "duration")
+            durations.append(duration * step_s)
+        works = bool(states) and (light.findtext("active") or "true").strip() != "false"
+        odd = any(d < LEAST_S.get(s, 0.0) for d, s in zip(durations, states, strict=True))
+        if not works or odd or identity in plans:
+            return ()
         offset_s = real(path, light.findtext("cycle/timeOffset") or "0", "timeOffset") * step_s
-        group = group_of[identity] = len(plans)
-        plans.append(SignalPlan(str(identity), (group,), (0,), *phases, offset_s))
-    return _Lights(tuple(plan.id for plan in plans), tuple(plans), group_of)
-
-
-def _phases(
-    path: Path, light: Element, step_s: float
-) -> tuple[tuple[float, ...], tuple[tuple[int, ...], ...]] | None:
-    """Lengths, s, and states of a light's phases; None where they are missing or too short."""
-    elements = light.findall("cycle/cycleElement")
-    if (light.findtext("active") or "true").strip() == "false" or not elements:
-        return None
-    durations, states = list[float](), list[Signal]()
-    for element in elements:
-        color = (element.findtext("color") or "").strip()
-        if color not in COLORS:
-            raise InputError(f"{path}: color: found {color[:40]!r}, expected one of {list(COLORS)}")
-        duration = real(path, element.findtext("duration"), "duration") * step_s
-        if duration <= 0:
-            raise InputError(f"{path}: duration: found {duration:g} s, expected more than 0")
-        durations.append(duration)
-        states.append(COLORS[color])
-    least = {Signal.YELLOW: SHORTEST_YELLOW_S, Signal.GREEN: 2 * SHORTEST_YELLOW_S}
-    if any(d < least.get(s, 0.0) for d, s in zip(durations, states, strict=True)):
-        return None
-    return tuple(durations), tuple((state.code,) for state in states)
-
-
-def _inside(path: Path, root: Element) -> frozenset[int]:
-    """Ids of the lanelets that cross an intersection, as the scenario says."""
-    return frozenset(
-        whole_number(path, element, "ref")
-        for incoming in root.iterfind("intersection/incoming")
-        for element in incoming
-        if element.tag in ("successorsLeft", "successorsStraight", "successorsRight")
-    )
-
-
-def _refs(path: Path, element: Element, *tags: str) -> tuple[int, ...]:
-    return tuple(whole_number(path, e, "ref") for tag in tags for e in element.iterfind(tag))
+        codes = tuple((state.code,) for state in states)
+        group = (len(plans),)
+        plans[identity] = SignalPlan(str(identity), group, (0,), tuple(durations), codes, offset_s)
+    return tuple(plans.values())
 
 
 def _lanelet(
     path: Path,
+    identity: int,
     element: Element,
-    signs: Mapping[int, _Sign],
-    lights: _Lights,
-    inside: frozenset[int],
-) -> tuple[Lanelet, frozenset[str]]:
-    """A lanelet, and its types."""
-    identity = whole_number(path, element, "id")
-    left = line_of(path, element.find("leftBound"), f"lanelet {identity} leftBound")
-    right = line_of(path, element.find("rightBound"), f"lanelet {identity} rightBound")
+    signs: Signs,
+    lights: tuple[SignalPlan, ...],
+    inside: bool,
+) -> Lanelet:
+    """A lanelet."""
+    left, right = (
+        _line(path, element.find(side), f"lanelet {identity} {side}")
+        for side in ("leftBound", "rightBound")
+    )
     centerline, width_m = between(left, right)
-    types = frozenset((e.text or "").strip() for e in element.iterfind("laneletType"))
-    users = {(e.text or "").strip() for e in element.iter("userOneWay")}
-    limit = element.findtext("speedLimit")
-    limits = [] if limit is None else [_limit(path, limit)]
+    types, users = _texts(element, "laneletType"), _texts(element, "userOneWay")
     at_end = _refs(path, element, "trafficSignRef", "stopLine/trafficSignRef")
     seen = [signs[i] for i in at_end if i in signs]
-    limits += [sign.limit_mps for sign in seen if math.isfinite(sign.limit_mps)]
+    kinds = frozenset[str]().union(*(kind for kind, _ in seen))
+    limits = [limit for _, limit in seen if math.isfinite(limit)]
+    own = element.findtext("speedLimit")
+    if own is not None:
+        limits.append(_above_zero(path, own, "speed limit"))
+    group = {plan.id: plan.groups[0] for plan in lights}
     lit = _refs(path, element, "trafficLightRef", "stopLine/trafficLightRef")
-    groups = [lights.group_of[i] for i in lit if i in lights.group_of]
+    beside = {
+        side: next(iter(_refs(path, element, f"adjacent{side}[@drivingDir='same']")), None)
+        for side in ("Left", "Right")
+    }
     return Lanelet(
         id=identity,
         centerline=centerline,
         width_m=width_m,
-        successors=tuple(dict.fromkeys(_refs(path, element, "successor"))),
-        internal=identity in inside or "intersection" in types,
-        left=_neighbour(path, element, "adjacentLeft"),
-        right=_neighbour(path, element, "adjacentRight"),
+        successors=tuple(_refs(path, element, "successor")),
+        predecessors=tuple(_refs(path, element, "predecessor")),
+        internal=inside or "intersection" in types,
+        left=beside["Left"],
+        right=beside["Right"],
         use=",".join(sorted(types & NOT_FOR_CARS)),
         limit_mps=min(limits, default=math.nan),
         walking="sidewalk" in types,
+        crossing="crosswalk" in types,
         cars=not types & NOT_FOR_CARS and (not users or bool(users & CAR_USERS)),
-        signal=groups[0] if groups else -1,
-        must_stop=any(sign.stop for sign in seen),
-        must_yield=any(sign.yields for sign in seen),
-    ), types
+        signal=next((group[str(i)] for i in lit if str(i) in group), -1),
+        must_stop=bool(kinds & STOP_SIGNS),
+        must_yield=bool(kinds & YIELD_SIGNS),
+    )
 
 
-def _neighbour(path: Path, element: Element, tag: str) -> int | None:
-    """Id of the neighbour on a side, if it goes the same way."""
-    beside = element.find(tag)
-    if beside is None or beside.get("drivingDir") == "opposite":
-        return None
-    return whole_number(path, beside, "ref")
-
-
-def _with_predecessors(
-    path: Path, elements: list[Element], lanelets: dict[int, Lanelet]
-) -> dict[int, Lanelet]:
-    """The lanelets, those that only their successors name as predecessors included."""
-    further: dict[int, list[int]] = {}
-    for element in elements:
-        identity = whole_number(path, element, "id")
-        for before in _refs(path, element, "predecessor"):
-            if before in lanelets and identity not in lanelets[before].successors:
-                further.setdefault(before, []).append(identity)
-    return {
-        i: replace(one, successors=(*one.successors, *dict.fromkeys(further.get(i, ()))))
-        for i, one in lanelets.items()
-    }
-
-
-def _yielding(
-    path: Path, root: Element, lanelets: dict[int, Lanelet], signs: Mapping[int, _Sign]
-) -> bool:
+def _add_priority(path: Path, root: Element, lanelets: dict[int, Lanelet], signs: Signs) -> bool:
     """Set the priorities at intersections with signs; whether any are known."""
-    if not any(sign.yields or sign.goes_first for sign in signs.values()):
+    if not any(kinds & (YIELD_SIGNS | PRIORITY_SIGNS) for kinds, _ in signs.values()):
         return False
     for intersection in root.iterfind("intersection"):
-        coming = _refs(path, intersection, "incoming/incomingLanelet")
-        coming = tuple(i for i in coming if i in lanelets)
-        first = tuple(i for i in coming if not lanelets[i].must_yield)
-        for i in coming:
-            if lanelets[i].must_yield:
-                lanelets[i] = replace(lanelets[i], yields_to=first)
+        named = _refs(path, intersection, "incoming/incomingLanelet")
+        coming = [lanelets[i] for i in named if i in lanelets]
+        first = tuple(one.id for one in coming if not one.must_yield)
+        for one in coming:
+            if one.must_yield:
+                lanelets[one.id] = replace(one, yields_to=first)
     return True

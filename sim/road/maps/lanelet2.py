@@ -14,21 +14,21 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pyproj import Proj
 
 from behaviors.errors import InputError
 from sim.frames import FloatArray
 from sim.input_files import read_once
-from sim.road import Crossing, Road
-from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets, with_junctions
+from sim.road import Road
+from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.road.maps.sources import FREE_WORDS, limit_of
-from sim.road.maps.transverse_mercator import to_metres, zone_of
 from sim.xml_tree import read_tree, whole_number
 
 ROOT: Final = "osm"
@@ -41,25 +41,24 @@ NEAR_ZERO_DEG: Final = 0.2
 km)."""
 
 WALKING: Final = frozenset({"walkway", "stairs", "shared_walkway"})
-CROSSING: Final = frozenset({"crosswalk"})
+CROSSING: Final = "crosswalk"
 NOT_FOR_CARS: Final = frozenset({"bicycle_lane", "bikelane", "bus_lane", "rail"})
 """Subtypes of lanelets; all others are driven by cars."""
+
 UNLIMITED: Final = FREE_WORDS | {"signals", "variable"}
 """Limits that are no number."""
 
 
+Border = tuple[int, ...]
+"""The nodes of a lanelet's border in driving direction."""
+
+
 @read_once
 def read_map(path: Path, name: str | None = None, origin: Origin | None = None) -> Road:
-    """Read a map.
+    """The road of a map (``.osm`` or ``.osm.gz``); lane ids are those of the file.
 
-    Args:
-        path: the ``.osm`` file, or ``.osm.gz``.
-        name: what to call the road; by default the file's name without its ending.
-        origin: latitude and longitude of (0, 0), degrees; None for local metres, for maps around
-            latitude and longitude 0, and for coordinates of the UTM zone.
-
-    Returns:
-        Its lanes, ways and crossings; lane ids are those of the file.
+    Without an origin, coordinates are local metres, of maps around latitude and longitude 0 metres
+    from there, and of others metres of the UTM zone.
 
     Raises:
         InputError: if the file is broken or has no lanelet; names the file and the element.
@@ -67,69 +66,30 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     root = read_tree(path)
     if root.tag != ROOT:
         raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
-    if not _relations(root, "lanelet") and root.find("way") is not None:
+    relations = _relations(root, "lanelet")
+    if not relations and root.find("way") is not None:
         raise InputError(
             f"{path}: found OpenStreetMap without lanes, expected a Lanelet2 map: graphrqi road "
             f"{path.name} --out NAME makes a net of it"
         )
-    ways = _ways(path, root, _places(path, root, origin))
-    rules = _rules(path, root)
-    found: dict[int, Lanelet] = {}
-    borders: dict[int, tuple[_Border, _Border]] = {}
-    crossings: list[Crossing] = []
-    broken: list[str] = []
-    for relation in sorted(_relations(root, "lanelet"), key=lambda e: whole_number(path, e, "id")):
-        identity = whole_number(path, relation, "id")
-        if identity in borders:
-            raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
-        try:
-            borders[identity] = _borders(path, relation, ways)
-            lanelet = _lanelet(path, relation, borders[identity], rules)
-        except InputError as error:
-            broken.append(str(error))
-            continue
-        if _tags(relation).get("subtype") in CROSSING:
-            crossings.append(Crossing(str(identity), lanelet.centerline, lanelet.width_m, ()))
-        else:
-            found[identity] = lanelet
-    found = _related(found, borders)
-    if not any(one.internal for one in found.values()):
-        found = with_junctions(found)
-    driven = [sides for i, sides in borders.items() if i in found and not found[i].walking]
-    left_hand = _oncoming(driven, 1) > _oncoming(driven, 0)
+    places = _places(path, root, origin)
+    ways = _ways(path, root, places)
+    rules = _rules(path, root, relations)
+    borders: dict[int, tuple[Border, Border]] = {}
+
+    def read(identity: int, relation: Element) -> Lanelet:
+        borders[identity] = _borders(path, identity, relation, ways, places)
+        lines = [np.array([places[node] for node in side]) for side in borders[identity]]
+        return _lanelet(path, identity, relation, lines, rules)
+
+    found, broken = read_lanelets(path, relations, read)
+    driven = {i: borders[i] for i, one in found.items() if not (one.walking or one.crossing)}
+    found |= _related({i: found[i] for i in driven}, driven)
+    left_hand = _oncoming(driven.values(), 1) > _oncoming(driven.values(), 0)
     return road_of_lanelets(
-        path, name, found, crossings, bool(rules.yields), left_hand=left_hand, broken=broken
-    )
-
-
-def _lanelet(
-    path: Path, relation: Element, borders: tuple[_Border, _Border], rules: _Rules
-) -> Lanelet:
-    """A lanelet without its successors and neighbours."""
-    identity, tags = whole_number(path, relation, "id"), _tags(relation)
-    centerline, width_m = between(*(border.line for border in borders))
-    subtype = tags.get("subtype", "road")
-    walking = subtype in WALKING or _only_people(tags)
-    return Lanelet(
-        id=identity,
-        centerline=centerline,
-        width_m=width_m,
-        successors=(),
-        internal=tags.get("turn_direction") in ("left", "right", "straight"),
-        use=subtype if subtype in NOT_FOR_CARS or walking else "",
-        limit_mps=_limit(path, tags, rules.limits.get(identity)),
-        walking=walking,
-        cars=not walking and subtype not in NOT_FOR_CARS,
-        must_yield=identity in rules.yields,
-        must_stop=identity in rules.stops,
-        yields_to=rules.yields.get(identity, ()),
-    )
-
-
-def _oncoming(borders: list[tuple[_Border, _Border]], side: int) -> int:
-    """How many lanelets have an oncoming one on their left (0) or right (1)."""
-    lines = {sides[side].nodes for sides in borders}
-    return sum(line[::-1] in lines for line in lines)
+        path, name, found, find_junctions=True, priority=bool(rules.yields),
+        left_hand=left_hand, broken=broken,
+    )  # fmt: skip
 
 
 def _tags(element: Element) -> dict[str, str]:
@@ -140,146 +100,120 @@ def _relations(root: Element, kind: str) -> list[Element]:
     return [e for e in root.iterfind("relation") if _tags(e).get("type") == kind]
 
 
-def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, tuple[float, float]]:
+def _members(path: Path, relation: Element, role: str) -> list[int]:
+    """What a relation refers to in a role."""
+    members = [e for e in relation.iterfind("member") if e.get("role") == role]
+    return [whole_number(path, member, "ref") for member in members]
+
+
+def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, FloatArray]:
     """Every node's x and y, m."""
     nodes = root.findall("node")
-    identity = [whole_number(path, node, "id") for node in nodes]
     if not nodes:
         raise InputError(f"{path}: found no node, expected some")
-    first = _tags(nodes[0])
-    if "x" in nodes[0].attrib and "y" in nodes[0].attrib:
-        table = _table(path, [(n.get("x"), n.get("y")) for n in nodes])
-    elif "local_x" in first and "local_y" in first:
-        tags = [_tags(node) for node in nodes]
-        table = _table(path, [(t.get("local_x"), t.get("local_y")) for t in tags])
-    else:
-        degrees = _table(path, [(n.get("lat"), n.get("lon")) for n in nodes])
-        if not ((np.abs(degrees) < (89.0, 361.0)).all()):
-            raise InputError(f"{path}: found a node beyond 89 and 360 degrees")
-        table = _projected(degrees, origin)
-    return dict(zip(identity, ((float(x), float(y)) for x, y in table), strict=True))
-
-
-def _table(path: Path, pairs: list[tuple[str | None, str | None]]) -> FloatArray:
-    """(n, 2) numbers in text."""
+    rows = [node.attrib for node in nodes]
+    keys = ("x", "y")
+    if not {*keys} <= rows[0].keys():
+        keys = ("local_x", "local_y")
+        local = {*keys} <= _tags(nodes[0]).keys()
+        rows, keys = ([_tags(node) for node in nodes], keys) if local else (rows, ("lat", "lon"))
     try:
-        return np.array([(float(a or ""), float(b or "")) for a, b in pairs])
+        table = np.array([[float(row.get(key, "")) for key in keys] for row in rows])
     except ValueError:
         raise InputError(f"{path}: found a node whose position is not a number") from None
+    if keys == ("lat", "lon"):
+        if not (np.abs(table) < (89.0, 361.0)).all():
+            raise InputError(f"{path}: found a node beyond 89 and 360 degrees")
+        table = _projected(table, origin)
+    return {whole_number(path, node, "id"): xy for node, xy in zip(nodes, table, strict=True)}
 
 
 def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
-    """(n, 2) m from the origin, in the origin's UTM zone."""
+    """(n, 2) m from the origin, in its UTM zone, of (n, 2) latitudes and longitudes.
+
+    Without an origin, they are coordinates of the zone; northings are negative in the south.
+    """
     if origin is None and (np.abs(degrees) < NEAR_ZERO_DEG).all():
         origin = (0.0, 0.0)
-    zone = zone_of(float(np.median(degrees[:, 1])) if origin is None else origin[1])
-    metres = to_metres(degrees[:, 0], degrees[:, 1], zone)
-    if origin is None:
-        return metres
-    return np.asarray(metres - to_metres(np.array([origin[0]]), np.array([origin[1]]), zone))
+    longitude = float(np.median(degrees[:, 1])) if origin is None else origin[1]
+    zone = Proj(proj="utm", zone=int((longitude + 180.0) // 6.0) % 60 + 1, ellps="WGS84")
+    metres = np.stack(zone(degrees[:, 1], degrees[:, 0]), axis=1)
+    return metres if origin is None else np.asarray(metres - zone(origin[1], origin[0]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Border:
-    """A border of a lanelet in driving direction."""
-
-    nodes: tuple[int, ...]
-    line: FloatArray
-
-    @property
-    def turned(self) -> _Border:
-        return _Border(self.nodes[::-1], self.line[::-1])
-
-
-def _ways(
-    path: Path, root: Element, places: Mapping[int, tuple[float, float]]
-) -> dict[int, _Border]:
-    """Every way of two nodes and more, all of which are in the file."""
+def _ways(path: Path, root: Element, places: Mapping[int, FloatArray]) -> dict[int, Border]:
+    """The nodes of every way of two nodes and more, all of which are in the file."""
     found = {}
     for way in root.iterfind("way"):
         nodes = tuple(whole_number(path, nd, "ref") for nd in way.iterfind("nd"))
         if len(nodes) >= 2 and all(node in places for node in nodes):
-            line = np.array([places[node] for node in nodes])
-            found[whole_number(path, way, "id")] = _Border(nodes, line)
+            found[whole_number(path, way, "id")] = nodes
     return found
 
 
-def _borders(path: Path, relation: Element, ways: Mapping[int, _Border]) -> tuple[_Border, _Border]:
+def _borders(
+    path: Path,
+    identity: int,
+    relation: Element,
+    ways: Mapping[int, Border],
+    places: Mapping[int, FloatArray],
+) -> tuple[Border, Border]:
     """Left and right border, turned so that left is on the left."""
     sides = []
     for role in ("left", "right"):
         refs = _members(path, relation, role)
         if not refs or any(ref not in ways for ref in refs):
             raise InputError(
-                f"{path}: lanelet {whole_number(path, relation, 'id')}: found no {role} border, "
-                "expected a way of two nodes"
+                f"{path}: lanelet {identity}: found no {role} border, expected a way of two nodes"
             )
         sides.append(functools.reduce(_joined, (ways[ref] for ref in refs)))
     left, right = sides
-    ends = left.line[[0, -1]]
-    if _apart(ends, right.line[[-1, 0]]) < _apart(ends, right.line[[0, -1]]):
-        right = right.turned
-    loop = np.concatenate([left.line, right.line[::-1]])
-    x, y = loop[:, 0] - loop[0, 0], loop[:, 1] - loop[0, 1]
+    begin, end = places[left[0]], places[left[-1]]
+    crossed, straight = (
+        math.dist(begin, places[one]) + math.dist(end, places[other])
+        for one, other in ((right[-1], right[0]), (right[0], right[-1]))
+    )
+    if crossed < straight:
+        right = right[::-1]
+    x, y = (np.array([places[node] for node in (*left, *right[::-1])]) - begin).T
     area = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    return (left.turned, right.turned) if area > 0 else (left, right)
+    return (left[::-1], right[::-1]) if area > 0 else (left, right)
 
 
-def _apart(one: FloatArray, other: FloatArray) -> float:
-    return float(np.hypot(*(one - other).T).sum())
-
-
-def _joined(one: _Border, then: _Border) -> _Border:
+def _joined(one: Border, then: Border) -> Border:
     """Two ways that share an end as one."""
-    if one.nodes[-1] not in (then.nodes[0], then.nodes[-1]):
-        one = one.turned
-    if one.nodes[-1] != then.nodes[0]:
-        then = then.turned
-    line = np.concatenate([one.line, then.line[1:]])
-    return _Border((*one.nodes, *then.nodes[1:]), line)
+    if one[-1] not in (then[0], then[-1]):
+        one = one[::-1]
+    if one[-1] != then[0]:
+        then = then[::-1]
+    return (*one, *then[1:])
+
+
+def _oncoming(borders: Iterable[tuple[Border, Border]], side: int) -> int:
+    """How many lanelets have an oncoming one on their left (0) or right (1)."""
+    lines = {sides[side] for sides in borders}
+    return sum(line[::-1] in lines for line in lines)
 
 
 def _related(
-    lanelets: dict[int, Lanelet], borders: Mapping[int, tuple[_Border, _Border]]
+    lanelets: Mapping[int, Lanelet], borders: Mapping[int, tuple[Border, Border]]
 ) -> dict[int, Lanelet]:
-    """The lanelets with their successors and neighbours, from shared borders."""
-    driven = [i for i, one in lanelets.items() if not one.walking]
+    """Lanelets for vehicles with their successors and neighbours, from shared borders."""
     begins: dict[tuple[int, int], list[int]] = {}
-    by_left: dict[tuple[int, ...], int] = {}
-    by_right: dict[tuple[int, ...], int] = {}
-    for i in driven:
-        left, right = borders[i]
-        begins.setdefault((left.nodes[0], right.nodes[0]), []).append(i)
-        by_left[left.nodes] = i
-        by_right[right.nodes] = i
-    told = dict(lanelets)
-    for i in driven:
-        left, right = borders[i]
-        following = begins.get((left.nodes[-1], right.nodes[-1]), [])
-        told[i] = replace(
+    for i, (left, right) in borders.items():
+        begins.setdefault((left[0], right[0]), []).append(i)
+    by_left = {left: i for i, (left, _) in borders.items()}
+    by_right = {right: i for i, (_, right) in borders.items()}
+    related = {}
+    for i, (left, right) in borders.items():
+        following = begins.get((left[-1], right[-1]), [])
+        related[i] = replace(
             lanelets[i],
             successors=tuple(j for j in following if j != i),
-            left=by_right.get(left.nodes),
-            right=by_left.get(right.nodes),
+            left=by_right.get(left),
+            right=by_left.get(right),
         )
-    return told
-
-
-def _only_people(tags: Mapping[str, str]) -> bool:
-    walks = tags.get("participant:pedestrian") == "yes"
-    drives = any(tags.get(f"participant:{who}") == "yes" for who in ("vehicle", "vehicle:car"))
-    return walks and not drives and "participant:bicycle" not in tags
-
-
-def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
-    """Speed limit of a lanelet, m/s; NaN where there is none."""
-    text = (tags.get("speed_limit") or tags.get("maxspeed") or rule or "").strip().lower()
-    if not text or text in UNLIMITED or text.startswith("0"):
-        return math.nan
-    limit = limit_of(re.sub(r"^de\s*(?=[0-9])", "", text))
-    if limit is None:
-        raise InputError(f"{path}: speed limit: found {text[:40]!r}, expected as in 50 km/h")
-    return limit
+    return related
 
 
 class _Rules(NamedTuple):
@@ -290,7 +224,7 @@ class _Rules(NamedTuple):
     limits: dict[int, str]
 
 
-def _rules(path: Path, root: Element) -> _Rules:
+def _rules(path: Path, root: Element, lanelets: list[Element]) -> _Rules:
     """The rules of a map."""
     yields, stops, signs = dict[int, tuple[int, ...]](), set[int](), dict[int, str]()
     for relation in _relations(root, "regulatory_element"):
@@ -305,14 +239,46 @@ def _rules(path: Path, root: Element) -> _Rules:
             signs |= {whole_number(path, relation, "id"): text} if text else {}
     limits = {
         whole_number(path, relation, "id"): signs[ref]
-        for relation in _relations(root, "lanelet")
+        for relation in lanelets
         for ref in _members(path, relation, "regulatory_element")
         if ref in signs
     }
     return _Rules(yields, stops, limits)
 
 
-def _members(path: Path, relation: Element, role: str) -> list[int]:
-    """What a relation refers to in a role."""
-    members = [e for e in relation.iterfind("member") if e.get("role") == role]
-    return [whole_number(path, member, "ref") for member in members]
+def _lanelet(
+    path: Path, identity: int, relation: Element, borders: list[FloatArray], rules: _Rules
+) -> Lanelet:
+    """A lanelet without its successors and neighbours."""
+    tags = _tags(relation)
+    subtype = tags.get("subtype", "road")
+    allowed = {who for who in ("pedestrian", "vehicle", "vehicle:car")
+               if tags.get(f"participant:{who}") == "yes"}  # fmt: skip
+    only_people = allowed == {"pedestrian"} and "participant:bicycle" not in tags
+    walking = subtype in WALKING or only_people
+    centerline, width_m = between(*borders)
+    return Lanelet(
+        id=identity,
+        centerline=centerline,
+        width_m=width_m,
+        internal=tags.get("turn_direction") in ("left", "right", "straight"),
+        use=subtype if subtype in NOT_FOR_CARS or walking else "",
+        limit_mps=_limit(path, tags, rules.limits.get(identity)),
+        walking=walking,
+        crossing=subtype == CROSSING,
+        cars=not walking and subtype not in NOT_FOR_CARS,
+        must_yield=identity in rules.yields,
+        must_stop=identity in rules.stops,
+        yields_to=rules.yields.get(identity, ()),
+    )
+
+
+def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
+    """Speed limit of a lanelet, m/s; NaN where there is none."""
+    text = (tags.get("speed_limit") or tags.get("maxspeed") or rule or "").strip().lower()
+    if not text or text in UNLIMITED or text.startswith("0"):
+        return math.nan
+    limit = limit_of(re.sub(r"^de\s*(?=[0-9])", "", text))
+    if limit is None:
+        raise InputError(f"{path}: speed limit: found {text[:40]!r}, expected as in 50 km/h")
+    return limit

@@ -10,13 +10,13 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -25,16 +25,11 @@ from scipy.sparse.csgraph import connected_components
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray
-from sim.geometry import distances_along, meeting, pieces_of, points_at
+from sim.geometry import LEAST_PIECE_M, distances_along, meeting, pieces_of, points_at
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 from sim.road.cells import boxes_of, near_pairs
-
-MAX_COORDINATE_M: Final = 1e9
-"""Largest absolute coordinate (beyond any UTM coordinate)."""
-
-MAX_LENGTH_M: Final = 1e7
-"""Longest that all lanes and crossings of a map may be together, m (a city's streets are some
-thousand km): what is drawn of them stays small."""
+from sim.road.checks import checked
+from sim.xml_tree import whole_number
 
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
 """A way that turns by less than the first goes straight, by more than the second goes back (about
@@ -58,18 +53,15 @@ of one carriageway that part or join stay below)."""
 class Lanelet:
     """A piece of lane, as maps of recordings give it.
 
+    What `sim.road.Lane` has, too, means the same.
+
     Attributes:
         id: its number in the map.
-        centerline: (P, 2) points in driving direction, m.
-        width_m: m.
-        successors: ids of those that can follow.
-        internal: whether it crosses a junction.
-        left: id of the neighbour on the left, of the same direction; None without one.
-        right: likewise on the right.
+        successors, predecessors: ids of those that can follow, and come before.
+        left, right: id of the neighbour on either side, of the same direction; None without one.
         use: permitted traffic; there are no lane changes between lanelets of different use.
         limit_mps: speed limit, m/s; NaN where unknown.
-        walking: whether it is for pedestrians only.
-        cars: whether cars may drive on it.
+        crossing: whether it is where pedestrians cross the road.
         signal: signal group that controls it, or leaving it, -1 if none.
         must_yield: whether others have priority over those who are on it, or leave it.
         must_stop: whether a stop sign stands at its end.
@@ -79,13 +71,15 @@ class Lanelet:
     id: int
     centerline: FloatArray
     width_m: float
-    successors: tuple[int, ...]
-    internal: bool
+    successors: tuple[int, ...] = ()
+    predecessors: tuple[int, ...] = ()
+    internal: bool = False
     left: int | None = None
     right: int | None = None
     use: str = ""
     limit_mps: float = math.nan
     walking: bool = False
+    crossing: bool = False
     cars: bool = True
     signal: int = -1
     must_yield: bool = False
@@ -93,41 +87,19 @@ class Lanelet:
     yields_to: tuple[int, ...] = ()
 
 
-def check_lines(path: Path, lines: Sequence[FloatArray]) -> None:
-    """Refuse a map with lines of one point, or beyond any place.
-
-    Raises:
-        InputError: naming the file.
-    """
-    if any(len(line) < 2 for line in lines):
-        raise InputError(f"{path}: found a line of one point, expected 2 or more")
-    if not all((np.abs(line) <= MAX_COORDINATE_M).all() for line in lines):
-        raise InputError(f"{path}: found a point beyond {MAX_COORDINATE_M:g} m, expected metres")
-    length_m = sum(float(distances_along(line)[-1]) for line in lines)
-    if not 0 < length_m <= MAX_LENGTH_M:
-        raise InputError(
-            f"{path}: found {length_m:.3g} m of lanes, expected up to {MAX_LENGTH_M:g}"
-        )
+Lanelets = Mapping[int, Lanelet]
 
 
 def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
-    """Centre line and mean width of a lane from its borders.
+    """The (max(P, Q), 2) centre line, m, read-only, and the mean width of a lane, m.
 
-    Args:
-        left: (P, 2) left border in driving direction, m.
-        right: (Q, 2) right border, m; matched point by point where P = Q, else by the share of its
-            length.
-
-    Returns:
-        (max(P, Q), 2) the centre line, m, read-only, and the width, m.
+    Its borders (P, 2) and (Q, 2), m, are matched point by point where P = Q, else by the share of
+    their length.
     """
     if len(left) != len(right):
-        shares = [_shares(line) for line in (left, right)]
-        every = shares[0] if len(left) > len(right) else shares[1]
-        left, right = (
-            np.stack([np.interp(every, share, line[:, axis]) for axis in (0, 1)], axis=1)
-            for line, share in zip((left, right), shares, strict=True)
-        )
+        along = distances_along(left if len(left) > len(right) else right)
+        shares = along / max(along[-1], LEAST_PIECE_M)
+        left, right = (points_at(one, shares * distances_along(one)[-1]) for one in (left, right))
     middle = frozen((left + right) / 2)
     step = np.diff(middle, axis=0)
     # across the lane: a border's points need not lie opposite each other
@@ -136,55 +108,70 @@ def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
     apart = (left - right)[:-1] + (left - right)[1:]
     across = np.abs(np.sum(apart * normal, axis=1)) / 2
     total = float(np.sum(size**2))
-    width = float(np.sum(across * size)) / total if total > 0 else 0.0
-    return middle, width
+    return middle, float(np.sum(across * size)) / total if total > 0 else 0.0
 
 
-def _shares(line: FloatArray) -> FloatArray:
-    """(P,) how much of a line's length comes before each of its points."""
-    along = distances_along(line)
-    return along / along[-1] if along[-1] > 0 else np.linspace(0.0, 1.0, len(line))
+def read_lanelets(
+    path: Path, elements: Iterable[Element], read: Callable[[int, Element], Lanelet]
+) -> tuple[dict[int, Lanelet], list[str]]:
+    """The lanelets of XML elements in order of their ids, and why broken ones are left out."""
+    found, broken = dict[int, Lanelet | None](), list[str]()
+    numbered = [(whole_number(path, element, "id"), element) for element in elements]
+    for identity, element in sorted(numbered, key=lambda one: one[0]):
+        if identity in found:
+            raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
+        try:
+            found[identity] = read(identity, element)
+        except InputError as error:
+            found[identity] = None
+            broken.append(str(error))
+    return {i: lanelet for i, lanelet in found.items() if lanelet is not None}, broken
 
 
 def road_of_lanelets(
     path: Path,
     name: str | None,
-    lanelets: Mapping[int, Lanelet],
-    crossings: Sequence[Crossing],
+    lanelets: Lanelets,
+    crossings: Sequence[Crossing] = (),
+    *,
+    find_junctions: bool = False,
     priority: bool = False,
     signal_groups: tuple[str, ...] = (),
     signal_plans: tuple[SignalPlan, ...] = (),
     left_hand: bool = False,
     broken: Sequence[str] = (),
 ) -> Road:
-    """A road of lanelets.
+    """A road of the lanelets of a map, by id, and its crossings that are none.
 
-    Args:
-        path: the map.
-        name: what to call the road; None for the file's name without its ending.
-        lanelets: by id.
-        crossings: of the map.
-        priority: whether the map says who yields to whom.
-        signal_groups: the names of the lights.
-        signal_plans: their programmes, if they are known.
-        left_hand: whether traffic drives on the left.
-        broken: why lanelets are left out, a sentence for each.
+    Junctions are found from the lines where the map has none and ``find_junctions`` is set.
+    ``priority`` says whether the map knows who yields to whom, and ``broken`` why lanelets are
+    left out.
 
     Raises:
         InputError: if no lanelet is for cars, or a line is broken.
     """
-    if broken and len(broken) > len(lanelets):
+    walked = [one for one in lanelets.values() if one.crossing]
+    lanelets = {i: one for i, one in lanelets.items() if not one.crossing}
+    if len(broken) > len(lanelets):
         raise InputError(broken[0])
     if not any(one.cars and not one.walking for one in lanelets.values()):
         raise InputError(f"{path}: found no lanelet for cars, expected at least one")
-    lines = [one.centerline for one in lanelets.values()]
-    check_lines(path, lines + [crossing.centerline for crossing in crossings])
+    following = {i: dict.fromkeys(one.successors) for i, one in lanelets.items()}
+    for i, one in lanelets.items():  # some only name those before them
+        for before in one.predecessors:
+            following.get(before, {})[i] = None
+    lanelets = {i: replace(one, successors=tuple(following[i])) for i, one in lanelets.items()}
+    if find_junctions and not any(one.internal for one in lanelets.values()):
+        lanelets = _with_junctions(lanelets)
     limits = any(math.isfinite(one.limit_mps) for one in lanelets.values())
-    return Road(
+    road = Road(
         name=name if name is not None else path.name.split(".")[0],
-        lanes=tuple(lanes_of(lanelets, left_hand)),
-        connections=tuple(connections_of(lanelets)),
-        crossings=tuple(crossings),
+        lanes=tuple(_lanes(lanelets, left_hand)),
+        connections=tuple(_connections(lanelets)),
+        crossings=(
+            *crossings,
+            *(Crossing(str(one.id), one.centerline, one.width_m, ()) for one in walked),
+        ),
         signal_groups=signal_groups,
         source=path,
         signal_plans=signal_plans,
@@ -192,38 +179,31 @@ def road_of_lanelets(
         left_hand=left_hand,
         doubts=(f"{len(broken)} lanelets are left out, first {broken[0]}",) if broken else (),
     )
+    return checked(road)
 
 
-def lanes_of(lanelets: Mapping[int, Lanelet], left_hand: bool = False) -> Iterator[Lane]:
+def _lanes(lanelets: Lanelets, left_hand: bool) -> Iterator[Lane]:
     """Every lanelet as a lane; those side by side in one direction share an edge.
 
     Lanelets of another use (bicycles, buses) are edges of their own, without lane changes from
     others.
-
-    Args:
-        lanelets: by id, in order of the ids.
-        left_hand: whether lanes are counted from the left.
-
-    Yields:
-        A lane per lanelet, in that order, its id in digits.
     """
-    right: dict[int, int] = {}
+    outer: dict[int, int] = {}
     for i, one in lanelets.items():
-        outer = one.left if left_hand else one.right
-        beside = None if outer is None else lanelets.get(outer)
+        number = one.left if left_hand else one.right
+        beside = None if number is None else lanelets.get(number)
         if (
             beside is not None
             and (beside.right if left_hand else beside.left) == i
-            and beside.use == one.use
-            and beside.internal == one.internal
+            and (beside.use, beside.internal) == (one.use, one.internal)
             and _chord(one) @ _chord(beside) >= 0
         ):
-            right[i] = beside.id
+            outer[i] = beside.id
     junction = _junctions(lanelets)
     for i, one in lanelets.items():
         first, index = i, 0
-        while first in right and right[first] != i:
-            first, index = right[first], index + 1
+        while first in outer and outer[first] != i:
+            first, index = outer[first], index + 1
         yield Lane(
             id=str(i),
             edge=f":{junction[i]}_{first}" if one.internal else str(first),
@@ -241,10 +221,9 @@ def _chord(lanelet: Lanelet) -> FloatArray:
     return np.asarray(lanelet.centerline[-1] - lanelet.centerline[0])
 
 
-def _junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, int]:
+def _junctions(lanelets: Lanelets) -> dict[int, int]:
     """The number of the junction that each lanelet is in: those that part, join or follow."""
-    inside = [i for i, one in lanelets.items() if one.internal]
-    place = {i: k for k, i in enumerate(inside)}
+    place = {i: k for k, i in enumerate(i for i, one in lanelets.items() if one.internal)}
     pairs: list[tuple[int, int]] = []
     into: dict[int, int] = {}
     for i, one in lanelets.items():
@@ -252,111 +231,88 @@ def _junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, int]:
         pairs += pairwise(ways)
         if i in place:
             pairs += [(place[i], j) for j in ways]
-            for j in one.successors:
-                pairs.append((into.setdefault(j, place[i]), place[i]))
+            pairs += [(into.setdefault(j, place[i]), place[i]) for j in one.successors]
     one_end, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    shape = (len(inside), len(inside))
-    joined = coo_array((np.ones(one_end.size), (one_end, other)), shape=shape)
-    _, number = connected_components(joined)
+    shape = (len(place), len(place))
+    _, number = connected_components(coo_array((np.ones(one_end.size), (one_end, other)), shape))
     return {i: int(number[k]) for i, k in place.items()}
 
 
-def connections_of(lanelets: Mapping[int, Lanelet]) -> list[Connection]:
-    """Every way from a lane over a junction to the next, and what of such a way the map shows.
-
-    Args:
-        lanelets: by id.
-
-    Returns:
-        The ways that vehicles have, in order of their lanes' numbers.
-    """
+def _connections(lanelets: Lanelets) -> list[Connection]:
+    """Every way that vehicles have from a lane over a junction to the next, in order of ids."""
     driven = {i: one for i, one in lanelets.items() if not one.walking}
-    following = {i: [j for j in s.successors if j in driven] for i, s in driven.items()}
+    following = {i: [j for j in one.successors if j in driven] for i, one in driven.items()}
     entered = {j for ways in following.values() for j in ways}
-    inside = {i for i, one in driven.items() if one.internal}
-    found: list[list[int]] = []
-    for begin in driven:
-        if begin in inside and begin in entered:
+    chains: list[list[int]] = []
+    for begin, one in driven.items():
+        if one.internal and begin in entered:
             continue
-        chains = [[begin, j] for j in following[begin]]
-        while chains:
-            chain = chains.pop()
+        open_ends = [[begin, j] for j in following[begin]]
+        while open_ends:
+            chain = open_ends.pop()
             onward = [j for j in following[chain[-1]] if j not in chain]
-            if chain[-1] in inside and onward:
-                chains += [[*chain, j] for j in onward]
+            if driven[chain[-1]].internal and onward:
+                open_ends += [[*chain, j] for j in onward]
             else:
-                found.append(chain)
-    found.sort(key=lambda c: (c[0], [*c[1:-1], c[-1]]))
-    ways = [_connection(chain, driven) for chain in found]
-    return _with_priority(ways, found, driven)
-
-
-def _with_priority(
-    ways: list[Connection], chains: list[list[int]], lanelets: Mapping[int, Lanelet]
-) -> list[Connection]:
-    """The ways, each with those that have priority over it."""
-    passing: dict[int, list[int]] = {}
+                chains.append(chain)
+    chains.sort(key=lambda c: (c[0], [*c[1:-1], c[-1]]))
+    passing: dict[int, list[int]] = {}  # the ways over each lanelet
     for index, chain in enumerate(chains):
         for i in chain[:-1] if len(chain) > 2 else chain:
             passing.setdefault(i, []).append(index)
-    told = []
-    for index, (way, chain) in enumerate(zip(ways, chains, strict=True)):
-        others = {j for i in chain[:-1] for j in lanelets[i].yields_to}
-        over = {k for j in others for k in passing.get(j, ())} - {index}
-        told.append(dataclasses.replace(way, yields_to=tuple(sorted(over))) if over else way)
-    return told
+    found = []
+    for index, chain in enumerate(chains):
+        first = {j for i in chain[:-1] for j in driven[i].yields_to}
+        over = {k for j in first for k in passing.get(j, ())} - {index}
+        held = [driven[i] for i in (chain if driven[chain[-1]].internal else chain[:-1])]
+        first_lane, *via, last_lane = (str(i) for i in chain)
+        found.append(
+            Connection(
+                from_lane=first_lane,
+                to_lane=last_lane,
+                via=tuple(via),
+                direction=_direction(driven[chain[0]], driven[chain[-1]]),
+                signal=next((one.signal for one in held if one.signal >= 0), -1),
+                must_yield=any(one.must_yield for one in held),
+                must_stop=any(one.must_stop for one in held),
+                yields_to=tuple(sorted(over)),
+            )
+        )
+    return found
 
 
-def _connection(chain: list[int], lanelets: Mapping[int, Lanelet]) -> Connection:
-    first = lanelets[chain[0]]
+def _direction(first: Lanelet, last: Lanelet) -> str:
+    """The direction of a way by the angle between the end of a lanelet and the start of another."""
     before = pieces_of(first.centerline).direction[-1:]
-    after = pieces_of(lanelets[chain[-1]].centerline).direction[:1]
+    after = pieces_of(last.centerline).direction[:1]
     turned = 0.0
     if before.size and after.size:
         (bx, by), (ax, ay) = before[0], after[0]
         turned = math.atan2(bx * ay - by * ax, bx * ax + by * ay)
     if abs(turned) <= STRAIGHT_RAD:
-        direction = "straight"
-    elif abs(turned) >= BACK_RAD:
-        direction = "turnaround"
-    else:
-        direction = "left" if turned > 0 else "right"
-    names = [str(i) for i in chain]
-    held = chain if lanelets[chain[-1]].internal else chain[:-1]
-    return Connection(
-        names[0], names[-1], tuple(names[1:-1]), direction,
-        signal=next((s for i in held if (s := lanelets[i].signal) >= 0), -1),
-        must_yield=any(lanelets[i].must_yield for i in held),
-        must_stop=any(lanelets[i].must_stop for i in held),
-    )  # fmt: skip
+        return "straight"
+    if abs(turned) >= BACK_RAD:
+        return "turnaround"
+    return "left" if turned > 0 else "right"
 
 
-def with_junctions(lanelets: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
-    """Junction lanelets of a map without that information, from their lines.
+def _with_junctions(lanelets: Lanelets) -> dict[int, Lanelet]:
+    """The lanelets of a map that does not mark its junctions, with ``internal`` set from the lines.
 
-    A lanelet is part of a junction if its centre line crosses another at more than `CROSSING_RAD`.
-    It is also part of one if it parts from, or joins, such a lanelet.
-
-    Args:
-        lanelets: by id.
-
-    Returns:
-        The same lanelets, ``internal`` set.
+    A lanelet is part of a junction if its centre line crosses another at more than `CROSSING_RAD`,
+    or if it parts from, or joins, such a lanelet.
     """
-    driven = [one for one in lanelets.values() if not one.walking]
-    inside = _crossing_ids(driven)
+    driven = {i: one for i, one in lanelets.items() if not one.walking}
+    inside = _crossing_ids(list(driven.values()))
     before: dict[int, list[int]] = {}
-    for one in driven:
+    for i, one in driven.items():
         for j in one.successors:
-            before.setdefault(j, []).append(one.id)
-    beside = [one.successors for one in driven if len(one.successors) > 1]
-    beside += [tuple(ways) for ways in before.values() if len(ways) > 1]
-    known = {one.id for one in driven}
+            before.setdefault(j, []).append(i)
     # the way straight on belongs to a junction like the turns that part from it or join it
-    for ways in beside:
-        if inside.intersection(ways):
-            inside.update(known.intersection(ways))
-    return {i: dataclasses.replace(one, internal=i in inside) for i, one in lanelets.items()}
+    for ways in (*(one.successors for one in driven.values()), *before.values()):
+        if len(ways) > 1 and inside.intersection(ways):
+            inside.update(driven.keys() & ways)
+    return {i: replace(one, internal=i in inside) for i, one in lanelets.items()}
 
 
 def _crossing_ids(lanelets: list[Lanelet]) -> set[int]:

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
+from sim.input_files import broken_as_one_line
 from sim.units import in_si
 
 FREE_MPS: Final = 130 / 3.6
@@ -142,15 +142,10 @@ def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = Non
     """
     if kind not in ("openstreetmap", "opendrive"):
         return Source(content, bool(left_hand))
-    try:
+    with broken_as_one_line(path, "XML"):
         root = ET.fromstring(content)
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: {' '.join(str(error).split())}, expected XML") from None
-    return _street_map(root, left_hand) if kind == "openstreetmap" else _drive(root, left_hand)
-
-
-def _as_bytes(root: ET.Element) -> bytes:
-    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+        found = _street_map(root, left_hand) if kind == "openstreetmap" else _drive(root, left_hand)
+        return replace(found, content=ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 # --- OpenStreetMap ------------------------------------------------------------------------------
@@ -162,6 +157,12 @@ DRIVEN: Final = frozenset(
     for end in ("", "_link")
 )  # fmt: skip
 """Values of ``highway`` that cars drive on."""
+
+LIMITS: Final = (
+    "maxspeed", "source:maxspeed", "maxspeed:type", "zone:maxspeed", "zone:traffic",
+)  # fmt: skip
+DIRECTED: Final = ("maxspeed:forward", "maxspeed:backward")
+"""Keys of limits: of both directions, the first one that says any, and of each."""
 
 LEFT: Final = (
     (49.9, 61.0, -11.0, 1.40), (51.2, 53.0, 1.39, 1.80), (30.0, 45.6, 129.4, 146.0),
@@ -176,7 +177,7 @@ LEFT: Final = (
 
 
 def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
-    """OpenStreetMap with plain limits."""
+    """Write plain limits into OpenStreetMap; what was found is given without content."""
     warnings, unlimited, roads, sides = list[str](), 0, 0, set[str]()
     for way in root.iterfind("way"):
         tags = {tag.get("k", ""): tag for tag in way.iterfind("tag")}
@@ -185,18 +186,16 @@ def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
         if said.get("highway") not in DRIVEN:
             continue
         roads += 1
-        implied = (said.get(k) for k in ("maxspeed", "source:maxspeed", "maxspeed:type",
-                                         "zone:maxspeed", "zone:traffic"))  # fmt: skip
-        ways = ("maxspeed:forward", "maxspeed:backward")
-        either = [limit_of(said[key]) for key in ways if key in said]
-        limit = next((found for text in implied if text and (found := limit_of(text))), None)
-        limit = limit or min((one for one in either if one), default=None)
-        for key in ("maxspeed", *ways):
+        written = {key: limit_of(said[key]) for key in (*LIMITS, *DIRECTED) if key in said}
+        limits = {key: limit for key, limit in written.items() if limit}
+        limit = next((limits[key] for key in LIMITS if key in limits), None)
+        limit = limit or min((limits[key] for key in DIRECTED if key in limits), default=None)
+        if limit is not None:
+            limits["maxspeed"] = limit
+        for key in ("maxspeed", *DIRECTED):
             if key in tags:
                 way.remove(tags[key])
-            own = limit_of(said[key]) if key in said else None
-            value = limit if key == "maxspeed" else own
-            if value:
+            if value := limits.get(key):
                 ET.SubElement(way, "tag", k=key, v=f"{value * 3.6:.6g}")
         unlimited += limit is None
     nodes = [(float(n.get("lat", "nan")), float(n.get("lon", "nan"))) for n in root.iter("node")]
@@ -207,7 +206,7 @@ def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
                 "found a place where traffic drives on the left, taken as driving on the right: "
                 "--left-hand, or --set left_hand=true, mirrors it"
             )
-    return Source(_as_bytes(root), left_hand, tuple(warnings), unlimited, roads)
+    return Source(b"", left_hand, tuple(warnings), unlimited, roads)
 
 
 def drives_left(latitude: float, longitude: float) -> bool:
@@ -224,20 +223,21 @@ def drives_left(latitude: float, longitude: float) -> bool:
 
 
 def _drive(root: ET.Element, left_hand: bool | None) -> Source:
-    """OpenDRIVE with a limit at each lane."""
+    """Write a limit to each lane of OpenDRIVE; what was found is given without content."""
     warnings, unlimited, roads = list[str](), 0, 0
     length_m = {"LHT": 0.0, "RHT": 0.0}
     for road in root.iterfind("road"):
-        rule = "LHT" if (road.get("rule") or "").upper() == "LHT" else "RHT"
-        size = _number(road.get("length"), 0.0)
-        length_m[rule] += size
-        limits = [(_number(one.get("s"), 0.0), _limit(one.find("speed"))) for one in
-                  road.iterfind("type")]  # fmt: skip
-        if not road.findall("lanes/laneSection"):
+        size = float(road.get("length", 0.0))
+        length_m["LHT" if (road.get("rule") or "").upper() == "LHT" else "RHT"] += size
+        sections = sorted(road.iterfind("lanes/laneSection"), key=_begin)
+        if not sections:
             continue
         roads += 1
-        missing = _to_lanes(road, sorted(limits, key=lambda one: one[0]), size)
-        unlimited += missing
+        types = sorted(road.iterfind("type"), key=_begin)
+        limits = [(_begin(one), _limit(one.find("speed"))) for one in types]
+        ends = [*map(_begin, sections[1:]), size]
+        bare = [_limit_lanes(*pair, limits) for pair in zip(sections, ends, strict=True)]
+        unlimited += any(bare)
         if any(limit == math.inf for _, limit in limits):
             name = road.get("id", "")[:60]
             warnings.append(f"road {name}: found no limit: {FREE_MPS:.2f} m/s are assumed")
@@ -245,45 +245,32 @@ def _drive(root: ET.Element, left_hand: bool | None) -> Source:
         left_hand = length_m["LHT"] > length_m["RHT"]
         if min(length_m.values()) > 0:
             warnings.append("found roads of both rules, LHT and RHT: the one of more length counts")
-    return Source(_as_bytes(root), left_hand, tuple(warnings), unlimited, roads)
+    return Source(b"", left_hand, tuple(warnings), unlimited, roads)
 
 
-def _to_lanes(road: ET.Element, limits: list[tuple[float, float | None]], size: float) -> bool:
-    """Write the limits of a road to its lanes; whether a lane for cars stays without one."""
-    sections = sorted(road.iterfind("lanes/laneSection"), key=lambda e: _number(e.get("s"), 0.0))
-    missing = False
-    for k, section in enumerate(sections):
-        begin = _number(section.get("s"), 0.0)
-        end = _number(sections[k + 1].get("s"), size) if k + 1 < len(sections) else size
-        for lane in section.iter("lane"):
-            own = lane.findall("speed")
-            for speed in own:
-                limit = _limit(speed)
-                if limit is None:
-                    lane.remove(speed)
-                else:
-                    speed.set("max", f"{min(limit, FREE_MPS):.4f}")
-                    speed.set("unit", "m/s")
-            if lane.find("speed") is not None or lane.get("id") == "0":
-                continue
-            inside = [
-                (max(s - begin, 0.0), limit)
-                for i, (s, limit) in enumerate(limits)
-                if s < end and (i + 1 == len(limits) or limits[i + 1][0] > begin)
-            ]
-            place = next((i for i, e in enumerate(lane) if e.tag in _BEHIND_SPEED), len(lane))
-            for offset, limit in reversed(inside):
-                if limit is not None:
-                    values = {"sOffset": f"{offset:.4f}", "unit": "m/s"}
-                    values["max"] = f"{min(limit, FREE_MPS):.4f}"
-                    lane.insert(place, ET.Element("speed", values))
-            driven = lane.get("type") in ("driving", "bidirectional", "entry", "exit", "onRamp")
-            missing |= driven and (not inside or any(limit is None for _, limit in inside))
+def _limit_lanes(section: ET.Element, end: float, limits: list[tuple[float, float | None]]) -> bool:
+    """Write the limits of a road to a section's lanes; whether one for cars stays without one."""
+    begin, missing = _begin(section), False
+    inside = [
+        (max(s - begin, 0.0), limit)
+        for i, (s, limit) in enumerate(limits)
+        if s < end and (i + 1 == len(limits) or limits[i + 1][0] > begin)
+    ]
+    for lane in section.iter("lane"):
+        for speed in lane.findall("speed"):
+            own = _limit(speed)
+            if own is None:
+                lane.remove(speed)
+            else:
+                _write(speed, own)
+        if lane.find("speed") is not None or lane.get("id") == "0":
+            continue
+        for offset, limit in inside:
+            if limit is not None:
+                lane.append(_write(ET.Element("speed", sOffset=f"{offset:.4f}"), limit))
+        driven = lane.get("type") in ("driving", "bidirectional", "entry", "exit", "onRamp")
+        missing |= driven and (not inside or any(limit is None for _, limit in inside))
     return missing
-
-
-_BEHIND_SPEED: Final = ("access", "height", "rule", "userData", "include")
-"""Elements of a lane that come after its speed."""
 
 
 def _limit(speed: ET.Element | None) -> float | None:
@@ -293,17 +280,16 @@ def _limit(speed: ET.Element | None) -> float | None:
     text = (speed.get("max") or "").strip().lower()
     if text in FREE_WORDS:
         return math.inf
-    unit = UNITS.get((speed.get("unit") or "m/s").strip().lower())
-    value = _number(text, math.nan)
-    if unit is None or not value > 0:
-        return None
-    return in_si(value, unit)
+    return _single(f"{text} {(speed.get('unit') or 'm/s').strip().lower()}")
 
 
-def _number(text: str | None, other: float) -> float:
-    """A number, or another value where it is none."""
-    try:
-        value = float(text or "")
-    except ValueError:
-        return other
-    return value if math.isfinite(value) else other
+def _write(speed: ET.Element, limit: float) -> ET.Element:
+    """The element with a limit, m/s."""
+    speed.set("unit", "m/s")
+    speed.set("max", f"{min(limit, FREE_MPS):.4f}")
+    return speed
+
+
+def _begin(element: ET.Element) -> float:
+    """Where a part of a road begins, m along it."""
+    return float(element.get("s", 0.0))

@@ -1,7 +1,7 @@
 """The map of a Waymo Open Motion scenario as a `Road`.
 
-Lanes have centre lines, limits (miles per hour), neighbours and successors, but no widths: where a
-neighbour is known, its distance is the width. Lights are those that the recording car saw.
+Lanes have centre lines, limits, neighbours and successors, but no widths: where a neighbour is
+known, its distance is the width. Lights are those that the recording car saw.
 
 References:
     ``map.proto`` of the Waymo open dataset.
@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,10 +21,8 @@ from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray
 from sim.road import Crossing, Road
-from sim.road.maps.lanelets import MAX_COORDINATE_M, Lanelet, road_of_lanelets, with_junctions
-from sim.units import FACTORS
-
-MPS_PER_MPH: Final = FACTORS["mph"]
+from sim.road.checks import MAX_COORDINATE_M
+from sim.road.maps.lanelets import Lanelet, Lanelets, road_of_lanelets
 
 WIDTH_M: Final = 3.5
 """Width of a lane without a neighbour, m (urban lanes have 3.3, freeways 3.7)."""
@@ -32,137 +30,83 @@ WIDTH_M: Final = 3.5
 NARROWEST_M, WIDEST_M = 2.5, 5.0
 """Widths that the distance to a neighbour may give, m."""
 
-BIKE_LANE: Final = 3
-"""The type of lanes for bicycles."""
+MOST_WAYS: Final = 16
+"""Most lanes that may begin where one ends."""
 
 JOIN_M: Final = 0.5
 """Lanes whose ends are this close follow each other where the map does not say it, m (the distance
 of its points)."""
 
 
-@dataclass(frozen=True, eq=False)
-class WaymoLane:
-    """A lane of the map.
-
-    Attributes:
-        id: its number.
-        line: (P, 2) points in driving direction, m.
-        limit_mph: miles per hour; NaN or 0 where unknown.
-        type: 0 unknown, 1 freeway, 2 surface street, 3 bicycles.
-        interpolating: whether it joins two others, as the ways across junctions do; None where
-            the map does not say it.
-        before: ids of the lanes that it is entered from.
-        after: ids of the lanes that it leads to.
-        left: id of the lane beside it on the left, of its direction; None without one.
-        right: likewise on the right.
-        stops: whether a stop sign controls it.
-        width_m: m; NaN where the map does not say it.
-    """
-
-    id: int
-    line: FloatArray
-    limit_mph: float = math.nan
-    type: int = 0
-    interpolating: bool | None = None
-    before: tuple[int, ...] = ()
-    after: tuple[int, ...] = ()
-    left: int | None = None
-    right: int | None = None
-    stops: bool = False
-    width_m: float = math.nan
-
-
 def waymo_road(
     path: Path,
     name: str,
-    lanes: Sequence[WaymoLane],
+    lanes: Sequence[Lanelet],
     crosswalks: Mapping[str, FloatArray],
     lights: Sequence[int],
 ) -> Road | None:
-    """The road of a scenario.
+    """The road of a scenario, None without a lane for cars.
 
-    Args:
-        path: its file, for messages.
-        name: what to call the road.
-        lanes: of the map.
-        crosswalks: (P, 2) outline of each, m, by id.
-        lights: ids of the lanes whose light was seen; each is a signal group.
-
-    Returns:
-        The road; None without a lane for cars.
+    Lanes may have NaN for an unknown width; those that are not for cars are for bicycles.
+    Crosswalks are (P, 2) outlines, m, by id. Lights are the ids of the lanes whose light was seen;
+    each is a signal group.
 
     Raises:
         InputError: if an id is twice, or the map is larger than any.
     """
-    by_id = _with_neighbours({lane.id: lane for lane in lanes if len(lane.line) >= 2})
     if len({lane.id for lane in lanes}) != len(lanes):
         raise InputError(f"{path}: map_features: found an id twice, expected each once")
-    if not any(lane.type != BIKE_LANE for lane in by_id.values()):
+    named = {lane.id: lane for lane in lanes if len(lane.centerline) >= 2}
+    if not any(lane.cars for lane in named.values()):
         return None
+    found = dict(named)
+    for lane in named.values():  # neighbours that only one of the two names
+        for mine, its in (("left", "right"), ("right", "left")):
+            other = named.get(getattr(lane, mine))
+            if other is not None and getattr(other, its) is None:
+                change: dict[str, Any] = {its: lane.id}
+                found[other.id] = replace(found[other.id], **change)
+    bare = not any(lane.successors or lane.predecessors for lane in named.values())
     signal = {lane: group for group, lane in enumerate(lights)}
-    following = _following(by_id)
     found = {
-        i: Lanelet(
-            id=i,
-            centerline=frozen(np.array(by_id[i].line, dtype=np.float64)),
-            width_m=_width(by_id[i], by_id),
-            successors=following[i],
-            internal=bool(by_id[i].interpolating),
-            left=by_id[i].left,
-            right=by_id[i].right,
-            use="bicycles" if by_id[i].type == BIKE_LANE else "",
-            limit_mps=_limit(path, by_id[i]),
-            cars=by_id[i].type != BIKE_LANE,
+        i: replace(
+            lane,
+            centerline=frozen(np.array(lane.centerline, dtype=np.float64)),
+            width_m=_width(lane, found),
+            successors=_onward(lane, named) if bare else lane.successors,
+            use="" if lane.cars else "bicycles",
             signal=signal.get(i, -1),
-            must_stop=by_id[i].stops,
         )
-        for i in sorted(by_id)
+        for i, lane in sorted(found.items())
     }
-    crossings = [_crossing(path, label, line) for label, line in crosswalks.items()]
-    if all(lane.interpolating is None for lane in by_id.values()):
-        found = with_junctions(found)
-    return road_of_lanelets(path, name, found, crossings, signal_groups=tuple(map(str, lights)))
+    return road_of_lanelets(
+        path,
+        name,
+        found,
+        [_crossing(path, label, line) for label, line in crosswalks.items()],
+        find_junctions=bare,
+        signal_groups=tuple(map(str, lights)),
+    )
 
 
-def _limit(path: Path, lane: WaymoLane) -> float:
-    if math.isnan(lane.limit_mph) or lane.limit_mph == 0:
-        return math.nan
-    if not 0 < lane.limit_mph <= 200:
-        raise InputError(
-            f"{path}: lane {lane.id}: found speed limit {lane.limit_mph:g} mph, expected up to 200"
-        )
-    return lane.limit_mph * MPS_PER_MPH
+def _onward(lane: Lanelet, lanes: Lanelets) -> tuple[int, ...]:
+    """The lanes that begin where one ends."""
+    begins = np.array([other.centerline[0] for other in lanes.values()])
+    near = np.hypot(*(begins - lane.centerline[-1]).T) <= JOIN_M
+    return tuple(j for j in np.array(list(lanes))[near][:MOST_WAYS].tolist() if j != lane.id)
 
 
-def _following(lanes: Mapping[int, WaymoLane]) -> dict[int, tuple[int, ...]]:
-    """The lanes after each: as the map says, or those that begin where it ends."""
-    after: dict[int, dict[int, None]] = {i: dict.fromkeys(lane.after) for i, lane in lanes.items()}
-    for i, lane in lanes.items():
-        for j in lane.before:
-            if j in after:
-                after[j][i] = None
-    if not any(after.values()):
-        begins = np.array([lane.line[0] for lane in lanes.values()])
-        ids = list(lanes)
-        for i, lane in lanes.items():
-            near = np.hypot(*(begins - lane.line[-1]).T) <= JOIN_M
-            after[i] = {ids[k]: None for k in np.flatnonzero(near)[:16] if ids[k] != i}
-    return {i: tuple(j for j in ways if j in lanes) for i, ways in after.items()}
-
-
-def _width(lane: WaymoLane, lanes: Mapping[int, WaymoLane]) -> float:
+def _width(lane: Lanelet, lanes: Lanelets) -> float:
     """Width by the map, by the distance to a neighbour's line, or the usual width, m."""
     if math.isfinite(lane.width_m):
         return lane.width_m
+    few = lane.centerline[:: max(len(lane.centerline) // 8, 1)]
     for beside in (lane.left, lane.right):
-        other = lanes.get(beside) if beside is not None else None
-        if other is None:
-            continue
-        few = lane.line[:: max(len(lane.line) // 8, 1)]
-        apart = np.hypot(*np.moveaxis(few[:, None] - other.line[None, ::2], -1, 0)).min(axis=1)
-        width = float(np.median(apart))
-        if NARROWEST_M <= width <= WIDEST_M:
-            return width
+        if beside is not None and beside in lanes:
+            apart = few[:, None] - lanes[beside].centerline[None, ::2]
+            width = float(np.median(np.hypot(*np.moveaxis(apart, -1, 0)).min(axis=1)))
+            if NARROWEST_M <= width <= WIDEST_M:
+                return width
     return WIDTH_M
 
 
@@ -176,15 +120,3 @@ def _crossing(path: Path, label: str, outline: FloatArray) -> Crossing:
     ends = np.array([along.min(), along.max()])
     line = frozen(middle + ends[:, None] * axes[0])
     return Crossing(label, line, float(np.ptp(across)), (), priority=False)
-
-
-def _with_neighbours(lanes: Mapping[int, WaymoLane]) -> dict[int, WaymoLane]:
-    """Lanes with the neighbours of each also told to the other."""
-    told = dict(lanes)
-    for lane in lanes.values():
-        left, right = (None if i is None else lanes.get(i) for i in (lane.left, lane.right))
-        if left is not None and left.right is None:
-            told[left.id] = replace(told[left.id], right=lane.id)
-        if right is not None and right.left is None:
-            told[right.id] = replace(told[right.id], left=lane.id)
-    return told

@@ -1,41 +1,52 @@
 """Waymo Open Motion scenarios: TFRecord files of ``scenario.proto``, and JSON made from them.
 
+A TFRecord file is length, checksum, data, checksum; again and again. It is read without TensorFlow,
+and its messages without generated code: of a message only what is read has a field.
+
 Two kinds of JSON circulate: the messages in protobuf's own JSON form (``tracks``, ``mapFeatures``),
 and the one of Nocturne and GPUDrive (``objects``, ``roads``, ``tl_states``), which has no limits,
 no neighbours and no successors, and assumes 10 Hz. Centres in metres, headings in radians (in
 degrees in Nocturne's).
 
 References:
-    Ettinger et al. (2021), Large scale interactive motion forecasting for autonomous driving, ICCV.
+    Ettinger et al. (2021), Large scale interactive motion forecasting for autonomous driving: the
+    Waymo Open Motion Dataset, ICCV; ``scenario.proto`` and ``map.proto`` of the open dataset.
+    tensorflow/core/lib/io/record_writer.h: the checksums are CRC-32C, rotated and offset.
     Vinitsky et al. (2022), Nocturne, NeurIPS. Kazemkhani et al. (2025), GPUDrive, ICLR.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import google_crc32c
 import numpy as np
-from google.protobuf import json_format
+from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
 from google.protobuf.message import DecodeError
 
 from behaviors.errors import InputError
-from sim.formats.common.driving_scene import DrivingScene, SceneAgent, recording_of
+from sim.formats.common.driving_scene import DrivingScene, recording_of
 from sim.formats.common.recording import Recording
-from sim.formats.waymo.messages import ENUMS, read_records, scenario_class
 from sim.frames import AgentKind, FloatArray
-from sim.input_files import plain_name, read_bytes, stem
-from sim.road.maps.waymo import WaymoLane
+from sim.input_files import opened, plain_name, read_bytes, stem
+from sim.road.maps.lanelets import Lanelet
+from sim.units import in_si
 
 PERIOD_S: Final = 0.1
 """Time between two steps where the file does not say it, s."""
 
 KINDS: Final = {1: AgentKind.CAR, 2: AgentKind.PEDESTRIAN, 3: AgentKind.BICYCLE}
 """Types of objects that are road-agents; 0 and 4 (unset, other) are left out."""
+
+BIKE_LANE: Final = 3
+"""The type of lanes for bicycles."""
 
 WORDS: Final = {
     "vehicle": AgentKind.CAR,
@@ -44,19 +55,15 @@ WORDS: Final = {
 }
 """The same in Nocturne's words."""
 
+_EXAMPLE: Final = re.compile(
+    rb"\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n[\x01-\x7f][\w/.-]{3}",
+    re.DOTALL,
+)
+"""A tf.Example: features, the first of them, and the beginning of its name."""
+
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read the scenarios of a file.
-
-    Args:
-        path: a TFRecord file, or a JSON of one scenario.
-
-    Yields:
-        One recording per scenario, with its road.
-
-    Raises:
-        InputError: if the file is broken; the message names file, record and field.
-    """
+    """A recording, with its road, for each scenario of a TFRecord file, or the one of a JSON."""
     if plain_name(path).lower().endswith(".json"):
         yield recording_of(_from_json(path))
         return
@@ -76,14 +83,139 @@ def read(path: Path) -> Iterator[Recording]:
         yield recording_of(_from_message(path, scenario, number))
 
 
-_EXAMPLE: Final = re.compile(
-    rb"\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n[\x01-\x7f][\w/.-]{3}",
-    re.DOTALL,
-)
-"""A tf.Example: features, the first of them, and the beginning of its name."""
+# --- records ------------------------------------------------------------------------------------
+
+_HEAD: Final = struct.Struct("<QI")
+_TAIL: Final = struct.Struct("<I")
+_OFFSET: Final = 0xA282EAD8
+
+
+def masked_checksum(data: bytes) -> int:
+    """The checksum of data as such files have it.
+
+    Examples:
+        >>> hex(masked_checksum(b"123456789"))
+        '0xc78ab0e5'
+    """
+    crc = int(google_crc32c.value(data))
+    return (((crc >> 15) | (crc << 17)) + _OFFSET) & 0xFFFFFFFF
+
+
+def read_records(path: Path) -> Iterator[bytes]:
+    """The data of each record of a TFRecord file, checked."""
+    number = 0
+    with opened(path) as file:
+        while head := file.read(_HEAD.size):
+            number += 1
+            whole = len(head) == _HEAD.size and masked_checksum(head[:8]) == _HEAD.unpack(head)[1]
+            data = file.read(_HEAD.unpack(head)[0]) if whole else b""
+            tail = file.read(_TAIL.size)
+            if not whole or tail != _TAIL.pack(masked_checksum(data)):
+                raise InputError(
+                    f"{path}: record {number}: found other bytes than its checksums say, expected "
+                    "a whole TFRecord"
+                )
+            yield data
+    if not number:
+        raise InputError(f"{path}: found no record, expected at least one")
 
 
 # --- messages -----------------------------------------------------------------------------------
+
+PACKAGE: Final = "waymo.open_dataset"
+
+_PLAIN: Final = ("double", "float", "int32", "int64", "bool", "string")
+"""Kinds of fields that are no messages."""
+
+MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
+    "ObjectState": {
+        "center_x": (2, "double"),
+        "center_y": (3, "double"),
+        "length": (5, "float"),
+        "width": (6, "float"),
+        "heading": (8, "float"),
+        "velocity_x": (9, "float"),
+        "velocity_y": (10, "float"),
+        "valid": (11, "bool"),
+    },
+    "Track": {"id": (1, "int32"), "object_type": (2, "ObjectType"), "states": (3, "*ObjectState")},
+    "MapPoint": {"x": (1, "double"), "y": (2, "double")},
+    "LaneNeighbor": {"feature_id": (1, "int64")},
+    "LaneCenter": {
+        "speed_limit_mph": (1, "double"),
+        "type": (2, "LaneType"),
+        "interpolating": (3, "bool"),
+        "polyline": (8, "*MapPoint"),
+        "entry_lanes": (9, "*int64"),
+        "exit_lanes": (10, "*int64"),
+        "left_neighbors": (11, "*LaneNeighbor"),
+        "right_neighbors": (12, "*LaneNeighbor"),
+    },
+    "StopSign": {"lane": (1, "*int64")},
+    "Crosswalk": {"polygon": (1, "*MapPoint")},
+    "MapFeature": {
+        "id": (1, "int64"),
+        "lane": (3, "LaneCenter"),
+        "stop_sign": (7, "StopSign"),
+        "crosswalk": (8, "Crosswalk"),
+    },
+    "TrafficSignalLaneState": {"lane": (1, "int64"), "state": (2, "State")},
+    "DynamicMapState": {"lane_states": (1, "*TrafficSignalLaneState")},
+    "Scenario": {
+        "timestamps_seconds": (1, "*double"),
+        "tracks": (2, "*Track"),
+        "scenario_id": (5, "string"),
+        "sdc_track_index": (6, "int32"),
+        "dynamic_map_states": (7, "*DynamicMapState"),
+        "map_features": (8, "*MapFeature"),
+    },
+}
+"""Number and kind of every field that is read, by message; ``*`` marks what repeats."""
+
+
+ENUMS: Final[dict[str, tuple[str, ...]]] = {
+    "Track.ObjectType": (
+        "TYPE_UNSET", "TYPE_VEHICLE", "TYPE_PEDESTRIAN", "TYPE_CYCLIST", "TYPE_OTHER",
+    ),
+    "LaneCenter.LaneType": (
+        "TYPE_UNDEFINED", "TYPE_FREEWAY", "TYPE_SURFACE_STREET", "TYPE_BIKE_LANE",
+    ),
+    "TrafficSignalLaneState.State": (
+        "LANE_STATE_UNKNOWN", "LANE_STATE_ARROW_STOP", "LANE_STATE_ARROW_CAUTION",
+        "LANE_STATE_ARROW_GO", "LANE_STATE_STOP", "LANE_STATE_CAUTION", "LANE_STATE_GO",
+        "LANE_STATE_FLASHING_STOP", "LANE_STATE_FLASHING_CAUTION",
+    ),
+}  # fmt: skip
+"""The names of numbers from 0 on, by message and enumeration; JSON has the names."""
+
+
+@functools.lru_cache(maxsize=1)
+def scenario_class() -> Any:
+    """The class of the message ``Scenario``."""
+    file = descriptor_pb2.FileDescriptorProto(
+        name="graphrqi/waymo_scenario.proto", package=PACKAGE, syntax="proto2"
+    )
+    for name, fields in MESSAGES.items():
+        message = file.message_type.add(name=name)
+        for label, (number, kind) in fields.items():
+            repeated, plain = kind.startswith("*"), kind.removeprefix("*")
+            field = message.field.add(name=label, number=number)
+            field.label = field.LABEL_REPEATED if repeated else field.LABEL_OPTIONAL
+            values = ENUMS.get(f"{name}.{plain}")
+            if plain in _PLAIN:
+                field.type = getattr(field, f"TYPE_{plain.upper()}")
+            elif values is not None:
+                field.type = field.TYPE_ENUM
+                field.type_name = f".{PACKAGE}.{name}.{plain}"
+                enum = message.enum_type.add(name=plain)
+                for value, word in enumerate(values):
+                    enum.value.add(name=word, number=value)
+            else:
+                field.type = field.TYPE_MESSAGE
+                field.type_name = f".{PACKAGE}.{plain}"
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{PACKAGE}.Scenario"))
 
 
 def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
@@ -109,24 +241,25 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
             for s in states if s.valid
         ]  # fmt: skip
         table = np.array(values, dtype=np.float64).reshape(-1, 6)
-        scene.agents.append(SceneAgent(str(track.id), kind, steps, table))
+        scene.agents.append((str(track.id), kind, steps, table))
     stops = {lane for f in scenario.map_features if f.HasField("stop_sign")
              for lane in f.stop_sign.lane}  # fmt: skip
     for feature in scenario.map_features:
         if feature.HasField("lane"):
             lane = feature.lane
             scene.lanes.append(
-                WaymoLane(
+                Lanelet(
                     id=feature.id,
-                    line=np.array([(p.x, p.y) for p in lane.polyline]).reshape(-1, 2),
-                    limit_mph=lane.speed_limit_mph,
-                    type=lane.type,
-                    interpolating=lane.interpolating,
-                    before=tuple(lane.entry_lanes)[:16],
-                    after=tuple(lane.exit_lanes)[:16],
+                    centerline=np.array([(p.x, p.y) for p in lane.polyline]).reshape(-1, 2),
+                    width_m=math.nan,
+                    limit_mps=in_si(lane.speed_limit_mph, "mph") or math.nan,
+                    cars=lane.type != BIKE_LANE,
+                    internal=lane.interpolating,
+                    predecessors=tuple(lane.entry_lanes)[:16],
+                    successors=tuple(lane.exit_lanes)[:16],
                     left=lane.left_neighbors[0].feature_id if lane.left_neighbors else None,
                     right=lane.right_neighbors[0].feature_id if lane.right_neighbors else None,
-                    stops=feature.id in stops,
+                    must_stop=feature.id in stops,
                 )
             )
         elif feature.HasField("crosswalk"):
@@ -194,16 +327,16 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
         table = table.astype(np.float64).reshape(-1, 6)
         seen = np.flatnonzero(one["valid"])
         identity = one.get("id", index)
-        scene.agents.append(SceneAgent(str(identity), kind, seen, table[seen]))
+        scene.agents.append((str(identity), kind, seen, table[seen]))
         tables.append(np.column_stack([table[:, 2:4], np.arctan2(vy, vx)])[seen])
     heading, speed, course = np.concatenate(tables).T
     if _in_degrees(heading, np.where((speed > 1.0) & (speed < 1e9), course, np.nan)):
-        for agent in scene.agents:
-            agent.values[:, 2] = np.radians(agent.values[:, 2])
+        for *_, values in scene.agents:
+            values[:, 2] = np.radians(values[:, 2])
     for index, road in enumerate(found.get("roads") or []):
         identity, line = road.get("id", index), road.get("geometry")
         if isinstance(line, list) and road["type"] == "lane":
-            scene.lanes.append(WaymoLane(id=int(identity), line=_xy(line)))
+            scene.lanes.append(Lanelet(int(identity), _xy(line), math.nan))
         elif isinstance(line, list) and road["type"] == "crosswalk":
             scene.crosswalks[str(identity)] = _xy(line)
     known = {lane.id for lane in scene.lanes}

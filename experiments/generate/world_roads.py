@@ -1,4 +1,4 @@
-"""The roads of worlds, made without netconvert, and the traffic that wants to pass them.
+"""The roads of random worlds, made without netconvert, and the traffic on them.
 
 Nets that are written here have no sidewalks and no lanes inside junctions, so a road of any number
 of lanes, length and limit is a few lines of XML. Axes: the road runs along +x from the origin; its

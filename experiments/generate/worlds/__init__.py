@@ -1,1 +1,0 @@
-"""Random worlds: they share only the labels' meaning with the simulated training traffic."""

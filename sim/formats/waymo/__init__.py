@@ -1,1 +1,0 @@
-"""Waymo Open Motion scenarios: their records, messages and JSON."""
