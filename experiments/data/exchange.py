@@ -63,13 +63,12 @@ def import_recordings(
         source: a file, or a folder with files of one or several formats.
         out: folder of the dataset, new or empty, or a URL where nothing is.
         name: a key of ``FORMATS``, whose files alone are read; None to recognise each.
-        net: the map that the recordings were made on; None for what comes with each. It is checked
-            against where vehicles move (`sim.road.map_fit`).
+        net: the map of the recordings' place, checked against where vehicles move; None for what
+            comes with each.
         split: which part of the data everything belongs to; None to split by index.
         quiet: whether to show no progress.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings.
-        labels: labels of some drivers (`sim.formats.common.label_file`), instead of those that
-            come with the recordings.
+        labels: labels of some drivers, instead of those that come with the recordings.
         rate_hz: frames per second that the recordings really have; None for what they say. A
             recording whose times contradict its motion is then left out, or refused if it is alone.
         shift_m: how far maps are moved onto the positions, m; None not to move them.
@@ -77,13 +76,9 @@ def import_recordings(
         units: of these columns.
         scenario: what the episodes' scenario is called; None for the format's name.
 
-    Returns:
-        The manifest.
-
     Raises:
         InputError: if a file is broken or of no known format, ``net`` is of another place, times
             contradict the motion, or ``out`` holds anything else.
-        OSError: if something cannot be written.
     """
     if columns is not None:
         check_columns(columns, units or {})

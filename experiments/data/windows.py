@@ -71,20 +71,10 @@ def gather(
 ) -> Samples:
     """Samples of every episode of a split, made in parallel.
 
-    Episodes without any are left out, each in a line on stderr. They are numbered as in the
-    manifests, one after another.
-
-    Args:
-        datasets: where from.
-        split: which part.
-        method: whose observer to use.
-        windows_s: lengths of observation.
-        every_s: time between the ends of windows.
-        per_moment: how many lengths to draw per driver and moment; None for all.
-        seed: of that draw.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
-        classes: what codes stand for; drivers of other behaviours give no sample.
+    Windows have the lengths ``windows_s`` and end ``every_s`` apart; of the lengths, ``per_moment``
+    are drawn for each driver and moment, or all are taken. Episodes are numbered as in the
+    manifests, one after another; those without samples are left out, each in a line on stderr.
+    Codes stand for ``classes``, and drivers of other behaviours give no sample.
 
     Raises:
         InputError: if the split has no episode.

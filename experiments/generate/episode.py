@@ -30,13 +30,7 @@ SENSOR_STREAM: Final = 9
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One episode to make.
-
-    Attributes:
-        config: what the dataset is generated from.
-        scenario: which of its scenarios.
-        index: 0 for the scenario's first episode.
-    """
+    """One episode to make: of a scenario of a configuration, by its index, 0 for the first."""
 
     config: GenerateConfig
     scenario: str

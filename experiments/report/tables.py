@@ -53,22 +53,12 @@ class Table(NamedTuple):
 
 
 def name_of(metric: str) -> str:
-    """Name of a metric on a page.
-
-    Examples:
-        >>> name_of("ade_m"), name_of("lane_changes_per_km")
-        ('ADE, m', 'lane changes per km')
-    """
+    """Name of a metric on a page."""
     return NAMES.get(metric, metric.replace("_", " "))
 
 
 def number(value: float) -> str:
-    """A figure as text, with three or four significant digits.
-
-    Examples:
-        >>> [number(x) for x in (0.51249, 12.3456, 1234.5, 0.00012, 3.0)]
-        ['0.512', '12.35', '1234', '0.00012', '3']
-    """
+    """A figure as text, with three or four significant digits."""
     if value == int(value) and abs(value) < 1e15:
         return str(int(value))
     if abs(value) >= 100:

@@ -48,11 +48,8 @@ def train_on_worlds(
     """Train the networks for traffic in which the classifier does not hold.
 
     Simulated episodes are used twice: as they are, and through a sensor that is drawn at random.
-    Both kinds of datasets have train and validation episodes.
-
-    Returns:
-        The learned networks; for the model's card their data, as ``networks``, and ``scores`` on
-        unseen worlds.
+    Both kinds of datasets have train and validation episodes. For the model's card, the data come
+    as ``networks``, and ``scores`` on unseen worlds.
     """
     from graphrqi.places.training import train_other_traffic
 

@@ -30,9 +30,8 @@ from experiments.training.recordings import (
     scored,
     steady_motion,
 )
-from graphrqi.predict.networks.futures import TIME_S
-from graphrqi.predict.recorded.features import features_of
-from graphrqi.predict.recorded.gaps import plausible
+from graphrqi.predict.networks import TIME_S
+from graphrqi.predict.recorded.features import features_of, plausible
 from graphrqi.predict.recorded.lanes_ahead import LanesAhead, lanes_ahead
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import SHIPPED, RecordedNetwork
@@ -278,14 +277,8 @@ def train_on_recordings(
     """Train the predictor for recordings, and save it with its card in a folder.
 
     Sources are as `read_sources` takes them. About ``per_dataset`` agents at instants are taken
-    from each dataset.
-
-    Returns:
-        By dataset, the mean error of the best guesses on its recordings apart, over that of
-        constant velocity; on its training recordings where it has too few.
-
-    Raises:
-        InputError: if there is nothing to learn from.
+    from each dataset. Returned is, by dataset, the mean error of the best guesses over that of
+    constant velocity, on its recordings apart; on its training recordings where it has too few.
     """
     by_dataset: dict[str, list[RecordedPlace]] = {}
     with Progress("reading recordings", 0, quiet) as progress:

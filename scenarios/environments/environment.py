@@ -273,7 +273,7 @@ class TrafficEnv(EgoEnv):
             self.advance()
         else:
             for vehicle in list(self.road.vehicles):
-                s, _ = self.road.network_info.lanes[lane].local_coordinates(vehicle.position)
+                s, _ = self.road.network.lanes[lane].local_coordinates(vehicle.position)
                 if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
                     self.road.remove(vehicle)
         self._enter(ego, lane, room, speed)
@@ -313,7 +313,7 @@ class TrafficEnv(EgoEnv):
         self.road.locate()
         found: list[tuple[LaneIndex, float, float]] = []
         then = ego.route[1] if len(ego.route) > 1 else None
-        for lane in self.road.network_info.lanes_towards(ego.route[0], then):
+        for lane in self.road.network.lanes_towards(ego.route[0], then):
             room, speed = math.inf, math.inf
             for s, length, there in zip(*self.road.on_lane(lane), strict=True):
                 if abs(s - BEGIN_M) < room:
@@ -323,7 +323,7 @@ class TrafficEnv(EgoEnv):
 
     def _enter(self, ego: Ego, lane: LaneIndex, room: float, speed: float) -> None:
         """Put an ego vehicle on a lane, as fast as the vehicle ahead allows."""
-        begin = 0.7 * float(self.road.network_info.lanes[lane].speed_limit)
+        begin = 0.7 * float(self.road.network.lanes[lane].speed_limit)
         begin = min(begin, speed) if room < 40.0 else begin
         self.add_ego_vehicle(lane, BEGIN_M, begin, ego.route, ego.id)
         ego.vehicle = self.vehicle

@@ -68,7 +68,7 @@ def observable_agents(road: TrafficRoad, ego: Any) -> list[Any]:
 
 def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[np.float32]:
     """The observation ``ego``: one value per entry of `EGO_FEATURES`."""
-    network, lane = road.network_info, ego.lane_index
+    network, lane = road.network, ego.lane_index
     s, lateral = ego.lane.local_coordinates(ego.position)
     facing = ego.lane.heading_at(s) - ego.heading
     facing = math.pi - (math.pi - facing) % (2.0 * math.pi)
@@ -93,20 +93,20 @@ def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[
 
 def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
     """Stop line and crossing ahead of a front bumper, which is at ``front`` m on its lane."""
-    network, lane = road.network_info, ego.lane_index
+    network, lane = road.network, ego.lane_index
     lit = np.zeros(3)
     line = crossing = RANGE_M
     used = 0.0
-    strips = [(strip[0], strip[1] - front) for strip in network.strips.get(lane, ())]
+    strips = [(strip.crossing, strip.near - front) for strip in network.strips_of(lane)]
     path = None if lane in network.exit_of else network.onward_lane(lane, ego.stretches)
     if path is not None:
         line = ego.lane.length - front
-        group = network.links[path].signal
+        group = int(network.arrays.lanes["signal"][network.number[path]])
         if group >= 0 and 0.0 <= line <= RANGE_M:
             state = int(road.signals[group])
             if state != Signal.OFF.code:
                 lit[state] = 1.0
-        strips += [(strip[0], strip[1] + line) for strip in network.strips.get(path, ())]
+        strips += [(strip.crossing, strip.near + line) for strip in network.strips_of(path)]
     for number, near in strips:
         if 0.0 <= near < crossing:
             crossing = near

@@ -8,49 +8,36 @@ which a vehicle comes that does not. Whether a driver yields is drawn once per e
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from sim.compiled import in_place
 from sim.frames import Signal
-from sim.highway.draws import OVERLOOKS, YIELDS, chance
-from sim.highway.driving import attention_m, can_stop
+from sim.highway.driving import OVERLOOKS, YIELDS, attention_m, can_stop, chance
 from sim.highway.junctions import ENTERED_M
 from sim.highway.state import Scene
 from sim.highway.walkers import SETBACK_M
 
 GREEN, OFF = Signal.GREEN.code, Signal.OFF.code
 
-KERB_SOON_S: Final = 4.0
-"""Drivers that demand at least this gap see that a pedestrian this near the kerb wants to cross."""
+KERB_SOON_S, KERB_M = 4.0, 0.4
+"""Drivers that demand at least this gap see that a pedestrian this near the kerb wants to cross, s.
+Pedestrians decide this near the kerb whether to step out, m (half a stride)."""
 
-STALLED_S: Final = 4.0
+STALLED_S, STOOD_S = 4.0, 0.8
 """A pedestrian who has stood this long on the crossing, out of a vehicle's way, waits for the
-vehicles (without it each would wait for the other in a full junction)."""
+vehicles, s (else each would wait for the other in a full junction). Pedestrians assume that a
+vehicle that has stood this long before a crossing waits, s."""
 
-DANGER_S: Final = 1.0
-"""All drivers brake for a pedestrian who steps onto their lane within this time, s."""
+DANGER_S, SPARE_S = 1.0, 0.7
+"""All drivers brake for a pedestrian who steps onto their lane within this time, s. Pedestrians
+want this time to spare before a vehicle comes, s."""
 
-STRIP_M: Final = 0.1
+STRIP_M, WALKED_M = 0.1, 1.1
 """The strip of a lane that vehicles and pedestrians keep clear of each other ends this far inside
-the lane's edges, m: a pedestrian can stand between two lanes."""
-
-WALKED_M: Final = 1.1
-"""Half the width of the middle of a crossing on which pedestrians walk, m (`walkers.OFFSET_M`, half
-a pedestrian and a little)."""
-
-SPARE_S: Final = 0.7
-"""Time to spare that a pedestrian wants before a vehicle comes, s."""
-
-STOOD_S: Final = 0.8
-"""Pedestrians assume that a vehicle waits that has stood this long before a crossing, s."""
-
-KERB_M: Final = 0.4
-"""Pedestrians decide this near the kerb whether to step out, m (half a stride)."""
-
-
-# Drivers -------------------------------------------------------------------------------------
+the lane's edges, m: a pedestrian can stand between two lanes. Pedestrians walk this far to either
+side of a crossing's middle line, m (`walkers.OFFSET_M`, half a pedestrian and a little)."""
 
 
 @in_place(inner=True)
@@ -161,9 +148,6 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
     gap_s = me.crossing_gap_s
     heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
     return bool(sees and heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability)
-
-
-# Pedestrians ---------------------------------------------------------------------------------
 
 
 @in_place(inner=True)

@@ -15,87 +15,40 @@ References:
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
-from sim.highway import crossings, junctions
-from sim.highway.draws import (
-    CUTS_IN,
-    DAWDLES,
-    ERRS,
-    LAPSE_LASTS,
-    LAPSES,
-    STOP_LASTS,
-    STOPS,
-    WRONG_WAY,
-    chance,
-    wait_s,
-)
-from sim.highway.driving import (
-    GUIDED,
-    LEAST_CHANGE_GAP_M,
-    RANGE_M,
-    approach,
-    bounded,
-    change_incentive,
-    dawdling,
-    desired_speed,
-    follow,
-    idm,
-    may_cut_in,
-    start_up,
-    steering_angle,
-    turning_angle,
-)
-from sim.highway.scene import along_lane, beside, onward, path_to
+from sim.highway import crossings, driving, junctions, places
+from sim.highway.driving import chance, desired_speed, follow, idm, wait_s
+from sim.highway.places import beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
-from sim.highway.tables import curvature_at, heading_at, project
 
-STOP_LASTS_S: Final = (3.0, 6.0)
-"""Least and longest duration of an unprovoked stop, s."""
+STOP_LASTS_S, GIVE_UP_S = (3.0, 6.0), 20.0
+"""Least and longest duration of an unprovoked stop. A driver that finds nobody to cut in front of
+for the second time waits for its next time."""
 
-GIVE_UP_S: Final = 20.0
-"""A driver that finds nobody to cut in front of for this long waits for its next time, s."""
+CHANGE_LEAST_SPEED_MPS, CHANGE_DELAY_S = 1.0, 1.0
+"""Slower vehicles do not change lanes, and drivers weigh the lanes beside this often
+(highway-env's)."""
 
-CHANGE_LEAST_SPEED_MPS: Final = 1.0
-"""Slower vehicles do not change lanes, m/s (as in highway-env)."""
+GENTLE_MPS2, URGENT_MPS2 = 2.0, 4.5
+"""Braking that a driver far from its lane's end imposes on others and itself at most (highway-env's
+bound for ordinary changes), and at its end (hard, and held by any tyre)."""
 
-CHANGE_DELAY_S: Final = 1.0
-"""Drivers weigh the lanes beside this often, s (highway-env's)."""
+GIVES_UP_S, AT_END_M, STANDING_ROOM_M = 4.0, 12.0, 6.0
+"""A driver that has stood this long this near to the end of a wrong lane takes another route. To
+get over, a standing vehicle needs the second distance before its lane's end."""
 
-GENTLE_MPS2: Final = 2.0
-"""Braking that a driver far from its lane's end imposes on others and itself at most, m/s2
-(highway-env's bound for ordinary changes)."""
+PASSING_S, SLOW_LEADER_M, JUNCTION_M = 5.0, 25.0, 60.0
+"""Drivers expect overtaking on the wrong side to take this long. They overtake only leaders nearer
+than the first distance, and do not begin to nearer than the second to the end of the road."""
 
-URGENT_MPS2: Final = 4.5
-"""The same at the end of its lane (hard, and held by any tyre)."""
-
-GIVES_UP_S: Final = 4.0
-"""A driver that has stood this long at the end of a wrong lane takes another route, s."""
-
-AT_END_M: Final = 12.0
-"""Drivers take another route only this near to the end of their lane, m."""
-
-STANDING_ROOM_M: Final = 6.0
-"""A standing vehicle needs this much room before its lane's end to get over, m."""
-
-PASSING_S: Final = 5.0
-"""Drivers expect overtaking to take this long, s."""
-
-BACK_S: Final = 3.0
-"""A driver on the wrong side goes back if it would meet a vehicle within this time, s."""
-
-SLOW_LEADER_M: Final = 25.0
-"""Drivers overtake only leaders nearer than this, m."""
-
-BACK_ROOM_M: Final = 4.0
-"""Least gap in front and behind to go back into, m."""
-
-JUNCTION_M: Final = 60.0
-"""Drivers do not begin to overtake this near the end of the road, m."""
+BACK_S, BACK_ROOM_M = 3.0, 4.0
+"""A driver on the wrong side goes back if it would meet a vehicle within this time, and into a gap
+of at least this much in front and behind."""
 
 
 @in_place()
@@ -136,17 +89,15 @@ def decide(scene: Scene) -> None:
             _choose_lane(i, scene)
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
-        if me.profiled and me.target != me.lane:
-            scene.lane_head[me.target] = -1
-    for i in range(scene.vehicles.size):
-        me = scene.vehicles[i]
         if not me.profiled:
             continue
+        if me.target != me.lane:
+            scene.lane_head[me.target] = -1
         if me.crashed:
             me.steering, me.accel = 0.0, -me.comfort_decel_mps2
-            continue
-        _accelerate(i, scene)
-        _steer(i, scene)
+        else:
+            _accelerate(i, scene)
+            _steer(i, scene)
 
 
 @in_place(inner=True)
@@ -155,7 +106,7 @@ def _steer(i: int, scene: Scene) -> None:
     net, me = scene.net, scene.vehicles[i]
     if me.wanted == me.lane and (me.last_path >= 0 or (me.path >= 0 and me.to_line < 0.0)):
         tight = net.lanes[me.last_path if me.last_path >= 0 else me.path].tight
-        guided, k = 1.0 if tight else GUIDED, me.lane
+        guided, k = 1.0 if tight else driving.GUIDED, me.lane
         ahead = guided * me.length / 2
         x, y = me.x + ahead * math.cos(me.heading), me.y + ahead * math.sin(me.heading)
         s, lateral, _ = project(x, y, k, net)
@@ -164,14 +115,11 @@ def _steer(i: int, scene: Scene) -> None:
             k = then
             s, lateral, _ = project(x, y, k, net)
             then = onward(i, k, scene) if net.lanes[k].connector else -1
-        me.steering = turning_angle(me, guided, lateral, heading_at(s, k, net))
+        me.steering = driving.turning_angle(me, guided, lateral, heading_at(s, k, net))
         return
     s, lateral, _ = project(me.x, me.y, me.wanted, net)
-    heading, bend = heading_at(s, me.wanted, net), curvature_at(s, me.wanted, net)
-    me.steering = steering_angle(me, lateral, heading, bend)
-
-
-# Choosing a lane -------------------------------------------------------------------------------
+    heading, bend = heading_at(s, me.wanted, net), places.curvature_at(s, me.wanted, net)
+    me.steering = driving.steering_angle(me, lateral, heading, bend)
 
 
 @in_place(inner=True)
@@ -195,12 +143,12 @@ def _choose_lane(i: int, scene: Scene) -> None:
 def _is_behind_a_change(i: int, scene: Scene) -> bool:
     """Whether a vehicle just ahead changes to the same lane."""
     me = scene.vehicles[i]
-    here = along_lane(i, me.lane, scene)
+    here = places.along_lane(i, me.lane, scene)
     j = scene.lane_head[me.target]
     while j >= 0:
         other = scene.vehicles[j]
         if j != i:
-            ahead = along_lane(j, me.lane, scene) - here
+            ahead = places.along_lane(j, me.lane, scene) - here
             gap = ahead - (me.length + other.length) / 2
             if ahead > 0.0 and gap < me.change_gap + me.speed * 0.5:
                 return True
@@ -220,12 +168,12 @@ def _weigh_lanes(i: int, scene: Scene) -> None:
         if side < 0 or (me.then >= 0 and path_to(side, me.then, net) < 0):
             continue
         there = beside(i, side, scene)
-        if cutting_in and may_cut_in(me, there):
+        if cutting_in and driving.may_cut_in(me, there):
             me.wanted = side
             _schedule_cut_in(me)
             return
         old, new = scene.vehicles[max(here.rear, 0)], scene.vehicles[max(there.rear, 0)]
-        gain = change_incentive(me, limit, here, there, old, new)
+        gain = driving.change_incentive(me, limit, here, there, old, new)
         if gain > most:
             me.wanted, most = side, gain
 
@@ -233,11 +181,8 @@ def _weigh_lanes(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _schedule_cut_in(me: Any) -> None:
     """Draw when a driver next begins to look for a vehicle to cut in front of."""
-    me.cut_in_at = me.clock + wait_s(me.key, CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
+    me.cut_in_at = me.clock + wait_s(me.key, driving.CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
     me.cut_ins += 1
-
-
-# Wrong lanes -----------------------------------------------------------------------------------
 
 
 @in_place(inner=True)
@@ -287,21 +232,18 @@ def _towards(lane: int, then: int, scene: Scene) -> int:
 def _fits(i: int, side: int, scene: Scene) -> bool:
     """Whether a lane has a gap for which nobody has to brake too hard, whatever law it follows."""
     me, there = scene.vehicles[i], beside(i, side, scene)
-    if there.front_gap < LEAST_CHANGE_GAP_M or there.rear_gap < LEAST_CHANGE_GAP_M:
+    if there.front_gap < driving.LEAST_CHANGE_GAP_M or there.rear_gap < driving.LEAST_CHANGE_GAP_M:
         return False
-    urgency = 1.0 - min(max(me.to_line, 0.0) / RANGE_M, 1.0)
+    urgency = 1.0 - min(max(me.to_line, 0.0) / driving.RANGE_M, 1.0)
     most = GENTLE_MPS2 + urgency * (URGENT_MPS2 - GENTLE_MPS2)
     gap, closing = there.front_gap, me.speed - there.front_speed
     desired = desired_speed(me, scene.net.lanes[me.lane].limit)
-    own = bounded(me, idm(me, me.speed, desired, gap, there.front_speed), gap, closing)
+    own = driving.bounded(me, idm(me, me.speed, desired, gap, there.front_speed), gap, closing)
     if own < -most or there.rear < 0:
         return bool(own >= -most)
     rear, speed, gap = scene.vehicles[there.rear], there.rear_speed, there.rear_gap
     wanted = idm(rear, speed, max(speed, 1.0), gap, me.speed)
-    return bool(bounded(rear, wanted, gap, speed - me.speed) >= -most)
-
-
-# The wrong side --------------------------------------------------------------------------------
+    return bool(driving.bounded(rear, wanted, gap, speed - me.speed) >= -most)
 
 
 @in_place(inner=True)
@@ -327,7 +269,7 @@ def _wrong_way_lane(i: int, scene: Scene) -> int:
     needed = PASSING_S * (desired + net.lanes[lane.opposite].limit)
     if oncoming.front_gap < min(needed, left) or oncoming.rear_gap < BACK_ROOM_M:
         return -1
-    wait = wait_s(me.key, WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
+    wait = wait_s(me.key, driving.WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
     me.wrong_way_at, me.wrong_ways = me.clock + wait, me.wrong_ways + 1
     return int(lane.opposite)
 
@@ -345,9 +287,6 @@ def _lane_to_go_back(i: int, scene: Scene) -> int:
     return int(lane.own if room and (past or soon or ends) else me.lane)
 
 
-# Speed -----------------------------------------------------------------------------------------
-
-
 @in_place(inner=True)
 def _accelerate(i: int, scene: Scene) -> None:
     me = scene.vehicles[i]
@@ -363,14 +302,14 @@ def _accelerate(i: int, scene: Scene) -> None:
         there = beside(i, me.wanted, scene)
         accel = min(accel, follow(me, speed, desired, there.front_gap, there.front_speed))
     if me.stop_gap < np.inf:
-        accel = min(accel, approach(me, speed, me.stop_gap))
+        accel = min(accel, driving.approach(me, speed, me.stop_gap))
     if _stops_for_no_reason(me):
         accel = min(accel, -me.comfort_decel_mps2)
     if me.reaction_time_s > 0.0:
         accel = _late(me, accel)
-    me.accel = start_up(me, accel)
+    me.accel = driving.start_up(me, accel)
     if me.krauss:
-        me.accel -= dawdling(me, chance(me.key, DAWDLES, me.dawdled))
+        me.accel -= driving.dawdling(me, chance(me.key, driving.DAWDLES, me.dawdled))
         me.dawdled += 1
     if _looks_away(me):
         me.accel = 0.0
@@ -379,8 +318,8 @@ def _accelerate(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _error(me: Any) -> float:
     """The driver's present error of perception, an Ornstein-Uhlenbeck process of deviation 1."""
-    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, ERRS, 2 * me.erred)))
-    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, ERRS, 2 * me.erred + 1))
+    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, driving.ERRS, 2 * me.erred)))
+    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, driving.ERRS, 2 * me.erred + 1))
     keeps = math.exp((me.seen_at - me.clock) / ERROR_TIME_S) if me.erred > 0 else 0.0
     me.error = keeps * me.error + math.sqrt(1.0 - keeps * keeps) * drawn
     me.seen_at, me.erred = me.clock, me.erred + 1
@@ -402,9 +341,11 @@ def _late(me: Any, accel: float) -> float:
 def _looks_away(me: Any) -> bool:
     """Whether a driver's attention lapses now; schedules such lapses."""
     if me.clock >= me.lapse_at:
-        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, LAPSE_LASTS, me.lapses - 1))
+        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, driving.LAPSE_LASTS, me.lapses - 1))
         me.lapse_until = me.clock + lasts_s
-        me.lapse_at = me.lapse_until + wait_s(me.key, LAPSES, me.lapses, me.lapse_rate_per_min)
+        me.lapse_at = me.lapse_until + wait_s(
+            me.key, driving.LAPSES, me.lapses, me.lapse_rate_per_min
+        )
         me.lapses += 1
     return bool(me.clock < me.lapse_until)
 
@@ -414,8 +355,8 @@ def _stops_for_no_reason(me: Any) -> bool:
     """Whether a driver stops for no reason now; schedules such stops."""
     if me.clock >= me.stop_at:
         least, most = STOP_LASTS_S
-        lasts_s = least + (most - least) * chance(me.key, STOP_LASTS, me.stops - 1)
+        lasts_s = least + (most - least) * chance(me.key, driving.STOP_LASTS, me.stops - 1)
         me.stop_until = me.clock + lasts_s
-        me.stop_at = me.stop_until + wait_s(me.key, STOPS, me.stops, me.stop_rate_per_min)
+        me.stop_at = me.stop_until + wait_s(me.key, driving.STOPS, me.stops, me.stop_rate_per_min)
         me.stops += 1
     return bool(me.clock < me.stop_until)

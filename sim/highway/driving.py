@@ -1,9 +1,15 @@
-"""How a driver of the highway engine accelerates, changes lanes and steers.
+"""How a driver of the highway engine accelerates, changes lanes and steers, and its random draws.
 
 The laws themselves are those of `behaviors.driver_models`. Drivers are rows of
 `sim.highway.state.VEHICLE`; `profile_fields` says what a profile sets in them.
 
+A draw is a hash of the driver's key, of what is drawn, and of its number: which junction path,
+which crossing, or how many such draws the driver has made before. So draws depend on the driver and
+the encounter alone, whatever happens in between.
+
 References:
+    Steele, Lea, Flood (2014), Fast splittable pseudorandom number generators, OOPSLA: the mixing
+        function of SplitMix64.
     Polack et al. (2017), IEEE IV: the kinematic bicycle that highway-env steers.
 """
 
@@ -32,70 +38,49 @@ _safe = shared(driver_models.mobil_safe)
 KRAUSS_STEP_S: Final = 0.1
 """Krauss's speed is reached within this, s: the longest step of either engine."""
 
-CHANGE_GAIN_MPS2: Final = 0.2
-"""MOBIL's threshold of an average driver, m/s2 (highway-env's; Kesting et al. use 0.1)."""
+CHANGE_GAIN_MPS2, IMPOSED_BRAKING_MPS2, MOST_IMPOSED_MPS2 = 0.2, 2.0, 6.0
+"""MOBIL's threshold of an average driver (highway-env's; Kesting et al. use half of it); the
+braking that it imposes on a new follower at most (highway-env's); the most that any driver imposes
+(hard braking without locking wheels)."""
 
-IMPOSED_BRAKING_MPS2: Final = 2.0
-"""Braking that an average driver imposes on a new follower at most, m/s2 (highway-env's)."""
+LEAST_CHANGE_GAP_M, WORTH_MPS2 = 0.5, 0.15
+"""The smallest gap that any driver changes into, m. A driver takes a lane whose leader it will soon
+reach only if that leader is faster than the present one by this times the driver's patience."""
 
-MOST_IMPOSED_MPS2: Final = 6.0
-"""The most braking that any driver imposes, m/s2 (hard braking without locking wheels)."""
+STOP_MARGIN_M, BRAKING_RESERVE = 1.0, 2.0
+"""A driver comes to rest this far before a stop line or a crossing, m. It brakes harder than
+comfortably only as far as the distance left demands, times this reserve (IDM alone brakes to a
+standstill whenever someone cuts in)."""
 
-LEAST_CHANGE_GAP_M: Final = 0.5
-"""The smallest gap that any driver changes into, m."""
-
-WORTH_MPS2: Final = 0.15
-"""A driver takes a lane whose leader it will soon reach only if that leader is faster than the
-present one by this times the driver's patience."""
-
-STOP_MARGIN_M: Final = 1.0
-"""A driver comes to rest this far before a stop line or a crossing, m."""
-
-BRAKING_RESERVE: Final = 2.0
-"""A driver brakes harder than comfortably only as far as the distance left demands, times this (IDM
-alone brakes to a standstill whenever someone cuts in)."""
-
-RANGE_M: Final = 80.0
-"""Drivers attend to junctions and crossings within this distance (6 s at 14 m/s)."""
-
-RANGE_S: Final = 4.0
-"""They do so at least this long before they come there, s (from 20 m/s on, farther away)."""
-
-RESERVE: Final = 1.25
-"""They do so at least within their comfortable braking distance times this."""
+RANGE_M, RANGE_S, RESERVE = 80.0, 4.0, 1.25
+"""Drivers attend to junctions and crossings within the farthest of: this distance (some seconds at
+an urban speed), this time, and their comfortable braking distance times this reserve."""
 
 STANDING_MPS: Final = 0.2
 """A slower vehicle counts as standing, m/s."""
 
-LATERAL_GAIN_PER_S: Final = 1.0 / 0.6
-"""Lateral speed wanted per metre from the lane's centre (highway-env's KP_LATERAL)."""
+LATERAL_GAIN_PER_S, HEADING_GAIN_PER_S, MAX_STEERING_RAD = 1.0 / 0.6, 5.0, math.pi / 3
+"""Lateral speed wanted per metre from the lane's centre, heading rate wanted per radian of error,
+and the largest steering angle: highway-env's KP_LATERAL, KP_HEADING and MAX_STEERING_ANGLE."""
 
-LATERAL_SPEED_MPS: Final = 1.5
-"""Largest lateral speed, m/s: a lane change takes about 3 s (as in the SUMO engine)."""
+LATERAL_SPEED_MPS, GUIDED = 1.5, 0.5
+"""Largest lateral speed: a lane change takes about 3 s (as in the SUMO engine). In a turn drivers
+keep the point this share of half the length ahead of the middle on their way: the front swings out
+about as far as the rear cuts in."""
 
-HEADING_GAIN_PER_S: Final = 5.0
-"""Heading rate wanted per radian of error (highway-env's KP_HEADING)."""
-
-MAX_STEERING_RAD: Final = math.pi / 3
-"""highway-env's MAX_STEERING_ANGLE."""
-
-GUIDED: Final = 0.5
-"""In a turn drivers keep the point this share of half the length ahead of the middle on their way.
-The front then swings out about as far as the rear cuts in."""
-
-CUT_IN_REAR_M: Final = (2.0, 15.0)
-"""Least and largest bumper gap to the vehicle that a driver cuts in front of, m."""
-
-UNSEEN_S: Final = 1.0
-"""Others see a vehicle on its new lane this long after it began to change, s: it is then 0.6 m
-aside."""
-
-CUT_IN_BRAKING_MPS2: Final = 4.0
-"""The most braking that a cut-in may demand of either driver, m/s2."""
-
+CUT_IN_REAR_M, UNSEEN_S, CUT_IN_BRAKING_MPS2 = (2.0, 15.0), 1.0, 4.0
+"""Least and largest bumper gap to the vehicle that a driver cuts in front of; how long after it
+began to change others see a vehicle on its new lane (it is half a metre aside then); the most
+braking that a cut-in may demand of either driver."""
 
 TAKEN: Final = [f.name for f in dataclasses.fields(Profile) if f.name in (VEHICLE.names or ())]
 """Fields of a profile that a row has under the same names."""
+
+(
+    RUNS_RED, ROLLS, YIELDS, CUTS_IN, STOPS, STOP_LASTS, WRONG_WAY, DAWDLES, LAPSES, LAPSE_LASTS,
+    ERRS, OVERLOOKS, OVERLOOKS_LIGHT,
+) = range(13)  # fmt: skip
+"""What is drawn."""
 
 
 class Beside(NamedTuple):
@@ -334,3 +319,30 @@ def attention_m(me: Any) -> float:
 def can_stop(speed: float, distance: float, decel: float) -> bool:
     """Whether braking with ``decel``, m/s2, ends within a distance, m."""
     return speed * speed <= 2.0 * decel * max(distance, 0.05)
+
+
+def driver_key(seed: int | tuple[int, ...]) -> np.uint64:
+    """What all draws of one driver begin with, from its seed."""
+    return np.uint64(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0])
+
+
+@in_place(inner=True)
+def _mixed(state: np.uint64, number: int) -> np.uint64:
+    z = state + np.uint64(0x9E3779B97F4A7C15) * np.uint64(number + 1)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.uint64(z ^ (z >> np.uint64(31)))
+
+
+@in_place()
+def chance(key: np.uint64, kind: int, number: int) -> float:
+    """A number drawn uniformly from 0 to 1, by a driver's key, what is drawn, and its number."""
+    return float(_mixed(_mixed(key, kind), number) >> np.uint64(11)) * 2.0**-53
+
+
+@in_place()
+def wait_s(key: np.uint64, kind: int, number: int, per_minute: float) -> float:
+    """Time until the next event of a Poisson process, s; infinite where nothing happens."""
+    if per_minute <= 0.0:
+        return np.inf
+    return -60.0 / per_minute * math.log1p(-chance(key, kind, number))

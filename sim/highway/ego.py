@@ -14,57 +14,49 @@ from typing import Any, ClassVar, Final, cast
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from highway_env.envs.common import action as actions
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.action import (
-    ActionType,
-    ContinuousAction,
-    DiscreteAction,
-    DiscreteMetaAction,
-)
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
-from sim.highway.lanes import LaneIndex
-from sim.highway.tables import STRETCH_MARGIN_M
+from sim.highway.lanes import LaneIndex, Stretch
+from sim.highway.state import STRETCH_MARGIN_M
 from sim.highway.traffic import TrafficRoad
 from sim.highway.viewer import TrafficViewer
 
 Observation = dict[str, NDArray[Any]]
 
 
-class StockDriver(ActionType):  # type: ignore[misc]
+class StockDriver(actions.ActionType):  # type: ignore[misc]
     """highway-env's own driver, IDM with MOBIL, drives the ego vehicle; the action does nothing."""
+
+    vehicle_class = IDMVehicle
 
     def space(self) -> spaces.Space[Any]:
         """One action."""
         return spaces.Discrete(1)
 
-    @property
-    def vehicle_class(self) -> Any:
-        """The class of the ego vehicle."""
-        return IDMVehicle
-
     def act(self, action: Any) -> None:
         """Do nothing: the vehicle decides."""
 
 
-def exchange_sides(actions: ActionType) -> None:
+def exchange_sides(action: actions.ActionType) -> None:
     """Let actions steer to their other side, as vehicles in a mirror do."""
-    if isinstance(actions, DiscreteMetaAction):
+    if isinstance(action, actions.DiscreteMetaAction):
         other = {"LANE_LEFT": "LANE_RIGHT", "LANE_RIGHT": "LANE_LEFT"}
-        actions.actions = {key: other.get(name, name) for key, name in actions.actions.items()}
-        actions.actions_indexes = {name: key for key, name in actions.actions.items()}
-    elif isinstance(actions, ContinuousAction):
-        low, high = actions.steering_range
-        actions.steering_range = (-low, -high)
+        action.actions = {key: other.get(name, name) for key, name in action.actions.items()}
+        action.actions_indexes = {name: key for key, name in action.actions.items()}
+    elif isinstance(action, actions.ContinuousAction):
+        low, high = action.steering_range
+        action.steering_range = (-low, -high)
 
 
-ACTIONS: Final[dict[str, type[ActionType]]] = {
-    "DiscreteMetaAction": DiscreteMetaAction,
-    "DiscreteAction": DiscreteAction,
-    "ContinuousAction": ContinuousAction,
+ACTIONS: Final[dict[str, type[actions.ActionType]]] = {
+    "DiscreteMetaAction": actions.DiscreteMetaAction,
+    "DiscreteAction": actions.DiscreteAction,
+    "ContinuousAction": actions.ContinuousAction,
     "StockDriver": StockDriver,
 }
 """highway-env's actions for one vehicle, and its own driver."""
@@ -85,19 +77,14 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         InputError: if the render mode is unknown, or `configure` refuses the configuration.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": ["human", "rgb_array"],
-        "render_fps": 5,
-    }
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 5}
 
     road: TrafficRoad
     config: dict[str, Any]
-    time: float
-    steps: int
     controlled_vehicles: list[Any]
+    viewer: Any
     action_space: spaces.Space[Any]
     observation_space: spaces.Space[Any]
-    viewer: Any
 
     def __init__(
         self, config: Mapping[str, Any] | None = None, render_mode: str | None = None
@@ -115,17 +102,11 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode.
+        """Begin an episode; returns the first observation, and info.
 
         Args:
             seed: seed of everything random from now on; the same seed gives the same episode.
             options: ``{"config": {...}}`` changes the configuration.
-
-        Returns:
-            The first observation, and info.
-
-        Raises:
-            InputError: if the seed, the options or the configuration are not usable.
         """
         if not self._made:
             return {}, {}
@@ -167,28 +148,17 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the scene; returns an image in the mode ``rgb_array``."""
         if self.render_mode is not None and self.viewer is None:
-            self.viewer = TrafficViewer(self, self.road.network_info)
+            self.viewer = TrafficViewer(self, self.road.network)
         return cast("NDArray[np.uint8] | None", super().render())
 
     def add_ego_vehicle(
-        self,
-        lane: LaneIndex,
-        at_m: float,
-        speed: float,
-        route: tuple[tuple[str, str], ...],
-        id: int,
+        self, lane: LaneIndex, at_m: float, speed: float, route: tuple[Stretch, ...], id: int
     ) -> None:
-        """Put the ego vehicle on the road, as the class of vehicle that the actions steer.
+        """Put an ego vehicle on a lane, at a distance along it, m, and a speed, m/s.
 
-        Args:
-            lane: where it begins.
-            at_m: how far along the lane its centre is, m.
-            speed: m/s.
-            route: the stretches that it drives over, the first of them the lane's.
-            id: its agent id.
+        It is of the class that the actions steer; ``route`` has its stretches, the lane's first.
         """
-        network = self.road.network_info
-        geometry = network.lanes[lane]
+        geometry = self.road.network.lanes[lane]
         ego = self.action_type.vehicle_class(
             self.road, geometry.position(at_m, 0.0), geometry.heading_at(at_m), speed
         )
@@ -200,22 +170,14 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
 
 
 def as_mapping(name: str, value: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    """A mapping that a user gave, empty for None.
-
-    Raises:
-        InputError: if it is something else.
-    """
+    """A mapping that a user gave, empty for None; an `InputError` if it is something else."""
     if value is not None and not isinstance(value, Mapping):
         raise InputError(f"{name}: found {value!r}, expected a mapping or None")
     return value or {}
 
 
 def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the configuration of an action unless highway-env can make no action of it.
-
-    Raises:
-        InputError: naming the action type, the option or the value at fault.
-    """
+    """Return the configuration of an action; an `InputError` if highway-env can make none of it."""
     if not isinstance(action, Mapping) or "type" not in action:
         raise InputError(f"action: found {action!r}, expected a mapping with 'type'")
     kind = lookup(ACTIONS, str(action["type"]), "action type")
@@ -227,16 +189,15 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
             lookup(options, str(key), f"option of action {action['type']},")
     try:
         kind(None, **action).space()
-        for key in ("acceleration_range", "steering_range", "speed_range"):
-            if action.get(key) is not None:
-                bounds = np.array(action[key], dtype=np.float64)
-                if bounds.shape != (2,) or not np.isfinite(bounds).all():
-                    raise ValueError(f"{key} is not a pair of numbers")
-        if action.get("target_speeds") is not None:  # highway-env assumes even, ascending steps
-            speeds = np.array(action["target_speeds"], dtype=np.float64)
-            ascend = speeds.ndim == 1 and speeds.size > 1 and bool((np.diff(speeds) > 0.0).all())
-            if not ascend or not np.isfinite(speeds).all():
-                raise ValueError("target_speeds are not two or more ascending speeds")
+        for key in ("acceleration_range", "steering_range", "speed_range", "target_speeds"):
+            if action.get(key) is None:
+                continue
+            numbers, speeds = np.array(action[key], dtype=np.float64), key == "target_speeds"
+            fits = numbers.size > 1 if speeds else numbers.size == 2
+            ascends = not speeds or bool((np.diff(numbers) > 0.0).all())
+            if numbers.ndim != 1 or not fits or not ascends or not np.isfinite(numbers).all():
+                wanted = "two or more ascending speeds" if speeds else "a pair of numbers"
+                raise ValueError(f"{key} are not {wanted}")
     except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
         raise InputError(
             f"action: found {dict(action)!r}, expected options that {action['type']} can take"
@@ -247,7 +208,7 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def distance_left_m(road: TrafficRoad, ego: Vehicle) -> float:
     """Distance along the lanes from the ego vehicle's front to the end of its route, m."""
-    network, lane = road.network_info, ego.lane_index
+    network, lane = road.network, ego.lane_index
     s, _ = ego.lane.local_coordinates(ego.position)
     left = ego.lane.length - s - ego.LENGTH / 2
     for _ in range(2 * len(ego.stretches) + 2):
@@ -268,7 +229,7 @@ def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
     The paths of a junction that begin on one lane overlap at their start, so a vehicle counts as on
     its own path there, whichever of them highway-env puts it on.
     """
-    network = road.network_info
+    network = road.network
     if ego.lane_index[:2] in ego.stretches:
         return True
     turns = set(itertools.pairwise(ego.stretches))
@@ -287,7 +248,7 @@ def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
 
 def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
     """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
-    network, lane = road.network_info, ego.lane_index
+    network, lane = road.network, ego.lane_index
     if lane in network.exit_of or (lane[:2] == ego.stretches[-1] and s > 0.0):
         return False
     own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # on the wrong side, too

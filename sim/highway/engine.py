@@ -18,11 +18,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import AgentKind, Frame
+from sim.compiled import in_place
+from sim.frames import AgentKind, Frame, IntArray
+from sim.highway.driving import idm, on_free_road, safe_speed
+from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR, braking_speed
 from sim.highway.lanes import Stretch
 from sim.highway.network import HighwayNetwork, build_network
-from sim.highway.tables import IntArray
-from sim.highway.traffic import TrafficRoad
+from sim.highway.places import heading_at, path_to, project
+from sim.highway.state import Net, Scene
+from sim.highway.traffic import TrafficRoad, typed_once
 from sim.highway.vehicle import driver_rows
 from sim.highway.walkers import walker_row
 from sim.road import Road
@@ -31,9 +35,12 @@ from sim.scenario import AgentSpec, CarFollowing, Scenario
 LONGEST_STEP_S: Final = 0.1
 """highway-env's own step is at most this long; frames further apart are made of several steps."""
 
-
 LONGEST_WAIT_S: Final = 60.0
 """An agent that finds no room for this long does not enter (as in the SUMO engine)."""
+
+ENTRY_BRAKING_MPS2: Final = 1.0
+"""Agents enter at a speed at which keeping the headway to the vehicle ahead takes no more braking
+than this."""
 
 
 @functools.lru_cache(maxsize=8)
@@ -97,10 +104,7 @@ def _frames(scenario: Scenario, road: TrafficRoad, demand: Demand) -> Iterator[F
 
 
 class _Queue(NamedTuple):
-    """Those who begin on one stretch towards the same next one, as agents and their rows.
-
-    ``lanes`` has the numbers of the lanes that lead there; ``then`` is that stretch, or -1.
-    """
+    """Those who begin on one stretch towards the same next one, or -1, and the lanes there."""
 
     waiting: deque[tuple[AgentSpec, Any]]
     lanes: IntArray
@@ -108,13 +112,7 @@ class _Queue(NamedTuple):
 
 
 class Demand:
-    """The agents still to come.
-
-    Args:
-        road: where they will travel.
-        agents: in any order.
-        seed: mixed into every driver's own random numbers.
-        law: the car-following law of all drivers.
+    """The agents still to come to a road; ``seed`` is mixed into their own random numbers.
 
     Raises:
         InputError: if a route is not of this road, or a driver has no profile.
@@ -142,14 +140,14 @@ class Demand:
         rows = driver_rows(driving, seed, law)
         for agent, row in zip(driving, rows, strict=True):
             if agent.route not in ways:
-                ways[agent.route] = tuple(road.network_info.stretches(agent.route))
+                ways[agent.route] = tuple(road.network.stretches(agent.route))
             way = ways[agent.route]
             row["route"], road.behaviors[agent.id] = road.route_number(way), agent.behavior
             if way[:2] not in self._queues:
-                network, then = road.network_info, way[1] if len(way) > 1 else None
+                network, then = road.network, way[1] if len(way) > 1 else None
                 lanes = [network.number[lane] for lane in network.lanes_towards(way[0], then)]
                 leads_to = -1 if then is None else network.stretch_number[then]
-                self._queues[way[:2]] = _Queue(deque(), np.array(lanes), leads_to)
+                self._queues[way[:2]] = _Queue(deque(), np.array(lanes, np.int64), leads_to)
             self._queues[way[:2]].waiting.append((agent, row))
 
     def enter(self) -> None:
@@ -165,7 +163,79 @@ class Demand:
         for _, _, queue in sorted(ready, key=lambda one: one[:2]):
             while queue.waiting and queue.waiting[0][0].depart_s <= now:
                 agent, row = queue.waiting[0]
-                waits = now - agent.depart_s <= LONGEST_WAIT_S
-                if waits and not road.begin(row, queue.lanes, queue.then):
-                    break
+                if now - agent.depart_s <= LONGEST_WAIT_S:
+                    road.read_egos()
+                    if not _begin(row, queue.lanes, queue.then, road.scene()):
+                        break
+                    road.add(row)
                 queue.waiting.popleft()
+
+
+@in_place()
+def begin(me: Any, lanes: IntArray, then: int, scene: Scene) -> bool:
+    """Place a vehicle at the beginning of the best of some lanes, if there is room on any.
+
+    From there it goes to the stretch ``then``, or -1.
+    """
+    most, found, found_speed = -np.inf, -1, 0.0
+    for k in lanes:
+        gap, ahead = _room(k, me.length, scene)
+        wanted = on_free_road(me, scene.net.lanes[k].limit)
+        speed = min(wanted, _speed_to_slow_down(me, k, then, scene.net))
+        if gap < np.inf:
+            room, headway_s = gap - me.min_gap_m, me.time_headway_s
+            if idm(me, speed, wanted, gap, ahead) < -ENTRY_BRAKING_MPS2:
+                safe = safe_speed(room, ahead, headway_s, ENTRY_BRAKING_MPS2)
+                speed = min(speed, max(ahead, safe))
+            if room < headway_s * speed:
+                continue
+        if gap > most:
+            most, found, found_speed = gap, k, speed
+    if found >= 0:
+        put(me, found, me.length / 2, found_speed, scene.net)
+    return found >= 0
+
+
+@in_place()
+def put(me: Any, k: int, s: float, speed: float, net: Net) -> None:
+    """Place a vehicle in the middle of a lane, ``s`` m along it, at a speed in m/s."""
+    g = net.lanes[k].piece
+    while g + 1 < net.lanes[k].piece_end and net.pieces[g + 1].begin <= s:
+        g += 1
+    piece = net.pieces[g]
+    me.x, me.y = piece.x + (s - piece.begin) * piece.dx, piece.y + (s - piece.begin) * piece.dy
+    me.heading, me.speed, me.entry_speed = heading_at(s, k, net), speed, speed
+    me.lane = me.target = me.wanted = k
+    me.timer = (me.x + me.y) * math.pi % 1.0  # as in highway-env
+
+
+@in_place(inner=True)
+def _room(k: int, length: float, scene: Scene) -> tuple[float, float]:
+    """Bumper gap to the first vehicle on a lane or changing to it, m, and its speed along it."""
+    lane, gap, speed = scene.net.lanes[k], np.inf, 0.0
+    for j in range(scene.vehicles.size):
+        other = scene.vehicles[j]
+        s, lateral, _ = project(other.x, other.y, k, scene.net)
+        aside = abs(lateral) > lane.width / 2 + 1.0
+        if (aside and other.target != k) or s > lane.length:
+            continue
+        if s - length - other.length / 2 < gap:
+            gap = s - length - other.length / 2
+            speed = max(other.speed * math.cos(other.heading - heading_at(s, k, scene.net)), 0.0)
+    return gap, speed
+
+
+@in_place(inner=True)
+def _speed_to_slow_down(me: Any, k: int, then: int, net: Net) -> float:
+    """The speed from which a driver can stop or take the bend at the end of its lane, m/s."""
+    path = path_to(k, then, net) if then >= 0 else -1
+    if path < 0:
+        return np.inf
+    bend = net.lanes[path]
+    waits = bend.signal >= 0 or bend.must_yield or bend.must_stop
+    allowed = 0.0 if waits else min(me.speed_factor, BEND_FACTOR) * bend.limit
+    left = max(net.lanes[k].length - me.length, 0.0)
+    return float(braking_speed(left, allowed, BEND_BRAKING * me.comfort_decel_mps2))
+
+
+_begin = typed_once(begin)

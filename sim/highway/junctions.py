@@ -18,9 +18,9 @@ import numpy as np
 from behaviors import driver_models
 from sim.compiled import in_place, shared
 from sim.frames import EventKind, Signal
-from sim.highway.draws import OVERLOOKS, OVERLOOKS_LIGHT, ROLLS, RUNS_RED, chance
-from sim.highway.driving import STANDING_MPS, attention_m, can_stop, desired_speed
-from sim.highway.scene import along_lane, beside, next_stretch, path_to, record
+from sim.highway import driving
+from sim.highway.driving import STANDING_MPS, attention_m, can_stop, chance, desired_speed
+from sim.highway.places import along_lane, beside, next_stretch, path_to, record
 from sim.highway.state import EVENT_KINDS, Scene
 
 _gap_accepted = shared(driver_models.gap_accepted)
@@ -30,53 +30,33 @@ RED, YELLOW = Signal.RED.code, Signal.YELLOW.code
 RED_RUN = EVENT_KINDS.index(EventKind.RED_RUN)
 STOP_ROLLED = EVENT_KINDS.index(EventKind.STOP_ROLLED)
 
-ENTERED_M: Final = 0.5
-"""A vehicle whose front is this far over the stop line has entered the junction."""
+ENTERED_M, BLOCKED_MPS = 0.5, 2.0
+"""A vehicle whose front is this far over the stop line has entered the junction. A leader slower
+than this may come to a stand in the way."""
 
-BEND_FACTOR: Final = 1.2
+BEND_FACTOR, BEND_BRAKING = 1.2, 0.7
 """Largest factor by which a driver exceeds the limit of a junction path (these limits follow from
-lateral acceleration)."""
-
-BEND_BRAKING: Final = 0.7
-"""Share of the comfortable braking that drivers use ahead of a bend."""
+lateral acceleration), and the share of the comfortable braking used ahead of it."""
 
 NO_CHANGE_M: Final = (15.0, 20.0)
 """Drivers do not change lanes this soon after and before a junction, m."""
 
-LINE_M: Final = 3.0
-"""A driver on the wrong side stops this far before a junction, m."""
+LINE_M, STOPPED_M, AT_LINE_M = 3.0, 3.0, 5.0
+"""A driver on the wrong side stops this far before a junction; a vehicle that stood this near the
+line has stopped at it; drivers wait at the line for a conflict that begins this soon after it."""
 
-STOPPED_M: Final = 3.0
-"""A vehicle that stood this near the line has stopped at it."""
+CLEARANCE_S, CONFLICT_MARGIN_M = 0.3, 0.7
+"""Time that has to pass between two vehicles at a conflict, and the distance that drivers keep to
+another's path when they wait inside a junction."""
 
-CLEARANCE_S: Final = 0.3
-"""Time that has to pass between two vehicles at a conflict."""
+FOE_ACCEL_MPS2, INSISTED_BRAKING_MPS2 = 2.0, 4.5
+"""Acceleration that drivers expect of others, and the braking that the most insistent driver
+imposes on others with priority."""
 
-CONFLICT_MARGIN_M: Final = 0.7
-"""Distance that drivers keep to another's path when they wait inside a junction."""
-
-FOE_ACCEL_MPS2: Final = 2.0
-"""Acceleration that drivers expect of others."""
-
-INSISTED_BRAKING_MPS2: Final = 4.5
-"""Braking that the most insistent driver imposes on others with priority, m/s2."""
-
-AT_LINE_M: Final = 5.0
-"""Drivers wait at the line for a conflict that begins this soon after it."""
-
-WAITING_S: Final = 1.0
+WAITING_S, PATIENCE_S = 1.0, 20.0
 """A vehicle that has stood this long inside a junction, or before it without priority, is assumed
-to wait."""
-
-PATIENCE_S: Final = 20.0
-"""After standing this long, drivers ignore others that stand too (after SUMO's ignored junction
-blockers)."""
-
-BLOCKED_MPS: Final = 2.0
-"""A leader slower than this may come to a stand in the way."""
-
-
-# Where everybody is on its way ----------------------------------------------------------------
+to wait. After standing for the second time, drivers ignore others that stand too (after SUMO's
+ignored junction blockers)."""
 
 
 @in_place(inner=True)
@@ -127,9 +107,9 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
     me = scene.vehicles[i]
     if _shows(me.path, RED, scene):
         first = beside(i, me.lane, scene).front_gap > me.to_line
-        if first and chance(me.key, RUNS_RED, me.path) < me.red_run_probability:
+        if first and chance(me.key, driving.RUNS_RED, me.path) < me.red_run_probability:
             return False
-        if chance(me.key, OVERLOOKS_LIGHT, me.path) < me.overlook_probability:
+        if chance(me.key, driving.OVERLOOKS_LIGHT, me.path) < me.overlook_probability:
             return False
         return can_stop(me.speed, me.to_line, me.emergency_decel)
     if _shows(me.path, YELLOW, scene):
@@ -146,11 +126,8 @@ def _stops_at_sign(i: int, scene: Scene) -> bool:
         return False
     if me.to_line < STOPPED_M and me.speed < STANDING_MPS and me.stood_at != me.path:
         me.stood_at, me.stopped_s = me.path, scene.now[0].time_s
-    rolls = chance(me.key, ROLLS, me.path) < me.stop_roll_probability
+    rolls = chance(me.key, driving.ROLLS, me.path) < me.stop_roll_probability
     return not rolls and me.stood_at != me.path
-
-
-# Conflicts ------------------------------------------------------------------------------------
 
 
 @in_place(inner=True)
@@ -303,7 +280,7 @@ def _must_wait(
     """
     me, foe = scene.vehicles[i], scene.vehicles[j]
     overlooks = me.overlook_probability
-    if overlooks > 0.0 and chance(me.key, OVERLOOKS, foe.agent) < overlooks:
+    if overlooks > 0.0 and chance(me.key, driving.OVERLOOKS, foe.agent) < overlooks:
         return False
     foe_line, held = foe.to_line, foe.was_held
     if leaving:

@@ -16,63 +16,47 @@ from sim.frames import EventKind
 from sim.highway.crossings import walk
 from sim.highway.decide import act
 from sim.highway.driving import STANDING_MPS
-from sim.highway.scene import along_lane, leg_at, locate, next_stretch, onward, record
+from sim.highway.places import along_lane, leg_at, locate, next_stretch, onward, project, record
 from sim.highway.state import EVENT_KINDS, Scene
-from sim.highway.tables import project
 
 WRONG_WAY = EVENT_KINDS.index(EventKind.WRONG_WAY)
 
 TOP_SPEED_MPS: Final = 40.0
 """Vehicles slow down to this speed (highway-env's MAX_SPEED)."""
 
-CLEAR_AFTER_S: Final = 8.0
-"""Crashed vehicles and struck pedestrians stay on the road this long (traffic behind sees them and
-queues, and pile-ups clear)."""
+CLEAR_AFTER_S, STUCK_S = 8.0, 5.0
+"""Crashed vehicles and struck pedestrians stay on the road for this long (traffic behind queues,
+and pile-ups clear). A vehicle that stands on the wrong side for the second time is taken off the
+road (it would stand there for ever)."""
 
-STUCK_S: Final = 5.0
-"""A vehicle that stands on the wrong side for this long is taken off the road (facing oncoming
-traffic, it would stand there for ever)."""
+CROSSWISE, FROM_JUNCTION_M = 0.5, 15.0
+"""Sine of the angle between two headings above which the ways cross: 30 degrees. Ways that cross
+this far from the ends of both do not meet in a junction (more than the longest vehicle)."""
 
-CROSSWISE: Final = 0.5
-"""Sine of the angle between two headings above which the ways cross: 30 degrees."""
+STAYS, ARRIVED, CLEARED, STUCK = range(4)
+"""Whether an agent stays, or why it goes."""
 
-FROM_JUNCTION_M: Final = 15.0
-"""Ways that cross this far from the ends of both do not meet in a junction, m (more than the
-longest vehicle)."""
-
-STAYS: Final = 0
-ARRIVED: Final = 1
-CLEARED: Final = 2
-STUCK: Final = 3
-
-DONE: Final = 0
-SOMEBODY_GOES: Final = 1
-NO_ROOM: Final = 2
-ASTRAY: Final = 3
+DONE, SOMEBODY_GOES, NO_ROOM, ASTRAY, DECIDED = range(5)
+"""How a step ends; see `advance`."""
 
 
 @in_place()
-def advance(dt: float, scene: Scene) -> int:
-    """Let everybody decide and move for ``dt`` seconds.
+def advance(dt: float, waits: bool, scene: Scene) -> int:
+    """Let everybody decide, and move for ``dt`` seconds; returns the code of `move`.
 
-    Returns:
-        `DONE`, or `SOMEBODY_GOES`; nobody has moved at `NO_ROOM` for all entries of ``on``, or if
-        somebody is `ASTRAY`.
+    Nobody has moved if there is `NO_ROOM` for all entries of ``on``, if somebody is `ASTRAY`, or at
+    `DECIDED`, if it ``waits`` for others to decide.
     """
     if not locate(scene):
         return NO_ROOM
     if act(scene) > 0:
         return ASTRAY
-    return SOMEBODY_GOES if move(dt, scene) else DONE
+    return DECIDED if waits else move(dt, scene)
 
 
 @in_place()
-def move(dt: float, scene: Scene) -> bool:
-    """Move everybody for ``dt`` seconds and find who touches whom.
-
-    Returns:
-        Whether somebody has to go; ``leaves`` says who and why.
-    """
+def move(dt: float, scene: Scene) -> int:
+    """Move everybody for ``dt`` seconds; returns `DONE`, or `SOMEBODY_GOES`, as ``leaves`` says."""
     now_s = scene.now[0].time_s + dt
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
@@ -90,7 +74,7 @@ def move(dt: float, scene: Scene) -> bool:
     walk(dt, scene)
     scene.now[0].time_s = now_s
     _find_touching(scene)
-    return _leave(scene)
+    return SOMEBODY_GOES if _leave(scene) else DONE
 
 
 @in_place(inner=True)
@@ -159,9 +143,6 @@ def _leave(scene: Scene) -> bool:
     return bool(somebody)
 
 
-# Who touches whom ------------------------------------------------------------------------------
-
-
 @in_place(inner=True)
 def _one(i: int, scene: Scene) -> tuple[float, float, float, float, float]:
     """Place, heading, length and width of a vehicle, or of a pedestrian counted after them."""
@@ -205,26 +186,16 @@ def _find_touching(scene: Scene) -> None:
                 j = scene.cell_head[r * cells.columns + c]
                 while j >= 0:
                     stays = j >= n or not scene.vehicles[j].arrives
-                    if j > i and stays and _overlap(i, j, scene) and _on_one_level(i, j, scene):
-                        _add_pair(i, j, scene)
+                    touch = j > i and stays and _overlap(i, j, scene) and _on_one_level(i, j, scene)
+                    if touch and scene.now[0].pairs < scene.pairs.size:
+                        pair = scene.pairs[scene.now[0].pairs]
+                        pair.one, pair.other = i, j
+                        scene.now[0].pairs += 1
                     j = scene.cell_link[j]
     for i in range(many):
         x, y, _, _, _ = _one(i, scene)
         column, row = _cell(x, y, scene)
         scene.cell_head[row * cells.columns + column] = -1
-
-
-@in_place(inner=True)
-def _add_pair(i: int, j: int, scene: Scene) -> None:
-    """Add a pair to those of the same vehicle, in order of the other one."""
-    at = scene.now[0].pairs
-    if at >= scene.pairs.size:
-        return
-    while at > 0 and scene.pairs[at - 1].one == i and scene.pairs[at - 1].other > j:
-        scene.pairs[at].one, scene.pairs[at].other = i, scene.pairs[at - 1].other
-        at -= 1
-    scene.pairs[at].one, scene.pairs[at].other = i, j
-    scene.now[0].pairs += 1
 
 
 @in_place(inner=True)

@@ -1,4 +1,4 @@
-"""Turns a `Road` into highway-env's `RoadNetwork`, and keeps the facts that the latter cannot hold.
+"""Turns a `Road` into a road network of highway-env, with arrays for all that it cannot hold.
 
 Edges that follow one another lane by lane, where no other edge joins or leaves, become one stretch.
 Every connection across a junction becomes one lane, a junction path, from the end of a stretch to
@@ -12,99 +12,67 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from behaviors.errors import InputError
 from sim.compiled import in_place
-from sim.frames import FloatArray
-from sim.highway.lanes import LaneIndex, NearLanesNetwork, PolylineLane, Stretch, is_wrong_side
-from sim.highway.tables import (
-    BEHIND_M,
-    CONFLICT,
-    CROSSING,
-    LANE,
-    LONGEST_M,
-    PATH_MARGIN_M,
-    PIECE,
-    SPOT,
-    STRETCH_MARGIN_M,
-    STRIP,
-    TURN,
-    WAY,
-    IntArray,
-    Net,
-    Records,
-    listed,
-)  # fmt: skip
+from sim.frames import FloatArray, IntArray
+from sim.highway import state
+from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
+from sim.highway.places import closest_lane
+from sim.highway.state import Net, Records, listed
 from sim.road import Connection, Lane, Road
 from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
 from sim.xml_tree import without_collection
 
-STUB_M: Final = 0.1
-"""A junction path between lanes that touch is this long, m."""
+STUB_M, TIGHT_M = 0.1, 5.0
+"""A junction path between lanes that touch is this long. A path of a mean radius below the second
+length is tight (a car's turning circle)."""
 
-OPPOSITE_M: Final = 1.2
-"""An opposite lane is a neighbour if its centre line is within this many lane widths."""
+CELL_M, ROUNDING_M = 50.0, 1e-3
+"""Width of the cells in which lanes are looked for (`BEHIND_M` and a lane). Lanes are searched this
+much farther from vehicles than they can be."""
 
-CELL_M: Final = 50.0
-"""Width of the cells in which lanes are looked for, m (`BEHIND_M` and a lane)."""
+OPPOSITE_M, SAME_SPOT_M = 1.2, 0.5
+"""An opposite lane is a neighbour if its centre line is within this many lane widths. Lanes that
+run over a crossing nearer to each other than this, m, do so at the same spot."""
 
-SAMPLE_M: Final = 0.5
-"""Junction paths are compared at points this far apart to find where they conflict."""
+SAMPLE_M, HALF_CAR_M = 0.5, 2.3
+"""Junction paths are compared at points this far apart to find where they conflict. In a bend a
+car's corners swing out by half its length squared over the radius."""
 
-CONFLICT_M: Final = 2.2
-"""Junction paths nearer than this conflict (a car's width and 0.4 m)."""
-
-HALF_CAR_M: Final = 2.3
-"""Half a car's length: in a bend its corners swing out by this squared over the radius, m."""
-
-WIDEST_M: Final = 3.0
-"""Paths farther apart than this do not conflict, however far cars swing out (side by side)."""
-
-TIGHT_M: Final = 5.0
-"""A junction path of a smaller mean radius is tight, m (a car's turning circle)."""
-
-SAME_SPOT_M: Final = 0.5
-"""Lanes that run over a crossing nearer to each other than this do so at the same spot, m."""
-
-ROUNDING_M: Final = 1e-3
-"""Lanes are searched this much farther from vehicles than they can be, m."""
+CONFLICT_M, WIDEST_M = 2.2, 3.0
+"""Junction paths nearer than this conflict (a car's width and a little). Paths farther apart than
+the second length do not, however far cars swing out (side by side)."""
 
 
-@dataclass
-class HighwayNetwork:
+@dataclass(eq=False)
+class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
     """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then.
 
     Attributes:
         road: where it came from.
-        net: the highway-env network.
-        lanes: every lane by its index (the same objects as in ``net``).
-        links: the connection of the road that each junction path is.
+        graph: the lanes as highway-env keeps them.
+        lanes: every lane by its index.
         onward: the junction path from a lane to each next stretch.
         exit_of: the lane on which each junction path ends.
-        wrong_side: for each leftmost lane beside one of the opposite direction, a lane that runs
-            over that one in this direction, for those that overtake on the wrong side.
-        edge_at: the edges of each stretch with the distance at which each begins, m.
-        strips: for each lane that runs over crossings the number of each, from where to where
-            along the lane, and how far along the crossing, m.
+        edges: the stretch of each edge of the road, and the distance at which it begins there, m.
+        arrays: the lanes as arrays, by their numbers.
     """
 
     road: Road
-    net: RoadNetwork = field(default_factory=NearLanesNetwork)
-    lanes: dict[LaneIndex, PolylineLane] = field(default_factory=dict)
-    links: dict[LaneIndex, Connection] = field(default_factory=dict)
-    onward: dict[tuple[LaneIndex, Stretch], LaneIndex] = field(default_factory=dict)
-    exit_of: dict[LaneIndex, LaneIndex] = field(default_factory=dict)
-    wrong_side: dict[LaneIndex, LaneIndex] = field(default_factory=dict)
-    edge_at: dict[Stretch, tuple[tuple[str, float], ...]] = field(default_factory=dict)
-    strips: dict[LaneIndex, list[tuple[int, float, float, float]]] = field(default_factory=dict)
+    graph: dict[str, dict[str, list[PolylineLane]]]
+    lanes: dict[LaneIndex, PolylineLane]
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]
+    exit_of: dict[LaneIndex, LaneIndex]
+    edges: dict[str, tuple[Stretch, float]]
+    arrays: Net = field(init=False)
 
     @cached_property
     def keys(self) -> list[LaneIndex]:
@@ -121,128 +89,29 @@ class HighwayNetwork:
         """The number of each stretch and of the junction paths between any two of them."""
         return {one: i for i, one in enumerate(dict.fromkeys(key[:2] for key in self.lanes))}
 
-    @cached_property
-    def stretch_of(self) -> dict[str, Stretch]:
-        """The stretch of each edge of the road."""
-        return {edge: one for one, edges in self.edge_at.items() for edge, _ in edges}
+    def get_closest_lane_index(
+        self, position: FloatArray, heading: float | None = None
+    ) -> LaneIndex:
+        """The lane closest to a place, m, for a heading, rad; of equal ones the first."""
+        (x, y), turned = position, math.nan if heading is None else float(heading)
+        return self.keys[closest_lane(float(x), float(y), turned, self.arrays)]
 
-    @cached_property
-    def arrays(self) -> Net:
-        """The lanes as arrays, by their numbers."""
-        keys, number, objects = self.keys, self.number, list(self.lanes.values())
-        lanes = np.zeros(len(keys), LANE)
-        for name, of in (("length", "length"), ("limit", "speed_limit"), ("width", "width")):
-            lanes[name] = [getattr(lane, of) for lane in objects]
-        lanes["signal"] = -1
-        for path, link in self.links.items():
-            row = lanes[number[path]]
-            row.connector, row.signal = True, link.signal
-            row.must_yield, row.must_stop = link.must_yield, link.must_stop
-        turned = [lane.turns["heading"][-1] - lane.turns["heading"][0] for lane in objects]
-        lanes["tight"] = lanes["length"] < TIGHT_M * np.abs(turned)
-        lanes["wrong"] = [is_wrong_side(key) for key in keys]
-        margin = np.where(lanes["connector"], PATH_MARGIN_M, STRETCH_MARGIN_M)
-        lanes["margin"] = lanes["width"] / 2 + margin
-        lanes["behind"] = np.where(lanes["connector"], 0.0, BEHIND_M)
-        found = {
-            "entry": {path: lane for (lane, _), path in self.onward.items()},
-            "exit": self.exit_of,
-            "opposite": self.wrong_side,
-            "own": {wrong: lane for lane, wrong in self.wrong_side.items()},
-        }
-        for name, of_lane in found.items():
-            lanes[name] = [number[of_lane[key]] if key in of_lane else -1 for key in keys]
-        fixed = lanes["connector"] | lanes["wrong"]
-        for name, step in (("left", -1), ("right", 1)):
-            beside = [number.get((*key[:2], key[2] + step), -1) for key in keys]
-            lanes[name] = np.where(fixed, -1, beside)
-        lanes["stretch"] = [self.stretch_number[key[:2]] for key in keys]
-        ways: list[list[tuple[int, int]]] = [[] for _ in keys]
-        for (lane, then), path in self.onward.items():
-            ways[number[lane]].append((self.stretch_number[then], number[path]))
-        crossings, spots = self._crossings()
-        strips = [
-            [(z, _spot(crossings[z], spots, u), near, far, u) for z, near, far, u in rows]
-            for rows in (self.strips.get(key, []) for key in keys)
-        ]
-        return Net(
-            lanes=lanes,
-            pieces=listed(lanes, "piece", [lane.pieces for lane in objects], PIECE),
-            turns=listed(lanes, "turn", [lane.turns for lane in objects], TURN),
-            ways=listed(lanes, "way", ways, WAY),
-            conflicts=listed(lanes, "conflict", self._conflicts(), CONFLICT),
-            strips=listed(lanes, "strip", strips, STRIP),
-            crossings=crossings,
-            spots=spots,
-            cells=_cells([lane.points for lane in objects], lanes),
-            has_paths=bool(self.links),
-            has_wrong=bool(self.wrong_side),
-        )
-
-    def _conflicts(self) -> list[list[tuple[Any, ...]]]:
-        """The rows of `CONFLICT` of each lane, by their beginning.
-
-        Paths that begin on the same lane have none; vehicles on them follow one another.
-        """
-        ways, links = self.road.connections, list(self.links.values())
-        place = {id(way): i for i, way in enumerate(ways)}
-        paths, numbers = (
-            [self.lanes[key] for key in self.links],
-            [self.number[k] for k in self.links],
-        )
-        begin = {path: self.number[lane] for (lane, _), path in self.onward.items()}
-        begins = np.array([begin[path] for path in self.links], np.int64)
-        rows: list[list[tuple[Any, ...]]] = [[] for _ in self.lanes]
-        at = [np.linspace(0.0, p.length, max(int(p.length / SAMPLE_M), 1) + 1) for p in paths]
-        xy = [path.positions(s) for path, s in zip(paths, at, strict=True)]
-        boxes = boxes_of(xy, WIDEST_M / 2)
-        pairs = near_pairs(boxes, boxes, CELL_M)
-        pairs = pairs[begins[pairs[:, 0]] != begins[pairs[:, 1]]]
-        if not len(pairs):
-            return rows
-        first = np.cumsum([0, *map(len, xy)], dtype=np.int64)
-        ends = np.full((len(pairs), 2), -1, np.int64)
-        _first_and_last_close(
-            np.concatenate(xy), np.concatenate([*map(_swing, xy)]), first, pairs, ends
-        )
-        meet = ends[:, 0] >= 0
-        spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
-        for (a, b), span in spans.items():
-            yields = (place[id(links[b])] in links[a].yields_to) - (
-                place[id(links[a])] in links[b].yields_to
-            )
-            both = *at[a][span].tolist(), *at[b][spans[b, a]].tolist()
-            rows[numbers[a]].append((numbers[b], *both, yields))
-        return [sorted(each, key=lambda row: row[1]) for each in rows]
-
-    def _crossings(self) -> tuple[Records, Records]:
-        """The crossings, and where lanes run over each of them."""
-        found: list[list[tuple[float, float]]] = [[] for _ in self.road.crossings]
-        for key in self.lanes:
-            for crossing, _, _, u in self.strips.get(key, []):
-                if all(abs(u - other) >= SAME_SPOT_M for other, _ in found[crossing]):
-                    found[crossing].append((u, self.lanes[key].width / 2))
-        crossings = np.zeros(len(found), CROSSING)
-        crossings["signal"] = [one.signal for one in self.road.crossings]
-        crossings["priority"] = [one.priority for one in self.road.crossings]
-        return crossings, listed(crossings, "spot", [sorted(places) for places in found], SPOT)
+    def strips_of(self, lane: LaneIndex) -> Records:
+        """The rows of `STRIP` of a lane."""
+        row = self.arrays.lanes[self.number[lane]]
+        strips: Records = self.arrays.strips[row.strip : row.strip_end]
+        return strips
 
     def stretches(self, route: Sequence[str]) -> list[Stretch]:
-        """The stretches that a route of edges runs over.
-
-        Raises:
-            InputError: if an edge is not of this road, two stretches are not connected, or an
-                edge follows itself.
-        """
+        """The stretches that a route of edges runs over; an `InputError` if there are none."""
         found: list[Stretch] = []
         reached_m = 0.0
         for edge in route:
-            if edge not in self.stretch_of:
+            if edge not in self.edges:
                 raise InputError(
                     f"route: found edge {edge!r}, expected a drivable edge of {self.road.name!r}"
                 )
-            stretch = self.stretch_of[edge]
-            begin_m = dict(self.edge_at[stretch])[edge]
+            stretch, begin_m = self.edges[edge]
             if not found or found[-1] != stretch:
                 found.append(stretch)
             elif begin_m <= reached_m:
@@ -269,14 +138,8 @@ class HighwayNetwork:
     def way_to(self, goal: Stretch, lane: int) -> tuple[Stretch, ...] | None:
         """The shortest way from a lane to a stretch, or else to the nearest where the road ends.
 
-        Args:
-            goal: where it is to lead.
-            lane: number of the lane on which it begins; other lanes of its stretch are not used,
-                nor is the stretch again.
-
-        Returns:
-            The stretches after that of ``lane``; None if the lane leads nowhere. On a road that
-            never ends it is the way to the farthest stretch.
+        It has the stretches after the lane's own, which it does not use again, nor the lanes beside
+        it; None if the lane leads nowhere. On a road that never ends it is the way to the farthest.
         """
         names, lanes, ways = list(self.stretch_number), self.arrays.lanes, self.arrays.ways
         n, here = len(names), int(lanes["stretch"][lane])
@@ -306,7 +169,7 @@ class HighwayNetwork:
 
     def lanes_towards(self, stretch: Stretch, then: Stretch | None) -> list[LaneIndex]:
         """The lanes of a stretch from which the next stretch can be reached; all if None."""
-        every = [(*stretch, i) for i in range(len(self.net.graph[stretch[0]][stretch[1]]))]
+        every = [(*stretch, i) for i in range(len(self.graph[stretch[0]][stretch[1]]))]
         if then is None:
             return every
         return [lane for lane in every if (lane, then) in self.onward]
@@ -314,17 +177,7 @@ class HighwayNetwork:
 
 @without_collection()  # a city has a million objects, all of which stay
 def build_network(road: Road) -> HighwayNetwork:
-    """The highway-env network of a road.
-
-    Args:
-        road: read from a SUMO net.
-
-    Returns:
-        Stretches, junction paths and lanes over those of the opposite direction.
-
-    Raises:
-        InputError: if the road has no drivable lane.
-    """
+    """The highway-env network of a road; an `InputError` if it has no drivable lane."""
     by_id = {lane.id: lane for lane in road.lanes}
     driving: dict[str, list[Lane]] = {}
     for lane in road.lanes:
@@ -338,16 +191,17 @@ def build_network(road: Road) -> HighwayNetwork:
         (c for c in road.connections if c.from_lane in by_id and c.to_lane in by_id),
         key=lambda c: -by_id[c.from_lane].index,
     )
-    made = HighwayNetwork(road)
     follows = _continuations(driving, connections, by_id)
-    placed = _add_stretches(made, driving, connections, follows, by_id)
     joins = [
         c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
     ]
-    _add_junction_paths(made, joins, by_id, placed)
-    made.lanes.update(made.net.lanes_dict())
-    _add_wrong_side_lanes(made)
-    _add_strips(made, placed)
+    net = RoadNetwork()
+    placed, edges = _add_stretches(net, driving, connections, follows, by_id)
+    made = HighwayNetwork(road, net.graph, {}, {}, {}, edges)
+    links = _add_junction_paths(made, joins, by_id, placed)
+    made.lanes.update(made.lanes_dict())
+    wrong_side = _add_wrong_side_lanes(made)
+    made.arrays = _arrays(made, links, wrong_side, placed)
     return made
 
 
@@ -357,49 +211,42 @@ which they begin to, m."""
 
 
 def _add_stretches(
-    made: HighwayNetwork,
+    net: RoadNetwork,
     driving: dict[str, list[Lane]],
     connections: list[Connection],
     follows: dict[str, str],
     by_id: dict[str, Lane],
-) -> Placed:
+) -> tuple[Placed, dict[str, tuple[Stretch, float]]]:
     """Add the lanes of every chain of edges that follow one another."""
     placed: Placed = {}
-    leaving: dict[str, list[Connection]] = {}
-    for link in connections:
-        leaving.setdefault(link.from_lane, []).append(link)
+    edges: dict[str, tuple[Stretch, float]] = {}
+    link_of = {(link.from_lane, by_id[link.to_lane].edge): link for link in connections[::-1]}
     begun = set(follows.values())
     for edge in [edge for edge in driving if edge not in begun]:
         chain = [edge]
         while chain[-1] in follows:
             chain.append(follows[chain[-1]])
         key = (f"{chain[0]}<", f"{chain[-1]}>")
-        starts: list[tuple[str, float]] = []
         for k, lane in enumerate(driving[edge]):
             pieces, at = [lane], 0.0
             for after in chain[1:]:
-                link = next(c for c in leaving[pieces[-1].id] if by_id[c.to_lane].edge == after)
+                link = link_of[pieces[-1].id, after]
                 pieces += [by_id[via] for via in (*link.via, link.to_lane)]
             for piece in pieces:
                 placed.setdefault(piece.id, []).append(((*key, k), at))
                 if k == 0 and not piece.internal:
-                    starts.append((piece.edge, at))
+                    edges[piece.edge] = key, at
                 at += piece.length_m
-            last = k == len(driving[edge]) - 1
-            lines = (
-                LineType.CONTINUOUS_LINE if k == 0 else LineType.STRIPED,
-                LineType.CONTINUOUS_LINE if last else LineType.NONE,
-            )
             points = np.concatenate([_points(piece) for piece in pieces])
-            made.net.add_lane(*key, PolylineLane(points, lane.width_m, lines, lane.speed_limit_mps))
-        made.edge_at[key] = tuple(starts)
-    return placed
+            net.add_lane(*key, PolylineLane(points, lane.width_m, lane.speed_limit_mps))
+    return placed, edges
 
 
 def _add_junction_paths(
     made: HighwayNetwork, connections: list[Connection], by_id: dict[str, Lane], placed: Placed
-) -> None:
-    """Add a lane for every connection of lanes that cars may use."""
+) -> dict[LaneIndex, Connection]:
+    """Add a lane for every connection of lanes that cars may use, and return these by the lanes."""
+    links = {}
     for link in connections:
         if link.from_lane not in placed or link.to_lane not in placed:
             continue
@@ -413,15 +260,15 @@ def _add_junction_paths(
         if np.hypot(*(points - points[0]).T).max() < STUB_M:
             points = _stub(points[0], _points(begin))
         key = (before[1], after[0])
-        path = (*key, len(made.net.graph.get(key[0], {}).get(key[1], [])))
+        path = (*key, len(made.graph.get(key[0], {}).get(key[1], [])))
         limit = min((p.speed_limit_mps for p in inner), default=end.speed_limit_mps)
-        made.net.add_lane(*key, PolylineLane(points, begin.width_m, speed_limit=limit))
+        made.add_lane(*key, PolylineLane(points, begin.width_m, limit))
         at = 0.0
         for piece in inner:
             placed.setdefault(piece.id, []).append((path, at))
             at += piece.length_m
-        made.onward[before, after[:2]] = path
-        made.exit_of[path], made.links[path] = after, link
+        made.onward[before, after[:2]], made.exit_of[path], links[path] = path, after, link
+    return links
 
 
 def _stub(at: FloatArray, before: FloatArray) -> FloatArray:
@@ -467,40 +314,10 @@ def _continuations(
     return {edge: then for edge, then in follows.items() if edge in chained}
 
 
-def _add_strips(made: HighwayNetwork, placed: Placed) -> None:
-    """Note the crossings that each lane runs over, in order."""
-    graph = LaneGraph.of(made.road)
-    spans = (graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.cross_u)
-    for lane, crossing, near, far, u in zip(*(each.tolist() for each in spans), strict=True):
-        for index, at in placed.get(made.road.lanes[lane].id, ()):
-            made.strips.setdefault(index, []).append((crossing, at + near, at + far, u))
-    for strips in made.strips.values():
-        strips.sort(key=lambda strip: strip[1])
-
-
-def _spot(crossing: Any, spots: Records, u: float) -> int:
-    """Which spot of a crossing lies at a distance along it."""
-    near = np.abs(spots["u"][crossing.spot : crossing.spot_end] - u) < SAME_SPOT_M
-    return int(crossing.spot + np.argmax(near))
-
-
-def _cells(lines: list[FloatArray], lanes: Records) -> Cells:
-    """The lanes by the places at which a vehicle may be on them."""
-    reached = []
-    for line, behind in zip(lines, lanes["behind"], strict=True):
-        first, last = line[1] - line[0], line[-1] - line[-2]
-        back = line[0] - behind * first / np.hypot(*first)
-        ahead = line[-1] + LONGEST_M / 2 * last / np.hypot(*last)
-        reached.append(np.concatenate([line, [back, ahead]]))
-    boxes = boxes_of(reached, ROUNDING_M)
-    boxes[:, :2] -= lanes["margin"][:, None]
-    boxes[:, 2:] += lanes["margin"][:, None]
-    return cells_of(boxes, np.arange(len(lines)), CELL_M)
-
-
-def _add_wrong_side_lanes(made: HighwayNetwork) -> None:
-    """Add a lane over the nearest lane of the opposite direction beside each stretch."""
-    ordered = sorted(made.edge_at)
+def _add_wrong_side_lanes(made: HighwayNetwork) -> dict[LaneIndex, LaneIndex]:
+    """Add lanes over the nearest opposite one beside each stretch; these by its leftmost lane."""
+    found: dict[LaneIndex, LaneIndex] = {}
+    ordered = sorted({stretch for stretch, _ in made.edges.values()})
     leftmost = [made.lanes[(*stretch, 0)] for stretch in ordered]
     middles = [lane.position(lane.length / 2, 0.0) for lane in leftmost]
     reach_m = OPPOSITE_M * max(lane.width for lane in leftmost)
@@ -509,19 +326,136 @@ def _add_wrong_side_lanes(made: HighwayNetwork) -> None:
     for one, other in near_pairs(near, boxes_of(lines, 0.0), CELL_M).tolist():
         stretch, lane, opposite = ordered[one], leftmost[one], leftmost[other]
         left = (*stretch, 0)
-        if left in made.wrong_side or other == one or abs(opposite.length - lane.length) > 1.0:
+        if left in found or other == one or abs(opposite.length - lane.length) > 1.0:
             continue
         s, across = opposite.local_coordinates(middles[one])
         facing = np.cos(opposite.heading_at(s) - lane.heading_at(lane.length / 2))
         inside = 0.0 < s < opposite.length
         if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
             key = (f"~{stretch[0]}", f"~{stretch[1]}")
-            over = PolylineLane(
-                opposite.points[::-1], opposite.width,
-                speed_limit=opposite.speed_limit, forbidden=True,
-            )  # fmt: skip
-            made.net.add_lane(*key, over)
-            made.lanes[(*key, 0)], made.wrong_side[left] = over, (*key, 0)
+            points, limit = opposite.points[::-1], opposite.speed_limit
+            over = PolylineLane(points, opposite.width, limit, forbidden=True)
+            made.add_lane(*key, over)
+            made.lanes[(*key, 0)], found[left] = over, (*key, 0)
+    return found
+
+
+def _arrays(
+    made: HighwayNetwork,
+    links: dict[LaneIndex, Connection],
+    wrong_side: dict[LaneIndex, LaneIndex],
+    placed: Placed,
+) -> Net:
+    keys, number, objects = made.keys, made.number, list(made.lanes.values())
+    lanes = np.zeros(len(keys), state.LANE)
+    for name, of in (("length", "length"), ("limit", "speed_limit"), ("width", "width")):
+        lanes[name] = [getattr(lane, of) for lane in objects]
+    for name in ("signal", "entry", "exit", "opposite", "own"):
+        lanes[name] = -1
+    ways: list[list[tuple[int, int]]] = [[] for _ in keys]
+    for (lane, then), path in made.onward.items():
+        row, link = lanes[number[path]], links[path]
+        row.connector, row.signal = True, link.signal
+        row.must_yield, row.must_stop = link.must_yield, link.must_stop
+        row.entry, row.exit = number[lane], number[made.exit_of[path]]
+        ways[number[lane]].append((made.stretch_number[then], number[path]))
+    for lane, wrong in wrong_side.items():
+        lanes["opposite"][number[lane]], lanes["own"][number[wrong]] = number[wrong], number[lane]
+    turned = [lane.turns["heading"][-1] - lane.turns["heading"][0] for lane in objects]
+    lanes["tight"] = lanes["length"] < TIGHT_M * np.abs(turned)
+    lanes["wrong"] = lanes["own"] >= 0
+    margin = np.where(lanes["connector"], state.PATH_MARGIN_M, state.STRETCH_MARGIN_M)
+    lanes["margin"] = lanes["width"] / 2 + margin
+    lanes["behind"] = np.where(lanes["connector"], 0.0, state.BEHIND_M)
+    for name, step in (("left", -1), ("right", 1)):
+        beside = [number.get((*key[:2], key[2] + step), -1) for key in keys]
+        lanes[name] = np.where(lanes["connector"] | lanes["wrong"], -1, beside)
+    lanes["stretch"] = [made.stretch_number[key[:2]] for key in keys]
+    crossings, spots, strips = _crossings(made, placed)
+    return Net(
+        lanes=lanes,
+        pieces=listed(lanes, "piece", [lane.pieces for lane in objects], state.PIECE),
+        turns=listed(lanes, "turn", [lane.turns for lane in objects], state.TURN),
+        ways=listed(lanes, "way", ways, state.WAY),
+        conflicts=listed(
+            lanes, "conflict", _conflicts(made, links, lanes["entry"]), state.CONFLICT
+        ),
+        strips=listed(lanes, "strip", strips, state.STRIP),
+        crossings=crossings,
+        spots=spots,
+        cells=_cells([lane.points for lane in objects], lanes),
+        has_paths=bool(links),
+        has_wrong=bool(wrong_side),
+    )
+
+
+def _conflicts(
+    made: HighwayNetwork, links: dict[LaneIndex, Connection], entry: IntArray
+) -> list[list[tuple[Any, ...]]]:
+    """The rows of `CONFLICT` of each lane; paths that begin on the same lane have none."""
+    rows: list[list[tuple[Any, ...]]] = [[] for _ in made.lanes]
+    place = {id(way): i for i, way in enumerate(made.road.connections)}
+    ways, numbers = list(links.values()), np.array([made.number[key] for key in links], np.int64)
+    paths = [made.lanes[key] for key in links]
+    at = [np.linspace(0.0, p.length, max(int(p.length / SAMPLE_M), 1) + 1) for p in paths]
+    xy = [path.positions(s) for path, s in zip(paths, at, strict=True)]
+    boxes = boxes_of(xy, WIDEST_M / 2)
+    pairs = near_pairs(boxes, boxes, CELL_M)
+    pairs = pairs[entry[numbers[pairs[:, 0]]] != entry[numbers[pairs[:, 1]]]]
+    if not len(pairs):
+        return rows
+    first = np.cumsum([0, *map(len, xy)], dtype=np.int64)
+    ends = np.full((len(pairs), 2), -1, np.int64)
+    swing = np.concatenate([*map(_swing, xy)])
+    _first_and_last_close(np.concatenate(xy), swing, first, pairs, ends)
+    meet = ends[:, 0] >= 0
+    spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
+    for (a, b), span in spans.items():
+        yields = place[id(ways[b])] in ways[a].yields_to
+        yielded = place[id(ways[a])] in ways[b].yields_to
+        both = *at[a][span].tolist(), *at[b][spans[b, a]].tolist()
+        rows[numbers[a]].append((numbers[b], yields - yielded, *both))
+    return [sorted(each, key=lambda row: row[2]) for each in rows]
+
+
+def _crossings(made: HighwayNetwork, placed: Placed) -> tuple[Records, Records, list[list[Any]]]:
+    """The crossings, their spots, and the rows of `STRIP` of each lane, by their beginning."""
+    strips: list[list[Any]] = [[] for _ in made.lanes]
+    graph = LaneGraph.of(made.road)
+    spans = (graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.cross_u)
+    for lane, crossing, near, far, u in zip(*(each.tolist() for each in spans), strict=True):
+        for key, at in placed.get(made.road.lanes[lane].id, ()):
+            strips[made.number[key]].append((crossing, -1, at + near, at + far, u))
+    found: list[list[tuple[float, float]]] = [[] for _ in made.road.crossings]
+    for rows, lane in zip(strips, made.lanes.values(), strict=True):
+        rows.sort(key=lambda row: row[2])
+        for crossing, _, _, _, u in rows:
+            if all(abs(u - other) >= SAME_SPOT_M for other, _ in found[crossing]):
+                found[crossing].append((u, lane.width / 2))
+    crossings = np.zeros(len(found), state.CROSSING)
+    crossings["signal"] = [one.signal for one in made.road.crossings]
+    crossings["priority"] = [one.priority for one in made.road.crossings]
+    spots = listed(crossings, "spot", [sorted(places) for places in found], state.SPOT)
+    for rows in strips:
+        for r, (crossing, _, *span, u) in enumerate(rows):
+            first, end = crossings["spot"][crossing], crossings["spot_end"][crossing]
+            near = np.abs(spots["u"][first:end] - u) < SAME_SPOT_M
+            rows[r] = (crossing, first + int(np.argmax(near)), *span, u)
+    return crossings, spots, strips
+
+
+def _cells(lines: list[FloatArray], lanes: Records) -> Cells:
+    """The lanes by the places at which a vehicle may be on them."""
+    reached = []
+    for line, behind in zip(lines, lanes["behind"], strict=True):
+        first, last = line[1] - line[0], line[-1] - line[-2]
+        back = line[0] - behind * first / np.hypot(*first)
+        ahead = line[-1] + state.LONGEST_M / 2 * last / np.hypot(*last)
+        reached.append(np.concatenate([line, [back, ahead]]))
+    boxes = boxes_of(reached, ROUNDING_M)
+    boxes[:, :2] -= lanes["margin"][:, None]
+    boxes[:, 2:] += lanes["margin"][:, None]
+    return cells_of(boxes, np.arange(len(lines)), CELL_M)
 
 
 def _swing(xy: FloatArray) -> FloatArray:

@@ -1,60 +1,135 @@
 """What kernels read and write: a road's arrays, and everybody on it as rows of arrays.
 
-The rows are the truth. A rule that needs a memory of its own adds a field to `VEHICLE`; what the
-driver is like comes from the fields of its profile that have the same names.
+Every lane has a number, its position in `HighwayNetwork.lanes`; -1 stands for none. Lists that
+belong to a lane, such as its `CONFLICT` rows, run from ``lane.conflict`` to ``lane.conflict_end``.
+
+The rows of agents are the truth. A rule that needs a memory of its own adds a field to `VEHICLE`;
+what the driver is like comes from the fields of its profile that have the same names.
 """
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import EventKind
-from sim.highway.tables import Net, Records, record_type
+from sim.frames import EventKind, FloatArray, IntArray
+from sim.road.cells import Cells
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+Records = NDArray[Any]
+
+STRETCH_MARGIN_M, PATH_MARGIN_M = 1.0, 0.5
+"""A vehicle this far beyond a lane's edge is still on it (highway-env's); the second length holds
+for junction paths, which lie close together."""
+
+BEHIND_M, LONGEST_M = 40.0, 40.0
+"""A vehicle this far before the beginning of a lane, and in line with it, is on it already. A
+vehicle up to the second length is on a lane while its rear is (twice a lorry's)."""
+
+
+def record_type(**names: str) -> np.dtype[Any]:
+    """The type of rows that kernels read and write: the names of its fields, by their types."""
+    fields = [(name, kind) for kind, those in names.items() for name in those.split()]
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
+LANE: Final = record_type(
+    f8="length limit width margin behind",
+    bool="connector wrong must_yield must_stop tight",
+    i8="signal entry exit left right stretch opposite own piece piece_end turn turn_end "
+    "way way_end conflict conflict_end strip strip_end",
+)
+"""A lane.
+
+``margin``: how far aside a vehicle is still on it, m; ``behind``: how far before it, m;
+``connector``: whether it crosses a junction; ``wrong``: whether it runs over a lane of the opposite
+direction; ``tight``: whether it turns too sharply for the middle of a car to keep to it;
+``signal``: the group that guards its entry; ``entry`` and ``exit``: the lanes on which
+a junction path begins and ends; ``left`` and ``right``: lanes that drivers may change to;
+``opposite``: the lane over the one of the opposite direction beside it; ``own``: the lane beside
+such a lane.
+"""
+
+PIECE: Final = record_type(f8="x y dx dy size begin outside outside_end")
+"""A straight piece of a lane: beginning and direction, m; how long it is and where it begins along
+the lane, m; the side of a sharp corner at its beginning and at its end that is outside, or 0."""
+
+TURN: Final = record_type(f8="at heading")
+"""A lane's heading, rad, at a distance along it, m; between two of them it is interpolated."""
+
+WAY: Final = record_type(i8="stretch path")
+"""A stretch to which a lane leads, and the junction path that leads there."""
+
+CONFLICT: Final = record_type(i8="other yields", f8="begin end other_begin other_end")
+"""Where a junction path runs too close to another one: from where to where on either, m.
+
+``yields`` is 1 if its traffic gives way to the other's, -1 if the other's does, else 0.
+"""
+
+STRIP: Final = record_type(i8="crossing spot", f8="near far u")
+"""Where a lane runs over a crossing, and which spot of the crossing that is."""
+
+CROSSING: Final = record_type(i8="signal spot spot_end", bool="priority")
+"""A crossing: its signal group, and whether drivers have to let pedestrians cross."""
+
+SPOT: Final = record_type(f8="u half")
+"""Where lanes run over a crossing: middle and half width, m along the crossing."""
+
+
+class Net(NamedTuple):
+    """The arrays of a road; each is named after its type, and ``cells`` holds the lanes by place.
+
+    Attributes:
+        has_paths: whether any lane is a junction path.
+        has_wrong: whether any lane runs over one of the opposite direction.
+    """
+
+    lanes: Records
+    pieces: Records
+    turns: Records
+    ways: Records
+    conflicts: Records
+    strips: Records
+    crossings: Records
+    spots: Records
+    cells: Cells
+    has_paths: bool
+    has_wrong: bool
+
+
+def listed(of: Records, name: str, lists: Sequence[Any], kind: np.dtype[Any]) -> Records:
+    """All lists behind one another, and in each row of ``of`` where its own begins and ends."""
+    ends = np.cumsum([len(each) for each in lists], dtype=np.int64)
+    of[name + "_end"] = ends
+    of[name][1:] = ends[:-1]
+    return np.concatenate([np.zeros(0, kind), *(np.asarray(each, kind) for each in lists)])
+
 
 EVENT_KINDS: Final = tuple(EventKind)
 """Events by their codes."""
 
-LATE_S: Final = 0.1
-"""A driver's decisions are kept this often, s."""
-
-MOST_LATE: Final = 51
-"""How many of them are kept: those of the longest reaction time."""
+LATE_S, MOST_LATE = 0.1, 51
+"""A driver's decisions are kept this often, s, and so many of them: those of the longest reaction
+time."""
 
 VEHICLE: Final = record_type(
-    agent="i8", kind="i1", profiled="?", length="f8", width="f8", route="i8", leg="i8", key="u8",
-    # its driver: fields of the profile, and what follows from them
-    krauss="?", speed_factor="f8", time_headway_s="f8", min_gap_m="f8", max_accel_mps2="f8",
-    comfort_decel_mps2="f8", politeness="f8", lane_change_patience_s="f8", startup_delay_s="f8",
-    yellow_run_s="f8", gap_acceptance_s="f8", insistence="f8", crossing_gap_s="f8",
-    red_run_probability="f8", stop_roll_probability="f8", yield_probability="f8",
-    cut_in_rate_per_min="f8", stop_rate_per_min="f8", wrong_way_rate_per_min="f8",
-    reaction_time_s="f8", perception_noise="f8", lapse_rate_per_min="f8", lapse_s="f8",
-    overlook_probability="f8",
-    change_threshold="f8", imposed_braking="f8", change_gap="f8", emergency_decel="f8",
-    top_speed="f8",
-    # motion
-    x="f8", y="f8", heading="f8", speed="f8", steering="f8", accel="f8", entry_speed="f8",
-    lane="i8", target="i8", wanted="i8",
-    # memory
-    clock="f8", timer="f8", go_at="f8", standing_since="f8",
-    crashed="?", crashed_at="f8", wrong_way="?", ran_red="?",
-    cut_in_at="f8", stop_at="f8", stop_until="f8", wrong_way_at="f8",
-    cut_ins="i8", stops="i8", wrong_ways="i8", dawdled="i8",
-    lapse_at="f8", lapse_until="f8", lapses="i8", error="f8", erred="i8", seen_at="f8",
-    late=f"{MOST_LATE}f8", late_since="i8",
-    last_path="i8", path_before="i8", line_before="f8", stood_at="i8", stopped_s="f8",
-    # where it is on its way, in this step
-    s="f8", then="i8", path="i8", to_line="f8", stood_s="f8",
-    # what the rules demand in this step
-    stop_gap="f8", speed_cap="f8", held="?", was_held="?", changes="?", forced="i8", astray="?",
-    arrives="?", leaves="i8",
-)  # fmt: skip
+    i1="kind",
+    u8="key",
+    bool="profiled krauss crashed wrong_way ran_red held was_held changes astray arrives",
+    i8="agent route leg lane target wanted cut_ins stops wrong_ways dawdled lapses erred "
+    "late_since last_path path_before stood_at then path forced leaves",
+    f8="length width speed_factor time_headway_s min_gap_m max_accel_mps2 comfort_decel_mps2 "
+    "politeness lane_change_patience_s startup_delay_s yellow_run_s gap_acceptance_s insistence "
+    "crossing_gap_s red_run_probability stop_roll_probability yield_probability "
+    "cut_in_rate_per_min stop_rate_per_min wrong_way_rate_per_min reaction_time_s perception_noise "
+    "lapse_rate_per_min lapse_s overlook_probability change_threshold imposed_braking change_gap "
+    "emergency_decel top_speed x y heading speed steering accel entry_speed clock timer go_at "
+    "standing_since crashed_at cut_in_at stop_at stop_until wrong_way_at lapse_at lapse_until "
+    "error seen_at line_before stopped_s s to_line stood_s stop_gap speed_cap",
+    **{f"{MOST_LATE}f8": "late"},
+)
 """A vehicle; lengths in m, times in s, angles in rad, highway-env's axes, -1 for none.
 
 ``entry_speed``: at which it came, m/s; ``profiled``: whether a `Profile` drives it; ``key``: of its
@@ -78,10 +153,11 @@ stop at the line, and ``was_held`` a step ago; ``changes``: whether lane changes
 """
 
 WALKER: Final = record_type(
-    agent="i8", kind="i1", length="f8", width="f8", x="f8", y="f8", heading="f8", speed="f8",
-    way="i8", s="f8", aside="f8", free_speed="f8", crossed="i8", stood_s="f8",
-    crashed="?", crashed_at="f8", leaves="i8", link="i8",
-)  # fmt: skip
+    i1="kind",
+    bool="crashed",
+    i8="agent way crossed leaves link",
+    f8="length width x y heading speed s aside free_speed stood_s crashed_at",
+)
 """A pedestrian; lengths in m, times in s, highway-env's axes.
 
 ``way``: number of its footway; ``s`` and ``aside``: its place on it; ``crossed``: how many of its
@@ -89,35 +165,29 @@ crossings it has passed; ``stood_s``: for how long it has stood; ``leaves``: why
 the next one at the same crossing.
 """
 
-FOOTWAY: Final = record_type(
-    length="f8", step="i8", step_end="i8", crossover="i8", crossover_end="i8"
-)
+FOOTWAY: Final = record_type(f8="length", i8="step step_end crossover crossover_end")
 """A way on foot, with its straight pieces, `STEP`, and its crossings, `CROSSOVER`."""
 
-STEP: Final = record_type(x="f8", y="f8", dx="f8", dy="f8", heading="f8", begin="f8")
-CROSSOVER: Final = record_type(crossing="i8", begin_s="f8", end_s="f8", forward="?")
+STEP: Final = record_type(f8="x y dx dy heading begin")
+CROSSOVER: Final = record_type(i8="crossing", f8="begin_s end_s", bool="forward")
 """A crossing on a way: where along it a pedestrian waits and has left it, m, and whether it is
 walked along its centre line, not against it."""
 
-NOW: Final = record_type(
-    time_s="f8", events="i8", arrivals="i8", pairs="i8", astray="i8", entries="i8"
-)
+NOW: Final = record_type(f8="time_s", i8="events arrivals pairs astray entries")
 """The time, and how many rows of each list are in use; ``astray``: how many drivers need another
 route; ``entries``: vehicles on lanes."""
 
-EVENT: Final = record_type(kind="i8", agent="i8", time_s="f8")
+EVENT: Final = record_type(i8="kind agent", f8="time_s")
 """Something that a rule recorded, by the code of its `EventKind`."""
 
-ON: Final = record_type(row="i8", lane="i8", s="f8", along="f8")
+ON: Final = record_type(i8="row lane", f8="s along")
 """A vehicle on a lane: its distance along it, m, and its speed along it, m/s."""
 
-ARRIVAL: Final = record_type(
-    vehicle="i8", crossing="i8", near="f8", far="f8", yields="?", stood_s="f8", link="i8"
-)
+ARRIVAL: Final = record_type(i8="vehicle crossing link", f8="near far stood_s", bool="yields")
 """A vehicle that comes to a spot of a crossing: front bumper to its near and far edge, m; whether
 it lets the pedestrians go first; for how long it has stood, s; the next arrival at that spot."""
 
-PAIR: Final = record_type(one="i8", other="i8")
+PAIR: Final = record_type(i8="one other")
 """Two who touch; pedestrians are counted after the vehicles."""
 
 

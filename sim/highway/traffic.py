@@ -17,36 +17,14 @@ from numba import typeof
 
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
-from sim.frames import AgentKind, Event, EventKind, Frame, Signal
-from sim.highway.decide import act, decide
+from sim.frames import AgentKind, Event, EventKind, Frame, IntArray, Signal
+from sim.highway import motion, state
+from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
-from sim.highway.entry import begin
 from sim.highway.lanes import LaneIndex, Stretch
-from sim.highway.motion import (
-    ARRIVED,
-    ASTRAY,
-    NO_ROOM,
-    SOMEBODY_GOES,
-    STAYS,
-    STUCK,
-    advance,
-    move,
-)
 from sim.highway.network import HighwayNetwork
-from sim.highway.scene import locate, read_motion
-from sim.highway.state import (
-    ARRIVAL,
-    EVENT,
-    EVENT_KINDS,
-    NOW,
-    ON,
-    PAIR,
-    VEHICLE,
-    WALKER,
-    IntArray,
-    Scene,
-    blank_vehicles,
-)
+from sim.highway.places import locate, read_motion
+from sim.highway.state import Scene, blank_vehicles
 from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
 from sim.highway.walkers import Footway, find_footway, footways_of
 
@@ -54,7 +32,7 @@ PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
 
 
-def _typed_once(kernel: Any) -> Callable[..., Any]:
+def typed_once(kernel: Any) -> Callable[..., Any]:
     """A kernel whose arguments have the same types at every call.
 
     Numba looks at the type of every array of a `Scene` at each call, which takes as long as a step
@@ -72,7 +50,7 @@ def _typed_once(kernel: Any) -> Callable[..., Any]:
     return call
 
 
-_advance, _begin, _read_motion = map(_typed_once, (advance, begin, read_motion))
+_advance, _read_motion = typed_once(motion.advance), typed_once(read_motion)
 
 
 class TrafficRoad(Road):  # type: ignore[misc]
@@ -94,9 +72,12 @@ class TrafficRoad(Road):  # type: ignore[misc]
     record_history = neighbour_vehicles_connected_lanes = False
 
     def __init__(self, network: HighwayNetwork) -> None:
-        self.network, self.network_info = network.net, network
+        self.network = network
         self.np_random = np.random.RandomState(0)
-        self.cars, self.people = Crowd(self, VEHICLE, ProfileVehicle), Crowd(self, WALKER, Walker)
+        self.cars, self.people = (
+            Crowd(self, state.VEHICLE, ProfileVehicle),
+            Crowd(self, state.WALKER, Walker),
+        )
         self.behaviors: dict[int, Behavior | None] = {}
         self.events: list[Event] = []
         self.footways: list[Footway] = []
@@ -104,7 +85,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         self.signals = np.full(len(network.road.signal_groups), Signal.OFF.code, dtype=np.int8)
         self.signal_since = np.zeros(self.signals.size)
         self._shown = frozen(self.signals.copy())
-        self._now = np.zeros(1, NOW)
+        self._now = np.zeros(1, state.NOW)
         self._plan_due_s = np.zeros(len(network.road.signal_plans))
         self._numbers: dict[tuple[Any, ...], int] = {}
         self._egos: list[Any] = []
@@ -123,8 +104,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def time_s(self, time_s: float) -> None:
         self._now["time_s"][0] = time_s
 
-    # Who is there ----------------------------------------------------------------------------
-
     @property
     def vehicles(self) -> list[Any]:
         """The vehicles as objects of highway-env, in the order of their rows."""
@@ -139,7 +118,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def add(self, row: Any) -> None:
         """Put an agent on the road, by its row of `VEHICLE` or `WALKER`."""
-        (self.cars if row.dtype == VEHICLE else self.people).add(row)
+        (self.cars if row.dtype == state.VEHICLE else self.people).add(row)
         self._changed()
 
     def add_ego(self, ego: Any, agent: int, stretches: tuple[Stretch, ...]) -> None:
@@ -162,7 +141,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Note that somebody has come or gone."""
         self._scene = None
         self._egos = [one for one in self.cars.seen.values() if not isinstance(one, RowView)]
-        self._read_egos()
+        self.read_egos()
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
@@ -176,7 +155,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """The number of the way on foot along a route of edges; see `find_footway`."""
         if ("on foot", *route) not in self._numbers:
             self._numbers["on foot", *route] = len(self.footways)
-            self.footways.append(find_footway(self.network_info.road, route))
+            self.footways.append(find_footway(self.network.road, route))
             self._scene = self._work = None
         return self._numbers["on foot", *route]
 
@@ -195,9 +174,9 @@ class TrafficRoad(Road):  # type: ignore[misc]
             self._scene = self._work._replace(vehicles=cars, walkers=people)
         return self._scene
 
-    def _read_egos(self) -> None:
+    def read_egos(self) -> None:
         """Read the ego vehicles into their rows."""
-        number = self.network_info.number
+        number = self.network.number
         for one in self._egos:
             row = one.table[one.row]
             row["x"], row["y"] = one.position
@@ -209,7 +188,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def _new_work(self) -> Scene:
         """Arrays with room for twice as many as are there now."""
         n, m = 2 * len(self.cars.rows) + 8, 2 * len(self.people.rows) + 8
-        net = self.network_info.arrays
+        net = self.network.arrays
         entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
         return Scene(
@@ -222,22 +201,22 @@ class TrafficRoad(Road):  # type: ignore[misc]
             walkers=self.people.rows,
             now=self._now,
             on_first=np.zeros(net.lanes.size + 1, np.int64),
-            on=np.zeros(entries, ON),
-            unsorted=np.zeros(entries, ON),
+            on=np.zeros(entries, state.ON),
+            unsorted=np.zeros(entries, state.ON),
             lane_head=np.full(net.lanes.size, -1),
             lane_link=np.full(2 * (n + m), -1),
             spot_head=np.full(net.spots.size, -1),
             crossing_head=np.full(net.crossings.size, -1),
             cell_head=np.full(net.cells.columns * net.cells.rows, -1),
             cell_link=np.full(n + m, -1),
-            arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), ARRIVAL),
-            pairs=np.zeros(4 * (n + m) + 16, PAIR),
-            events=np.zeros(8 * (n + m), EVENT),
+            arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), state.ARRIVAL),
+            pairs=np.zeros(4 * (n + m) + 16, state.PAIR),
+            events=np.zeros(8 * (n + m), state.EVENT),
         )
 
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
-        numbers = self.network_info.stretch_number
+        numbers = self.network.stretch_number
         longest = max(map(len, self.routes), default=0)
         table = np.full((len(self.routes) + 1, longest + 1), -1, dtype=np.int64)
         for number, route in enumerate(self.routes):
@@ -260,21 +239,18 @@ class TrafficRoad(Road):  # type: ignore[misc]
             self.take_events() if events is None else events,
         )  # fmt: skip
 
-    # Signals and events ----------------------------------------------------------------------
-
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
-        plans, now_s = self.network_info.road.signal_plans, self.time_s
+        plans, now_s = self.network.road.signal_plans, self.time_s
         if not plans or self._plan_due_s.min() > now_s:
             return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
             plan = plans[number]
             states, lasts_s = plan.phase_at(now_s)
             self._plan_due_s[number] = now_s + lasts_s - PHASE_ROUNDING_S
-            for group, state in zip(plan.groups, states, strict=True):
-                if self.signals[group] != state:
-                    self.signals[group] = state
-                    self.signal_since[group] = now_s
+            for group, shown in zip(plan.groups, states, strict=True):
+                if self.signals[group] != shown:
+                    self.signals[group], self.signal_since[group] = shown, now_s
         self._shown = frozen(self.signals.copy())
 
     def take_events(self) -> tuple[Event, ...]:
@@ -285,8 +261,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def _note(self, kind: EventKind, agent: int, other: int | None = None, rule: str = "") -> None:
         self.events.append(Event(kind, self.time_s, agent, other, rule))
 
-    # Places ----------------------------------------------------------------------------------
-
     def locate(self) -> None:
         """Find who is on which lane; valid until somebody moves."""
         while not locate(self.scene()):
@@ -294,18 +268,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def on_lane(self, lane: LaneIndex) -> tuple[list[float], ...]:
         """Distances along a lane, ascending, lengths, m, and speeds, m/s, at the last `locate`."""
-        scene, k = self.scene(), self.network_info.number[lane]
+        scene, k = self.scene(), self.network.number[lane]
         here = scene.on[scene.on_first[k] : scene.on_first[k + 1]]
         there = scene.vehicles[here["row"]]
         return here["s"].tolist(), there["length"].tolist(), there["speed"].tolist()
-
-    def begin(self, row: Any, lanes: IntArray, then: int) -> bool:
-        """Let a vehicle begin on one of some lanes, on its way to a stretch, if there is room."""
-        self._read_egos()
-        if not _begin(row, lanes, then, self.scene()):
-            return False
-        self.add(row)
-        return True
 
     def crossings_in_use(self) -> set[int]:
         """The crossings that a pedestrian is on or steps onto within a metre."""
@@ -315,34 +281,35 @@ class TrafficRoad(Road):  # type: ignore[misc]
         ahead = footways.crossovers[at[comes]]
         return set(ahead["crossing"][ahead["begin_s"] - people["s"][comes] < 1.0].tolist())
 
-    # A step ----------------------------------------------------------------------------------
-
     def advance(self, dt: float) -> None:
-        """Let everybody decide and move for ``dt`` seconds; the same as `act` and `step`."""
-        if self._egos:
-            self.act()
-            return self.step(dt)
-        code = _advance(dt, self.scene())
-        if code == NO_ROOM:
+        """Let everybody decide and move for ``dt`` seconds, at most 0.1 s."""
+        self.read_egos()
+        code = _advance(dt, len(self._egos) > 0, self.scene())
+        if code == motion.NO_ROOM:
             self._scene = self._work = None
             return self.advance(dt)
-        if code == ASTRAY:
+        if code == motion.ASTRAY:
             self._reroute()
-            return self.step(dt)
-        return self._end_step(code == SOMEBODY_GOES)
-
-    def act(self) -> None:
-        """Let everybody decide."""
-        self._read_egos()
-        self.locate()
-        if act(self.scene()):
-            self._reroute()
-        for ego in self._egos:
-            ego.act()
+        if code in (motion.ASTRAY, motion.DECIDED):
+            for ego in self._egos:
+                ego.act()
+            for ego in self._egos:
+                ego.step(dt)
+            self.read_egos()
+            code = motion.move(dt, self.scene())
+        self.update_signals()
+        if self._now["pairs"][0] or self._touching:
+            self._collide(self.scene())
+        if self._now["events"][0]:
+            for kind, agent, time_s in self.scene().events[: int(self._now["events"][0])].tolist():
+                self.events.append(Event(state.EVENT_KINDS[kind], time_s, agent))
+            self._now["events"] = 0
+        if code == motion.SOMEBODY_GOES:
+            self._clear()
 
     def _reroute(self) -> None:
         """Find other routes for those who need one, and let everybody decide."""
-        rows, network = self.cars.rows, self.network_info
+        rows, network = self.cars.rows, self.network
         for row in np.flatnonzero(rows["astray"]).tolist():
             lane = int(rows["lane"][row])
             route = network.way_to(self.routes[rows["route"][row]][-1], lane)
@@ -351,30 +318,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 rows["leg"][row] = 0
         decide(self.scene())
 
-    def step(self, dt: float) -> None:
-        """Move everybody for ``dt`` seconds, at most 0.1 s, and record what happened."""
-        for ego in self._egos:
-            ego.step(dt)
-        self._read_egos()
-        self._end_step(move(dt, self.scene()))
-
-    def _end_step(self, somebody_goes: bool) -> None:
-        """Show signals, record what happened and remove who goes, after everybody has moved."""
-        scene, now = self.scene(), self._now
-        self.update_signals()
-        if now["pairs"][0] or self._touching:
-            self._collide(scene)
-        if now["events"][0]:
-            for kind, agent, time_s in scene.events[: int(now["events"][0])].tolist():
-                self.events.append(Event(EVENT_KINDS[kind], time_s, agent))
-            now["events"] = 0
-        if somebody_goes:
-            self._clear()
-
     def _collide(self, scene: Scene) -> None:
         """Record collisions of those that touch and did not touch before, the faster one first."""
         touching, n = set(), len(scene.vehicles)
-        for i, j in scene.pairs[: int(self._now["pairs"][0])].tolist():
+        for i, j in sorted(scene.pairs[: int(self._now["pairs"][0])].tolist()):
             one, walks = scene.vehicles[i], j >= n
             other = scene.walkers[j - n] if walks else scene.vehicles[j]
             pair = (int(one.agent), int(other.agent))
@@ -393,8 +340,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         """Remove who has arrived, is stuck, or crashed long ago."""
         for crowd in (self.cars, self.people):
             for code, agent in crowd.rows[["leaves", "agent"]].tolist():
-                if code not in (STAYS, ARRIVED):
-                    rule = "stuck on the wrong side" if code == STUCK else "crashed"
+                if code not in (motion.STAYS, motion.ARRIVED):
+                    rule = "stuck on the wrong side" if code == motion.STUCK else "crashed"
                     self._note(EventKind.REMOVAL, agent, rule=rule)
-            crowd.keep(crowd.rows["leaves"] == STAYS)
+            crowd.keep(crowd.rows["leaves"] == motion.STAYS)
         self._changed()

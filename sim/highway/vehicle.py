@@ -1,7 +1,7 @@
 """Rows of agents, and the objects that show them to others, as vehicles of highway-env.
 
 The rows are the truth; compiled functions read and write them. An object is a view of one row, made
-when somebody looks; setting an attribute changes the row. Ego vehicles alone are highway-env's own.
+when somebody looks. Ego vehicles alone are highway-env's own.
 
 Differs from highway-env: others see a decided lane change from the next step on, so that no
 decision depends on the order in which vehicles act; vehicles do not drive backwards.
@@ -19,21 +19,20 @@ from numpy.typing import NDArray
 
 from behaviors.labels import Behavior
 from sim.frames import FloatArray
-from sim.highway.draws import CUTS_IN, LAPSES, STOPS, WRONG_WAY, driver_key, wait_s
-from sim.highway.driving import profile_fields
-from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
-from sim.highway.state import blank_vehicles
-from sim.highway.tables import Records
+from sim.highway import driving
+from sim.highway.driving import driver_key, profile_fields, wait_s
+from sim.highway.lanes import PolylineLane
+from sim.highway.state import Records, blank_vehicles
 from sim.scenario import AgentSpec, CarFollowing
 
 LEAST_ROOM: Final = 16
 """Arrays have room for this many agents at first."""
 
 DRAWN_TIMES: Final = (
-    ("cut_in_at", "cut_ins", CUTS_IN, "cut_in_rate_per_min"),
-    ("stop_at", "stops", STOPS, "stop_rate_per_min"),
-    ("lapse_at", "lapses", LAPSES, "lapse_rate_per_min"),
-    ("wrong_way_at", "wrong_ways", WRONG_WAY, "wrong_way_rate_per_min"),
+    ("cut_in_at", "cut_ins", driving.CUTS_IN, "cut_in_rate_per_min"),
+    ("stop_at", "stops", driving.STOPS, "stop_rate_per_min"),
+    ("lapse_at", "lapses", driving.LAPSES, "lapse_rate_per_min"),
+    ("wrong_way_at", "wrong_ways", driving.WRONG_WAY, "wrong_way_rate_per_min"),
 )
 """Times that are drawn: their field, the count of such draws, what is drawn, and how often."""
 
@@ -60,38 +59,17 @@ def driver_rows(agents: Sequence[AgentSpec], seed: int, law: CarFollowing = "IDM
 
 
 def _column(name: str, kind: type) -> Any:
-    """A property that shows a field of an object's row as a Python value, and sets it."""
-
-    def show(self: Any) -> Any:
-        return kind(self.table[name][self.row])
-
-    def change(self: Any, value: Any) -> None:
-        self.table[name][self.row] = value
-
-    return property(show, change)
+    """A property that shows a field of an object's row as a Python value."""
+    return property(lambda self: kind(self.table[name][self.row]))
 
 
 def _lane_column(name: str) -> Any:
     """A property that shows the number of a lane as highway-env's index of it."""
-
-    def show(self: Any) -> LaneIndex:
-        index: LaneIndex = self.road.network_info.keys[int(self.table[name][self.row])]
-        return index
-
-    def change(self: Any, lane: LaneIndex) -> None:
-        self.table[name][self.row] = self.road.network_info.number[lane]
-
-    return property(show, change)
+    return property(lambda self: self.road.network.keys[self.table[name][self.row]])
 
 
 class RowView:
-    """Shows one row of an array of agents as an object of highway-env.
-
-    Attributes:
-        road: the `TrafficRoad`.
-        table: the array.
-        row: which of its rows.
-    """
+    """Shows the ``row`` of that number in a ``table`` as an object of highway-env."""
 
     table: Records
     row: int
@@ -116,29 +94,19 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
 
     lane_index = _lane_column("lane")
     target_lane_index = _lane_column("target")
-    wanted_lane_index = _lane_column("wanted")
     target_speed = _column("entry_speed", float)
-    crashed_at = _column("crashed_at", float)
-    stop_at = _column("stop_at", float)
-    stop_until = _column("stop_until", float)
     route = None
 
     @property
     def lane(self) -> PolylineLane:
         """The lane it is on."""
-        found: PolylineLane = self.road.network_info.lanes[self.lane_index]
+        found: PolylineLane = self.road.network.lanes[self.lane_index]
         return found
 
     @property
     def behavior(self) -> Behavior | None:
         """The driver's true behaviour, for colours and labels only."""
         found: Behavior | None = self.road.behaviors.get(self.agent)
-        return found
-
-    @property
-    def stretches(self) -> tuple[Stretch, ...]:
-        """The stretches of road that it drives over."""
-        found: tuple[Stretch, ...] = self.road.routes[int(self.table["route"][self.row])]
         return found
 
 
@@ -150,13 +118,7 @@ class Walker(RowView, Landmark):  # type: ignore[misc]
 
 
 class Crowd:
-    """Agents of one kind: a row of an array for each, and an object of those looked at.
-
-    Args:
-        road: the `TrafficRoad`.
-        kind: type of the rows.
-        view: class of the objects.
-    """
+    """Agents of one kind: a row of that type for each, and an object of those looked at."""
 
     def __init__(self, road: Any, kind: np.dtype[Any], view: type[RowView]) -> None:
         self._road, self._view = road, view

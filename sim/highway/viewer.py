@@ -1,8 +1,7 @@
-"""Draws the road of the highway engine: lanes, sidewalks, crossings, stop lines, signals, people.
+"""Draws the road of the highway engine, within highway-env's own viewer.
 
-Vehicles are coloured by their drivers' behaviour, the ego vehicle is white. Replaces what
-highway-env draws (white lines on grey), within its own viewer, so that its windows, videos and
-image arrays work as ever.
+Vehicles are coloured by their drivers' behaviour, the ego vehicle is white. highway-env's windows,
+videos and image arrays work as ever.
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ from sim.road.shapes import RoadShapes, road_shapes
 FloatArray = NDArray[np.float64]
 Color = tuple[int, int, int]
 
-SIGNAL_COLORS: Final[dict[Signal, Color]] = {
-    Signal.RED: (235, 50, 50),
-    Signal.YELLOW: (250, 205, 45),
-    Signal.GREEN: (60, 205, 90),
-    Signal.OFF: (245, 245, 245),
-}
+SIGNAL_COLORS: Final = ((235, 50, 50), (250, 205, 45), (60, 205, 90), (245, 245, 245))
+"""By the codes of signals."""
+
+BODY: Final = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+GLASS: Final = np.array([[0.15, -0.8], [0.5, -0.8], [0.5, 0.8], [0.15, 0.8]])
+"""Outlines of a vehicle and of its windscreen, in half lengths and half widths."""
 
 FLIP: Final = np.array([1.0, -1.0])
 """From a road's axes to highway-env's."""
@@ -48,12 +47,7 @@ CRASHED: Final[Color] = (20, 20, 20)
 
 
 class TrafficViewer(EnvViewer):  # type: ignore[misc]
-    """highway-env's viewer with a drawing of our roads.
-
-    Args:
-        env: the environment, with a `TrafficRoad` as its ``road``.
-        network: what to draw.
-    """
+    """highway-env's viewer; draws the ``network`` and the traffic of an environment."""
 
     def __init__(self, env: Any, network: HighwayNetwork) -> None:
         os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())  # or SDL complains
@@ -70,11 +64,7 @@ class TrafficViewer(EnvViewer):  # type: ignore[misc]
         return position
 
     def display(self) -> None:
-        """Draw the scene as it is now.
-
-        highway-env draws nothing, so makes black images, where SDL has no display to draw on
-        (``SDL_VIDEODRIVER=dummy``, as servers set it); images need none.
-        """
+        """Draw the scene as it is now; images need no display, unlike highway-env's."""
         if not (self.enabled or self.offscreen):
             return
         surface = self.sim_surface
@@ -128,11 +118,11 @@ def _draw_road(surface: WorldSurface, shapes: RoadShapes, signals: NDArray[np.in
             pygame.draw.lines(surface, color, False, _pixels(surface, line * FLIP), thin)
     for bar in shapes.bars:
         pygame.draw.polygon(surface, PAINT, _pixels(surface, bar * FLIP))
-    states, thick = list(SIGNAL_COLORS), max(2, round(0.6 * surface.scaling))
     for stop in shapes.stops:
-        state = states[int(signals[stop.signal])] if stop.signal >= 0 else Signal.OFF
+        shown = int(signals[stop.signal]) if stop.signal >= 0 else Signal.OFF.code
         begin, end = _pixels(surface, stop.line * FLIP)
-        pygame.draw.line(surface, SIGNAL_COLORS[state], begin, end, thick)
+        thick = max(2, round(0.6 * surface.scaling))
+        pygame.draw.line(surface, SIGNAL_COLORS[shown], begin, end, thick)
 
 
 def _draw_traffic(surface: WorldSurface, road: TrafficRoad, ego: Any | None) -> None:
@@ -140,23 +130,16 @@ def _draw_traffic(surface: WorldSurface, road: TrafficRoad, ego: Any | None) -> 
     for walker in road.walkers:
         (place,) = _pixels(surface, walker.position[None])
         pygame.draw.circle(surface, PERSON, place, max(3, round(0.35 * surface.scaling)))
-    for vehicle in road.vehicles:
-        behavior = getattr(vehicle, "behavior", None)
-        color: Any = PAVING if behavior is None else pygame.Color(behavior.color)
-        color = EGO if vehicle is ego else color
-        _draw_vehicle(surface, vehicle, color, EGO if vehicle is ego else OUTLINE)
-
-
-def _draw_vehicle(surface: WorldSurface, vehicle: Any, color: Color, rim: Color) -> None:
-    cos, sin = np.cos(vehicle.heading), np.sin(vehicle.heading)
-    turn = np.array([[cos, sin], [-sin, cos]])
-    long, wide = vehicle.LENGTH / 2, vehicle.WIDTH / 2
-    body = np.array([[-long, -wide], [long, -wide], [long, wide], [-long, wide]])
-    glass = np.array(
-        [[0.15 * long, -0.8 * wide], [0.5 * long, -0.8 * wide],
-         [0.5 * long, 0.8 * wide], [0.15 * long, 0.8 * wide]]
-    )  # fmt: skip
-    outline = _pixels(surface, body @ turn + vehicle.position)
-    pygame.draw.polygon(surface, CRASHED if vehicle.crashed else color, outline)
-    pygame.draw.polygon(surface, OUTLINE, _pixels(surface, glass @ turn + vehicle.position))
-    pygame.draw.polygon(surface, rim, outline, 1)
+    for one in road.vehicles:
+        color: Any = EGO if one is ego else PAVING
+        if one.crashed or one.behavior is not None:
+            color = CRASHED if one.crashed else pygame.Color(one.behavior.color)
+        cos, sin = np.cos(one.heading), np.sin(one.heading)
+        turn = np.array([[cos, sin], [-sin, cos]])
+        half = np.array([one.LENGTH / 2, one.WIDTH / 2])
+        body, glass = (
+            _pixels(surface, part * half @ turn + one.position) for part in (BODY, GLASS)
+        )
+        pygame.draw.polygon(surface, color, body)
+        pygame.draw.polygon(surface, OUTLINE, glass)
+        pygame.draw.polygon(surface, EGO if one is ego else OUTLINE, body, 1)

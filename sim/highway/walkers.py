@@ -10,7 +10,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +19,19 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
-from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, FloatArray, Footways
-from sim.highway.tables import listed
+from sim.frames import FloatArray
+from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, Footways, listed
 from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
 
-LINK_M: Final = 12.0
-"""Sidewalk ends and crossing ends this near to each other are joined on foot (the widest
-corner)."""
+LINK_M, DETOUR_M = 12.0, 5.0
+"""Sidewalk ends and crossing ends this near to each other are joined on foot (the widest corner).
+Pedestrians cross a road only if that saves more than the second length."""
 
-SETBACK_M: Final = 1.6
-"""Pedestrians wait this far back from the kerb, m (out of the way of turning vehicles); a crossover
-begins and ends there."""
-
-OFFSET_M: Final = 0.6
-"""Pedestrians keep up to this far to either side of the path's middle, m."""
-
-DETOUR_M: Final = 5.0
-"""Pedestrians cross a road only if that saves more than this, m."""
+SETBACK_M, OFFSET_M = 1.6, 0.6
+"""Pedestrians wait this far back from the kerb (out of the way of turning vehicles); a crossover
+begins and ends there. They keep up to the second length to either side of the path's middle."""
 
 
 class Footway(NamedTuple):
@@ -66,21 +60,17 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
     ends = _orient(lines)
     begin, leave = ends[0]
     share = min(1.0, WALK_START_M / max(float(np.hypot(*(begin - leave))), 1e-9))
-    points = [leave + share * (begin - leave)]
+    way = [(leave, -1, True)]
+    for (_, leave), (enter, onward) in itertools.pairwise(ends):
+        way += [*_walk(road, leave, enter), (onward, -1, True)]
+    points = [ends[0][1] + share * (begin - ends[0][1])]
     crossed: list[tuple[int, int, int, bool]] = []  # with its first and its last point
-
-    def go_to(xy: FloatArray) -> None:
+    for xy, crossing, forward in way:
+        before = len(points) - 1
         if np.hypot(*(xy - points[-1])) > 1e-6:
             points.append(xy)
-
-    go_to(leave)
-    for (_, leave), (enter, onward) in itertools.pairwise(ends):
-        for xy, crossing, forward in _walk(road, leave, enter):
-            before = len(points) - 1
-            go_to(xy)
-            if crossing >= 0:
-                crossed.append((crossing, before, len(points) - 1, forward))
-        go_to(onward)
+        if crossing >= 0:
+            crossed.append((crossing, before, len(points) - 1, forward))
     line = np.array(points) * np.array([1.0, -1.0])
     size = np.hypot(*np.diff(line, axis=0).T)
     at = np.concatenate([[0.0], np.cumsum(size)]).tolist()
@@ -97,23 +87,18 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
 
 def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
     """Beginning and end of each sidewalk, in the order that connects the route."""
-    if len(lines) == 1:
-        return [(lines[0][0], lines[0][-1])]
-    found = []
-    for i, line in enumerate(lines):
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for line, after in itertools.zip_longest(lines, lines[1:]):
         a, b = line[0], line[-1]
-        if i + 1 < len(lines):
-            then = lines[i + 1]
-            to = min((then[0], then[-1]), key=lambda p: min(_far(p, a), _far(p, b)))
-            found.append((a, b) if _far(b, to) <= _far(a, to) else (b, a))
+        if after is not None:
+            far = [min(math.dist(p, a), math.dist(p, b)) for p in (after[0], after[-1])]
+            to = after[0] if far[0] <= far[1] else after[-1]
+            turned = math.dist(b, to) > math.dist(a, to)
         else:
-            before = found[-1][1]
-            found.append((a, b) if _far(a, before) <= _far(b, before) else (b, a))
+            before = found[-1][1] if found else a
+            turned = math.dist(a, before) > math.dist(b, before)
+        found.append((b, a) if turned else (a, b))
     return found
-
-
-def _far(a: FloatArray, b: FloatArray) -> float:
-    return float(np.hypot(*(a - b)))
 
 
 def _walk(road: Road, begin: FloatArray, end: FloatArray) -> list[tuple[FloatArray, int, bool]]:

@@ -13,7 +13,7 @@ from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.frames import Tracks
 from sim.highway.decide import _error, _late
-from sim.highway.draws import driver_key
+from sim.highway.driving import driver_key
 from sim.highway.state import blank_vehicles
 from sim.scenario import sample_agents
 

@@ -15,7 +15,7 @@ from scenarios.networks.build import find_program
 from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
-from sim.highway import entry
+from sim.highway import engine
 from sim.highway.engine import network_of, run
 from sim.highway.motion import CLEAR_AFTER_S
 from sim.highway.traffic import TrafficRoad
@@ -56,10 +56,15 @@ def tracks(name: str, agents, duration_s: float, seed: int = 0, **options) -> Tr
 
 def put(road, lane, s: float, speed: float, behavior: Behavior, number=0, law="IDM", **changes):
     (row,) = driver_rows([driver(behavior, number, **changes)], 0, law)
-    row["route"], network = road.route_number((lane[:2],)), road.network_info
-    entry.put(row, network.number[lane], s, speed, network.arrays)
+    row["route"], network = road.route_number((lane[:2],)), road.network
+    engine.put(row, network.number[lane], s, speed, network.arrays)
     road.add(row)
     return road.vehicles[-1]
+
+
+def change(vehicle, **values) -> None:
+    for name, value in values.items():
+        vehicle.table[name][vehicle.row] = value
 
 
 def straight_network():
@@ -93,8 +98,7 @@ def test_follows_at_the_law_s_equilibrium_gap_from_bumper_to_bumper(law):
     leader = put(road, lane, 100.0, 8.0, Behavior.CAREFUL, 1, speed_factor=slow, **changes)
     follower = put(road, lane, 70.0, 8.0, Behavior.CAREFUL, 2, law, **changes)
     for _ in range(700):
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
     profile = PROFILES[Behavior.CAREFUL]
     speed, wanted = follower.speed, profile.speed_factor * 13.89
     gap = leader.position[0] - follower.position[0] - (leader.LENGTH + follower.LENGTH) / 2
@@ -115,11 +119,10 @@ def test_stops_behind_what_stands_in_the_way(behavior):
     road = TrafficRoad(straight_network())
     for lane in range(3):
         block = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, behavior, 10 + lane)
-        block.stop_at, block.stop_until = math.inf, math.inf
+        change(block, stop_at=math.inf, stop_until=math.inf)
     own = put(road, ("east_in<", "east_out>", 1), 20.0, 14.0, behavior, 1)
     for _ in range(400):
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
     assert not own.crashed
     gap = 200.0 - own.position[0] - own.LENGTH
     assert own.speed < 0.3
@@ -152,8 +155,7 @@ def test_an_impatient_driver_overtakes_and_a_timid_one_stays_behind():
         slow = put(road, lane, 60.0, 5.0, Behavior.TIMID, 1, speed_factor=0.36, **changes)
         own = put(road, lane, 20.0, 9.0, behavior, 2)
         for _ in range(300):
-            road.act()
-            road.step(0.1)
+            road.advance(0.1)
         assert bool(own.position[0] > slow.position[0]) is overtakes
 
 
@@ -161,11 +163,10 @@ def test_a_lane_change_takes_about_three_seconds():
     road = TrafficRoad(straight_network())
     vehicle = put(road, ("east_in<", "east_out>", 1), 50.0, 12.0, Behavior.TIMID)
     begin = vehicle.position[1]
-    vehicle.target_lane_index = vehicle.wanted_lane_index = ("east_in<", "east_out>", 0)
+    change(vehicle, target=0, wanted=0)
     taken = 0.0
     while abs(vehicle.position[1] - begin) < 3.0 and taken < 10.0:
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
         taken += 0.1
     assert 2.0 < taken < 4.5
 
@@ -176,8 +177,7 @@ def test_a_threatening_driver_cuts_in_just_ahead_of_somebody():
     changes = {"lane_change_gain": 0.0, "cut_in_rate_per_min": 600.0}
     own = put(road, ("east_in<", "east_out>", 1), 102.0, 10.5, Behavior.THREATENING, 2, **changes)
     for _ in range(60):
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
         if own.lane_index[2] != 1:
             break
     assert own.lane_index[2] == 0
@@ -350,18 +350,16 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
 def test_a_collision_is_noted_and_cleared():
     road = TrafficRoad(straight_network())
     standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
-    standing.stop_at, standing.stop_until = math.inf, math.inf
+    change(standing, stop_at=math.inf, stop_until=math.inf)
     moving = put(road, ("east_in<", "east_out>", 1), 90.0, 14.0, Behavior.THREATENING, 2)
     for _ in range(10):
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
     (event,) = [e for e in road.take_events() if e.kind is EventKind.COLLISION]
     assert (event.agent, event.other) == (2, 1)
     assert moving.crashed
     assert standing.crashed
     for _ in range(round(10 * CLEAR_AFTER_S) + 5):
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
     assert road.vehicles == []
     assert [e.kind for e in road.take_events()] == [EventKind.REMOVAL] * 2
 
@@ -370,11 +368,10 @@ def test_traffic_behind_a_collision_goes_on_once_it_is_cleared():
     road = TrafficRoad(straight_network())
     for lane in range(3):
         wreck = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, Behavior.CAREFUL, lane)
-        wreck.crashed, wreck.crashed_at = True, 0.0
+        change(wreck, crashed=True, crashed_at=0.0)
     own = put(road, ("east_in<", "east_out>", 0), 120.0, 10.0, Behavior.CAREFUL, 9)
     for _ in range(300):
-        road.act()
-        road.step(0.1)
+        road.advance(0.1)
     assert not own.crashed
     assert own.position[0] > 210.0
 

@@ -38,13 +38,13 @@ def test_a_straight_road_is_one_stretch_with_lanes_counted_from_the_left():
     assert leftmost.points[0, 1] == -max(
         lane.centerline[0, 1] for lane in road.lanes if lane.edge == "east_in"
     )
-    strips = made.strips["east_in<", "east_out>", 0]
-    assert [strip[1:3] for strip in strips] == [(398.0, 402.0)]
+    strips = made.strips_of(("east_in<", "east_out>", 0))
+    assert strips[["near", "far"]].tolist() == [(398.0, 402.0)]
 
 
 def test_junction_paths_join_lanes_and_know_their_light_and_their_foes():
     made = network("four_way_intersection")
-    paths = list(made.links)
+    paths = list(made.exit_of)
     assert len(paths) == len(made.road.connections) == 16
     for (lane, stretch), path in made.onward.items():
         begin, end = made.lanes[lane], made.lanes[made.exit_of[path]]
@@ -52,7 +52,7 @@ def test_junction_paths_join_lanes_and_know_their_light_and_their_foes():
         np.testing.assert_allclose(way.position(0, 0), begin.position(begin.length, 0), atol=0.1)
         np.testing.assert_allclose(way.position(way.length, 0), end.position(0, 0), atol=0.1)
         assert made.exit_of[path][:2] == stretch
-    assert all(made.links[path].signal >= 0 for path in paths)
+    assert all(made.arrays.lanes[made.number[path]].signal >= 0 for path in paths)
     straight, parallel = (made.number[(*FOUR_WAY, i)] for i in range(2))
     assert not made.arrays.lanes[straight].must_yield
     for conflict in conflicts_of(made, straight):

@@ -1,4 +1,4 @@
-"""Who is on which lane, who is ahead and behind on it, and how everybody moves."""
+"""Places along lanes; who is on which lane, and who is ahead and behind on it."""
 
 from __future__ import annotations
 
@@ -8,23 +8,98 @@ from typing import Final
 import numpy as np
 
 from sim.compiled import in_place
+from sim.frames import FloatArray, IntArray
 from sim.highway.driving import Beside
-from sim.highway.state import FloatArray, IntArray, Scene
-from sim.highway.tables import LONGEST_M, Net, project
+from sim.highway.state import LONGEST_M, Net, Records, Scene
 
-ALIGNED: Final = 0.5
-"""A vehicle turned by more than 60 degrees from a lane crosses it and is not on it. On stretches,
-unlike on junction paths, one that faces the other way is."""
+BLEND_M: Final = 2.0
+"""The heading turns from one piece's to the next's within this distance of the corner (half a
+wheelbase)."""
 
-JOINED_M: Final = 2.0
-"""A vehicle this far before the beginning of the next lane, and in line with it, leads onto it,
-whichever way it comes (half a car)."""
+ALIGNED, JOINED_M = 0.5, 2.0
+"""A vehicle that faces a lane's direction less than this (by the cosine) crosses it and is not on
+it; on stretches, unlike on junction paths, one that faces the other way is. A vehicle this far
+before the beginning of the next lane, and in line with it, leads onto it, whichever way it comes
+(half a car)."""
 
-LEADER_RANGE_M: Final = 200.0
-"""Leaders farther ahead are not looked for."""
+LEADER_RANGE_M, MOST_LANES = 200.0, 4
+"""Leaders farther ahead are not looked for, nor those on later lanes than so many after the
+present one."""
 
-MOST_LANES: Final = 4
-"""A leader is looked for on the present lane and on this many after it."""
+
+@in_place(inner=True)
+def project(x: float, y: float, k: int, net: Net) -> tuple[float, float, int]:
+    """Distance along a lane of a point, how far to the right it is, m, and the piece there."""
+    return project_on(x, y, net.lanes[k].piece, net.lanes[k].piece_end, net.pieces)
+
+
+@in_place()
+def project_on(
+    x: float, y: float, first: int, end: int, pieces: Records
+) -> tuple[float, float, int]:
+    """The same on the line of the pieces from ``first`` to before ``end``."""
+    best, s, lateral, found = np.inf, 0.0, 0.0, first
+    for g in range(first, end):
+        piece = pieces[g]
+        dx, dy = x - piece.x, y - piece.y
+        along, across = dx * piece.dx + dy * piece.dy, dy * piece.dx - dx * piece.dy
+        clipped, side = along, across
+        if along < 0.0 and g > first:
+            clipped = 0.0
+            side = piece.outside if piece.outside != 0.0 else across
+        elif along > piece.size and g + 1 < end:
+            clipped = piece.size
+            side = piece.outside_end if piece.outside_end != 0.0 else across
+        beyond = along - clipped
+        if max(abs(across), abs(beyond)) >= best:
+            continue  # the distance is no less than either
+        distance = math.hypot(across, beyond) if beyond != 0.0 else abs(across)
+        if distance < best:
+            best, s, lateral, found = distance, piece.begin + clipped, side, g
+    return s, math.copysign(best, lateral), found
+
+
+@in_place(inner=True)
+def heading_at(s: float, k: int, net: Net) -> float:
+    """A lane's heading at a distance along it, rad."""
+    turns, low, last = net.turns, net.lanes[k].turn, net.lanes[k].turn_end - 1
+    if s < turns[low].at:
+        return float(turns[low].heading)
+    high = last
+    while low < high:  # to the last entry not after s
+        middle = (low + high + 1) // 2
+        if turns[middle].at <= s:
+            low = middle
+        else:
+            high = middle - 1
+    one = turns[low]
+    if low == last or one.at == s:
+        return float(one.heading)
+    then = turns[low + 1]
+    slope = (then.heading - one.heading) / (then.at - one.at)
+    return float(slope * (s - one.at) + one.heading)
+
+
+@in_place(inner=True)
+def curvature_at(s: float, k: int, net: Net) -> float:
+    """How fast a lane's heading turns around a place, rad/m."""
+    after, before = heading_at(s + BLEND_M / 2, k, net), heading_at(s - BLEND_M / 2, k, net)
+    return (after - before) / BLEND_M
+
+
+@in_place()
+def closest_lane(x: float, y: float, heading: float, net: Net) -> int:
+    """The lane closest to a place by highway-env's measure; ``heading`` is NaN if it is unknown."""
+    best, found = np.inf, 0
+    for k in range(net.lanes.size):
+        s, lateral, _ = project(x, y, k, net)
+        away = abs(lateral) + max(s - net.lanes[k].length, 0.0) + max(-s, 0.0)
+        if not math.isnan(heading):
+            off = heading - heading_at(s, k, net)
+            away += abs((off + math.pi) % (2.0 * math.pi) - math.pi)
+        if away < best:
+            best, found = away, k
+    return found
 
 
 @in_place(inner=True)
@@ -190,12 +265,10 @@ def beside(i: int, lane: int, scene: Scene) -> Beside:
 
 @in_place()
 def read_motion(order: IntArray, scene: Scene, motion: FloatArray) -> None:
-    """Read how everybody moves, in the axes of a `Frame`.
+    """Read how everybody moves, in the axes of a `Frame`, in the order of (n,) rows.
 
-    Args:
-        order: (n,) rows; pedestrians are counted after the vehicles.
-        scene: the road.
-        motion: (4 n,) receives all places, x and y, m, then headings, rad, then speeds, m/s.
+    Pedestrians are counted after the vehicles. ``motion``, (4 n,), receives all places, x and y,
+    then headings, then speeds.
     """
     n = order.size
     for k in range(n):
