@@ -8,7 +8,7 @@ explains them.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from behaviors.errors import InputError
 from behaviors.toml_files import in_file, read_toml
-from scenarios import SCENARIOS, ScenarioEntry
+from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.own_road import own_road
 from sim.invalid_fields import first_wrong_field
@@ -161,8 +161,8 @@ def is_path(name: str) -> bool:
     return "." in name or "/" in name or "\\" in name
 
 
-def scenario_at(path: Path) -> ScenarioEntry:
-    """The scenario of a TOML file or of a map."""
+def scenario_at(path: Path, registered: Mapping[str, ScenarioEntry]) -> ScenarioEntry:
+    """The scenario of a map, or of a TOML file, which may differ from a registered one."""
     if path.suffix != SCENARIO_SUFFIX:
         if not path.is_file():
             raise InputError(
@@ -183,5 +183,5 @@ def scenario_at(path: Path) -> ScenarioEntry:
             raise InputError(f"scenario: found {read.scenario!r:.60}, expected a registered one")
         else:
             with in_file("scenario"):
-                function = SCENARIOS[str(read.scenario)].function
+                function = registered[str(read.scenario)].function
     return ScenarioEntry(read.name or name_of(path), function, given, read.limits_mps or ())
