@@ -59,13 +59,7 @@ class PriorShift:
         self._answers: FloatArray = np.empty((0, trained.size))
 
     def observe(self, time_s: float, ids: IntArray, probability: FloatArray) -> None:
-        """Update the estimate with the answers of one moment.
-
-        Args:
-            time_s: not earlier than at the call before.
-            ids: (n,) agents, each once.
-            probability: (n, C) the classifier's uncorrected answers.
-        """
+        """Update the estimate with the classifier's uncorrected answers (n, C) of one moment."""
         absent = ~np.isin(self._ids, ids)
         gone = absent & (self._seen_s < time_s - FORGET_S)
         self._counted = self._counted + self._answers[gone].sum(axis=0)

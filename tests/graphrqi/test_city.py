@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from graphrqi.predict.scene.priority import priority_of
+from graphrqi.predict.scene.paths import priority_of
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from scenarios.city import city_agents, city_scenario

@@ -146,11 +146,7 @@ def _line(path: Path, element: Element | None, what: str) -> FloatArray:
     points = [] if element is None else list(element.iter("point"))
     if len(points) < 2:
         raise InputError(f"{path}: {what}: found {len(points)} points, expected 2 or more")
-    texts = [[point.findtext(axis) or "" for axis in "xy"] for point in points]
-    try:
-        return np.array(texts, dtype=np.float64)
-    except ValueError:
-        raise InputError(f"{path}: {what}: found a point that is not a number") from None
+    return np.array([[real(path, one.findtext(axis), what) for axis in "xy"] for one in points])
 
 
 def _signs(path: Path, root: Element) -> Signs:
