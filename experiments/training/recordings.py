@@ -18,8 +18,8 @@ import numpy as np
 
 from behaviors.errors import InputError
 from experiments.score.predictions import HISTORY_S, future
-from graphrqi.predict.networks.futures import TIME_S
-from graphrqi.predict.recorded.gaps import inferred_leaders
+from graphrqi.predict.networks import TIME_S
+from graphrqi.predict.recorded.features import inferred_leaders
 from sim.formats import get_reader, recognise, recording_files
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
