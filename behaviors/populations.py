@@ -126,15 +126,12 @@ class Population:
                 raise InputError(f"{where}{name}: found {found}, expected {shape} numbers")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        for (name, (least, most)), median in zip(BELIEVED.items(), self.median, strict=True):
-            if not least <= median <= most:
-                raise InputError(
-                    f"{where}{name}.median: found {median:g}, expected {least:g} to {most:g}"
-                )
-        if not ((self.log_spread >= 0) & (self.log_spread <= MOST_SPREAD)).all():
-            raise InputError(
-                f"{where}log_spread: found {self.log_spread}, expected 0 to {MOST_SPREAD:g}"
-            )
+        limits = [(f"{name}.median", *bounds) for name, bounds in BELIEVED.items()]
+        limits += [(f"{name}.log_spread", 0.0, MOST_SPREAD) for name in NUMBERS]
+        values = np.concatenate([self.median, self.log_spread]).tolist()
+        for (name, least, most), value in zip(limits, values, strict=True):
+            if not least <= value <= most:
+                raise InputError(f"{where}{name}: found {value:g}, expected {least:g} to {most:g}")
         symmetric = np.allclose(self.correlation, self.correlation.T, atol=1e-6)
         ones = np.allclose(np.diag(self.correlation), 1.0, atol=1e-6)
         if not symmetric or not ones or np.linalg.eigvalsh(self.correlation)[0] < -1e-6:
@@ -155,14 +152,8 @@ class Population:
     def draw(self, behavior: Behavior, rng: np.random.Generator, spread: float) -> Profile:
         """One driver of a behaviour.
 
-        Args:
-            behavior: the class to draw from.
-            rng: source of randomness; the number of draws varies.
-            spread: log-normal spread of the profile's other numbers.
-
-        Returns:
-            The driver's own profile. Draws beyond `FARTHEST` spreads (`FARTHEST_SPREADS` for the
-            profile's other numbers) are drawn again.
+        Draws beyond `FARTHEST` spreads (`FARTHEST_SPREADS` for the profile's other numbers, whose
+        log-normal spread is ``spread``) are drawn again.
 
         Raises:
             InputError: if no draw reaches `LOWEST_HEADWAY_S`.
@@ -182,14 +173,9 @@ class Population:
         )
 
     @property
-    def sha256(self) -> str:
-        """Checksum of its file as `to_toml` writes it."""
-        return hashlib.sha256(self.to_toml().encode()).hexdigest()
-
-    @property
     def option(self) -> dict[str, str]:
-        """The population's name and checksum, as an episode stores them."""
-        return {"name": self.name, "sha256": self.sha256}
+        """The population's name and the checksum of its file, as an episode stores them."""
+        return {"name": self.name, "sha256": hashlib.sha256(self.to_toml().encode()).hexdigest()}
 
     def table(self) -> dict[str, Any]:
         """The content of its file, numbers to six digits."""
@@ -273,8 +259,7 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
             or what such a file says.
 
     Raises:
-        InputError: if the population or file is missing or broken; the message names the file and
-            the key.
+        InputError: if it is missing or broken; the message names the file and the key.
 
     Examples:
         >>> read_population("profiles").log_spread.tolist()
@@ -296,18 +281,19 @@ def _of_table(table: Mapping[str, Any]) -> Population:
     """The population that a table describes, as `Population.table` gives it."""
     said = {"drivers": 0, "around": "population", **table}
     whole = isinstance(said["drivers"], int) and said["drivers"] >= 0
-    for key, good, expected in (
-        ("schema_version", said.pop("schema_version", None) == 1, "1"),
-        *((key, isinstance(said.get(key), str), "text") for key in TEXTS),
-        ("drivers", whole, "a whole number >= 0"),
-        ("around", said["around"] in tuple(Around), " or ".join(Around)),
-        ("numbers", isinstance(said.get("numbers"), Mapping), "a table for each number"),
-    ):
+    checks = {
+        "schema_version": (said.get("schema_version") == 1, "1"),
+        **{key: (isinstance(said.get(key), str), "text") for key in TEXTS},
+        "drivers": (whole, "a whole number >= 0"),
+        "around": (said["around"] in tuple(Around), " or ".join(Around)),
+        "numbers": (isinstance(said.get("numbers"), Mapping), "a table for each number"),
+    }
+    for key, (good, expected) in checks.items():
         if not good:
             raise InputError(f"{key}: found {table.get(key)!r:.60}, expected {expected}")
-    numbers = said.pop("numbers")
     for key in said:
-        lookup(dict.fromkeys((*TEXTS, "drivers", "around")), key, "key")
+        lookup(checks, key, "key")
+    numbers = said["numbers"]
     name, source, law = (_plain(said[key][:500]) for key in TEXTS)
     found = [_number(numbers.get(key), f"numbers.{key}") for key in NUMBERS]
     median, spread, correlation = (np.array(values) for values in zip(*found, strict=True))

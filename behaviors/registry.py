@@ -25,8 +25,7 @@ class Registry(Mapping[str, T], Generic[T]):
     """Things by name: those of this package, then those of installed plugins.
 
     Looking at the names loads nothing. Asking for an unknown name is an `InputError` that suggests
-    the nearest one; `get` returns a default instead. Entries can be set and deleted to try
-    something out in one process.
+    the nearest one. Entries can be set and deleted to try something out in one process.
 
     Args:
         what: what the registry holds, in the singular ("solver"); used in messages.
@@ -100,13 +99,11 @@ class Registry(Mapping[str, T], Generic[T]):
         found: dict[str, Any] = dict(self._entries)
         for plugin in _entry_points(tuple(sys.path)).get(self._group, ()):
             if plugin.name in found:
-                owner = "graphrqi"
-                if plugin.name not in self._entries:
-                    owner = _distribution(found[plugin.name])
+                other = found[plugin.name]
+                owner = "graphrqi" if plugin.name in self._entries else _distribution(other)
                 raise InputError(
                     f"{self._what} {plugin.name!r}: found it in {owner} and in the plugin "
-                    f"{_distribution(plugin)} ({plugin.value}), expected it once; "
-                    "uninstall or rename one"
+                    f"{_distribution(plugin)} ({plugin.value}), expected it once"
                 )
             found[plugin.name] = plugin
         return found
@@ -135,13 +132,10 @@ def loaded(source: str) -> Any:
 
 
 def own_function(what: str, source: str) -> Callable[..., Any]:
-    """The function of the user's own that "module:function" names.
+    """The function of the user's own that "module:function" names; messages say ``what`` it is.
 
-    Its module runs, so no name that was read from a file may come here.
-
-    Args:
-        what: what the function is to be ("policy"); used in messages.
-        source: the module is installed or lies in the working folder.
+    The module is installed or lies in the working folder. It runs, so no name that was read from a
+    file may come here.
 
     Raises:
         InputError: if there is none, or its module does not load.
@@ -168,8 +162,7 @@ def _reason(error: Exception) -> str:
 
 
 def _distribution(plugin: EntryPoint) -> str:
-    made = plugin.dist
-    return "an unknown distribution" if made is None else f"{made.name} {made.version}"
+    return f"{plugin.dist.name} {plugin.dist.version}" if plugin.dist else "an unknown distribution"
 
 
 @lru_cache(maxsize=1)

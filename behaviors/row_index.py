@@ -24,21 +24,11 @@ BLOCK_ROWS: Final = 200_000
 
 
 def find_sorted(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
-    """Places of ids in an ascending array, and which of them stand there.
-
-    Args:
-        known: (m,) ascending ids.
-        ids: ids of any shape, in any order.
-
-    Returns:
-        The index into `known` of each id that stands there (of another one's where it does not),
-        and whether it stands there.
+    """The index of each id in (m,) ascending ``known`` ones, and whether it is there.
 
     Examples:
         >>> find_sorted(np.array([2, 5, 9]), np.array([5, 7, 10]))
         (array([1, 2, 2]), array([ True, False, False]))
-        >>> find_sorted(np.array([], dtype=int), np.array([5]))
-        (array([0]), array([False]))
     """
     if known.size == 0:
         return np.zeros(ids.shape, dtype=np.int64), np.zeros(ids.shape, dtype=bool)
@@ -102,17 +92,9 @@ class RowIndex:
         return at.start if at.stop > at.start else -1
 
     def over(self, values: NDArray[V], agent: int, begin: int, end: int, empty: Any) -> NDArray[V]:
-        """One agent's values at every time of a span.
+        """(end - begin, ...) values of one agent from time ``begin`` until before ``end``.
 
-        Args:
-            values: (m, ...) one value per row.
-            agent: which agent.
-            begin: first time.
-            end: one past the last.
-            empty: fills the times at which the agent was not seen.
-
-        Returns:
-            (end - begin, ...) values.
+        ``values`` has one for each row; ``empty`` fills the times at which it was not seen.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[False, True, True, False, True]]))
@@ -125,11 +107,9 @@ class RowIndex:
         return filled
 
     def runs(self, flags: BoolArray, shortest: int = 1) -> Iterator[slice]:
-        """The rows of each unbroken stretch of time over which a condition holds for one agent.
+        """The rows of each unbroken stretch of time over which flags (m,) hold for one agent.
 
-        Args:
-            flags: (m,) where the condition holds.
-            shortest: leave out stretches shorter than this.
+        Stretches shorter than ``shortest`` are left out.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))
@@ -160,29 +140,16 @@ class RowIndex:
         return np.bincount(self.step, minlength=self.times)
 
     @cached_property
-    def _cells(self) -> IntArray:
+    def cells(self) -> IntArray:
+        """(m,) number of each row's agent and time, in an array of all agents at all times."""
         return self.agent * self.times + self.step
 
     def find(self, agent: IntArray, step: IntArray) -> tuple[IntArray, BoolArray]:
-        """The row for each agent and time, and whether there is one; if none, the row is any.
-
-        Examples:
-            >>> seen = RowIndex.of(np.array([[False, True], [True, False]]))
-            >>> seen.find(np.array([0, 1]), np.array([1, 1]))[1].tolist()
-            [True, False]
-        """
-        return find_sorted(self._cells, np.asarray(agent * self.times + step))
+        """The row for each agent and time, and whether there is one; if none, the row is any."""
+        return find_sorted(self.cells, np.asarray(agent * self.times + step))
 
     def part(self, agents: IntArray, times: slice | IntArray) -> tuple[IntArray, RowIndex]:
-        """The rows of some agents at some of the times.
-
-        Args:
-            agents: indices of the agents, ascending.
-            times: which times; as indices, ascending.
-
-        Returns:
-            Their rows, and the index in which these agents and times have new numbers.
-        """
+        """The rows of some agents at some of the times, both ascending, and their own index."""
         times = np.arange(self.times)[times]
         order, begins = self.by_time
         rows = np.sort(order[begins[times[0]] : begins[times[-1] + 1]]) if times.size else times
@@ -193,16 +160,11 @@ class RowIndex:
         return rows[some], index
 
     def time_blocks(self, most: int = BLOCK_ROWS) -> Iterator[tuple[IntArray, int, IntArray]]:
-        """All rows, in at least one block of consecutive times.
-
-        A loop over the blocks needs memory for one block only.
-
-        Args:
-            most: rows of a block; one time is never divided.
+        """All rows, in at least one block of consecutive times, for loops that save memory.
 
         Yields:
-            (k,) rows in order of time, then of agent; the first of the t times; (t + 1,) where in
-            the rows those of each time begin, and k.
+            (k,) rows in order of time, then of agent, at most ``most`` unless of one time; the
+            first of the t times; (t + 1,) where in the rows those of each time begin, and k.
 
         Examples:
             >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))

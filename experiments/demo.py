@@ -78,7 +78,7 @@ def main() -> None:
     show_table(rows, title="last answers about drivers", lines=lines)
     predictions = [row for row in rows if "predictor" in row]
     show_table(rows, title="predictions", lines=errors_table(predictions))
-    for finding in findings(read_source(out).rows):
+    for finding in findings(read_source(out)):
         print(f"- {finding}")
     print(f"\n{page}")
 

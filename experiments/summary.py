@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.traits import ShownTrait
-from experiments.score.metrics import bootstrap, ratio
+from experiments.score.metrics import ratio, row_of
 from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from sim.episode.annotate import annotated_parts
 from sim.formats import FORMATS
@@ -36,6 +36,13 @@ FOLLOWS_S, MOVES_MPS = 5.0, 3.0
 
 RATES: Final = {"_per_km": "km", "_per_h": "hours"}
 """Denominator of counts, by the end of the metric's name."""
+
+LEGEND: Final = (
+    "Rates are counts over the kilometres that a group's drivers drove; a conflict counts for both "
+    "parties. severe: a near miss whose collision would change a velocity by 5 m/s.\n"
+    "[low, high]: 95 % interval over episodes, from three on. --json and --out have rates per hour."
+)
+"""Text below the table for people."""
 
 _BASES: Final = ("drivers", "km", "hours", "headway", "follows", "close")
 """Sums that are no counts of what happened."""
@@ -109,8 +116,7 @@ def _rows(keys: dict[str, Cell], sums: dict[str, FloatArray]) -> Iterator[Row]:
         if not seen.any():
             yield tidy_row(keys, metric, None, n=0)
             continue
-        found = bootstrap(ratio, np.stack([top, below], axis=1)[seen])
-        yield tidy_row(keys, metric, *found, n=int(seen.sum()))
+        yield row_of(keys, metric, ratio, np.stack([top, below], axis=1)[seen], int(seen.sum()))
 
 
 def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArray]]:

@@ -9,10 +9,9 @@ uncompiled.
 
 from __future__ import annotations
 
-import gc
 import logging
 from collections.abc import Callable
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, TypeVar, cast
@@ -24,20 +23,18 @@ from numba.core.dispatcher import Dispatcher
 F = TypeVar("F", bound=Callable[..., object])
 
 LOGGER: Final = logging.getLogger("graphrqi")
-"""Says at level INFO that kernels are being compiled, once in a process, and at level DEBUG which.
-The command line shows the first."""
 
 NOTICE: Final = (
     "compiling numerical kernels that are used for the first time, up to 20 s; later runs find "
     "them compiled ..."
 )
-"""Notice of the wait at a first use."""
+"""Notice of the wait at a first use, given once in a process at level INFO."""
 
 _FOLDERS: dict[Callable[..., object], set[Path]] = {}
 """The folders whose Python files each kernel depends on."""
 
 
-def _compiled(function: F, *, kept: bool = True, **options: Any) -> F:
+def _kernel(function: F, *, kept: bool = True, **options: Any) -> F:
     """A kernel without what loops have no use for: an entry for C, fusion of array expressions."""
     unused: dict[str, Any] = {"no_cfunc_wrapper": True, "no_rewrites": True}
     return _noted(function, njit(cache=kept, error_model="numpy", **unused, **options)(function))
@@ -49,12 +46,12 @@ def compiled(function: F) -> F:
     Divisions follow IEEE 754 and nothing is reassociated, so results equal those of the same
     arithmetic in numpy to the bit.
     """
-    return _compiled(function)
+    return _kernel(function)
 
 
 def inner(function: F) -> F:
     """As `compiled`, for the calls of other kernels only: without an entry for Python."""
-    return _compiled(function, no_cpython_wrapper=True)
+    return _kernel(function, no_cpython_wrapper=True)
 
 
 def inlined(function: F) -> F:
@@ -62,28 +59,17 @@ def inlined(function: F) -> F:
     return _noted(function, njit(inline="always")(function))
 
 
-def reordered(function: F) -> F:
-    """As `compiled`, but sums and products may be reordered; the same on every run."""
-    return _compiled(function, fastmath=True)
-
-
 def vectorised(function: F) -> F:
-    """Compile ``function`` as `compiled` does, with vector instructions for tuples of numbers.
+    """As `compiled`, with vector instructions for tuples of numbers; nothing is reordered.
 
-    The compiler then packs like operations on neighbouring numbers, also in the kernels that this
-    one calls first. Numba leaves that out by default; nothing is reordered.
-
-    Args:
-        function: a function in numba's subset of Python.
-
-    Returns:
-        As `compiled`.
+    The compiler packs like operations on neighbouring numbers, also in the kernels that this one
+    calls first. Numba leaves that out by default.
     """
     settings: Any = config
     kernel: Any = compiled(function)
-    if not hasattr(kernel, "compile"):  # nothing is compiled (NUMBA_DISABLE_JIT)
-        return cast(F, kernel)
-    plain = kernel.compile
+    plain: Any = getattr(
+        kernel, "compile", None
+    )  # none where nothing is compiled (NUMBA_DISABLE_JIT)
 
     def with_vectors(signature: Any) -> Any:
         before, settings.SLP_VECTORIZE = settings.SLP_VECTORIZE, 1
@@ -92,7 +78,8 @@ def vectorised(function: F) -> F:
         finally:
             settings.SLP_VECTORIZE = before
 
-    kernel.compile = with_vectors
+    if plain is not None:
+        kernel.compile = with_vectors
     return cast(F, kernel)
 
 
@@ -104,13 +91,10 @@ def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F
 
     Args:
         inner: whether only other kernels call it, as of `inner`.
-        reordered: whether sums and products may be reordered, as of `reordered`.
-
-    Returns:
-        A decorator for functions in numba's subset of Python.
+        reordered: whether sums and products may be reordered; the same on every run.
     """
     options = {"_nrt": False, "no_cpython_wrapper": inner, "fastmath": reordered}
-    return lambda function: _compiled(function, **options)
+    return lambda function: _kernel(function, **options)
 
 
 @cache
@@ -120,41 +104,36 @@ def shared(function: F) -> F:
     It is stored in the cache files of the kernels that call it. Its own cache would be named after
     the function alone, and could hold code compiled with other options.
     """
-    return _compiled(function, kept=False, no_cpython_wrapper=True)
+    return _kernel(function, kept=False, no_cpython_wrapper=True)
 
 
 def _noted(function: F, kernel: Any) -> F:
-    """Note a kernel's folders; its cache is stale when a file in one of them changes."""
-    _FOLDERS[kernel] = _folders(function)
-    index = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    if index is not None:  # none where nothing is kept
-        index._source_stamp = tuple(_stamp(folder) for folder in sorted(_FOLDERS[kernel]))
-        index._load_index = _forgiving(index._load_index)
-    return cast(F, kernel)
+    """Note the folders of a kernel and of those that it names, itself or through modules.
 
-
-def _forgiving(load_index: Callable[[], Any]) -> Callable[[], Any]:
-    """Read a cache as empty if it names a type that is gone: numba restores types before stamps."""
-
-    def load() -> Any:
-        try:
-            return load_index()
-        except (AttributeError, ImportError):
-            return {}
-
-    return load
-
-
-def _folders(function: Callable[..., object]) -> set[Path]:
-    """The folders of a function and of the kernels that it names, itself or through modules."""
+    Its cache is stale when a file in one of them changes.
+    """
     named = [function.__globals__.get(name) for name in function.__code__.co_names]
     for module in [one for one in named if isinstance(one, ModuleType)]:
         named += vars(module).values()
     called = (_FOLDERS.get(value, set()) for value in named if isinstance(value, Dispatcher))
-    return {Path(function.__code__.co_filename).parent}.union(*called)
+    folders = {Path(function.__code__.co_filename).parent}.union(*called)
+    _FOLDERS[kernel] = folders
+    index = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    if index is not None:  # none where nothing is kept
+        index._source_stamp = tuple(_stamp(folder) for folder in sorted(folders))
+        load = index._load_index
+
+        def load_index() -> Any:
+            try:
+                return load()
+            except (AttributeError, ImportError):  # it names a type that is gone
+                return {}
+
+        index._load_index = load_index
+    return cast(F, kernel)
 
 
-@lru_cache
+@cache
 def _stamp(folder: Path) -> tuple[tuple[str, int, int], ...]:
     """Name, time and size of each Python file of a folder."""
     files = [(file.name, file.stat()) for file in sorted(folder.glob("*.py"))]
@@ -162,28 +141,20 @@ def _stamp(folder: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 class _Compilation(event.Listener):
-    """Says what a compilation is, and pauses garbage collection: it would find nothing to free."""
+    """Says that kernels are being compiled, once, and at level DEBUG which."""
 
-    def __init__(self) -> None:
-        self._nested = 0
-        self._was_on = self._announced = False
+    announced = False
 
     def on_start(self, event: Any) -> None:
         kernel = event.data["dispatcher"]
         if kernel in _FOLDERS:
-            if not self._announced:
-                self._announced = True
+            if not self.announced:
                 LOGGER.info(NOTICE)
+            self.announced = True
             LOGGER.debug("compiling %s", kernel.__qualname__)
-        if self._nested == 0:
-            self._was_on = gc.isenabled()
-            gc.disable()
-        self._nested += 1
 
     def on_end(self, event: Any) -> None:
-        self._nested -= 1
-        if self._nested == 0 and self._was_on:
-            gc.enable()
+        """Nothing is left to do."""
 
 
 event.register("numba:compile", _Compilation())  # type: ignore[no-untyped-call]

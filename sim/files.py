@@ -60,9 +60,6 @@ def is_remote(path: str | Path) -> bool:
 def local_path(path: str | Path) -> Path:
     """A path of this machine, also where it was given as a ``file://`` URL.
 
-    Args:
-        path: as a user gave it.
-
     Raises:
         InputError: if it is the URL of something else.
 
@@ -84,27 +81,14 @@ def user_cache() -> Path:
 
 @contextmanager
 def temporary_folder(purpose: str) -> Iterator[Path]:
-    """A folder below that for temporary files (``TMPDIR``), removed when the block ends.
-
-    Args:
-        purpose: a word for its name.
-    """
-    with tempfile.TemporaryDirectory(
-        prefix=f"graphrqi-{purpose}-", ignore_cleanup_errors=True
-    ) as folder:
+    """A folder in that of temporary files (``TMPDIR``), removed at the end; the word names it."""
+    prefix = f"graphrqi-{purpose}-"
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it appears as a whole or not at all.
-
-    Args:
-        path: where; its folder must exist. An older file there is replaced.
-        data: the content.
-
-    Raises:
-        OSError: if it cannot be written; nothing is left behind.
-    """
+    """Write a file so that it appears as a whole or not at all; see `whole_file`."""
     with whole_file(path) as partial:
         partial.write_bytes(data)
 
@@ -137,7 +121,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(local_path(path)))
     if not target.parent.is_dir():
         raise FileNotFoundError(2, "No such folder", str(target.parent))
-    partial = partial_path(target)
+    partial = _partial_path(target)
     try:
         yield partial
         os.replace(partial, target)
@@ -164,18 +148,16 @@ def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(local_path(path)))
     target.parent.mkdir(parents=True, exist_ok=True)
-    partial, old = partial_path(target), partial_path(target)
+    partial, old = _partial_path(target), _partial_path(target)
     try:
         partial.mkdir()
         yield partial
-        for child in target.iterdir() if target.is_dir() else ():
-            if child.name in outdated or os.path.lexists(partial / child.name):
-                continue
-            if child.is_dir() and not child.is_symlink():
-                shutil.copytree(child, partial / child.name, symlinks=True)
-            else:
-                shutil.copy2(child, partial / child.name, follow_symlinks=False)
         if target.is_dir():
+            new = {*outdated, *os.listdir(partial)}
+            shutil.copytree(
+                target, partial, symlinks=True, dirs_exist_ok=True,
+                ignore=lambda folder, names: new if folder == str(target) else (),
+            )  # fmt: skip
             os.replace(target, old)
         os.replace(partial, target)
     except BaseException as error:
@@ -190,9 +172,6 @@ def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
 def new_folder(path: Path) -> Iterator[Path]:
     """As `whole_folder`, where there is nothing yet.
 
-    Args:
-        path: a new or empty folder.
-
     Raises:
         InputError: if there is something.
         OSError: if it cannot be written; nothing is left behind.
@@ -206,26 +185,24 @@ def new_folder(path: Path) -> Iterator[Path]:
         yield folder
 
 
-def partial_path(path: Path) -> Path:
+def _partial_path(path: Path) -> Path:
     """A new hidden name beside a path, for what is not finished."""
     return path.parent / f"{PARTIAL_PREFIX}{path.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 
-def filesystem(protocol: str) -> AbstractFileSystem:
-    """The client of a protocol, made once per process: a forked one cannot use its parent's.
-
-    Args:
-        protocol: ``file``, ``s3``, ``gs``, ``memory`` or another one that fsspec knows.
-
-    Raises:
-        InputError: if the protocol is unknown, or its package is not installed.
-    """
-    return _filesystem(protocol, os.getpid())
+def _name(error: BaseException, partial: Path, path: Path) -> None:
+    """Let an error of the system name the path that the user knows, not the hidden one."""
+    if not isinstance(error, OSError) or error.errno is None:
+        return
+    if error.filename is None or str(partial) in str(error.filename):
+        error.filename, error.filename2 = str(path), None
+    if str(partial) in str(error.strerror) or "Detail: [errno" in str(error.strerror):
+        error.strerror = os.strerror(error.errno)
 
 
 @cache
 def _filesystem(protocol: str, process: int) -> AbstractFileSystem:
-    """See `filesystem`."""
+    """The client of a protocol, made once per process: a forked one cannot use its parent's."""
     import fsspec
 
     try:
@@ -239,12 +216,8 @@ def _filesystem(protocol: str, process: int) -> AbstractFileSystem:
 
 
 @contextmanager
-def errors_named(name: str) -> Iterator[None]:
-    """In the block, errors of stores' clients, which have no common class, become `OSError`.
-
-    Args:
-        name: path or URL of what the block reads or writes, for the message.
-    """
+def _errors_named(name: str) -> Iterator[None]:
+    """In the block, errors of stores' clients, which have no common class, become `OSError`."""
     try:
         yield
     except FileNotFoundError:
@@ -259,20 +232,11 @@ def errors_named(name: str) -> Iterator[None]:
         raise OSError(5, f"{error!s:.200}".replace("\n", " "), name) from error
 
 
-def _name(error: BaseException, partial: Path, path: Path) -> None:
-    """Let an error of the system name the path that the user knows, not the hidden one."""
-    if not isinstance(error, OSError) or error.errno is None:
-        return
-    if error.filename is None or Path(error.filename).is_relative_to(partial):
-        error.filename = str(path)
-        error.filename2 = None
-    if str(partial) in str(error.strerror) or "Detail: [errno" in str(error.strerror):
-        error.strerror = os.strerror(error.errno)
-
-
 @dataclass(frozen=True, slots=True)
 class Place:
     """A folder of files, on a disk or in an object store. Names are relative, with slashes.
+
+    Reading a file that does not exist is a `FileNotFoundError`.
 
     Attributes:
         url: what people call it: a path, or a URL.
@@ -293,43 +257,33 @@ class Place:
     @property
     def filesystem(self) -> AbstractFileSystem:
         """File system that reads and writes it."""
-        return filesystem(self.url.partition("://")[0] if self.remote else "file")
+        return _filesystem(self.url.partition("://")[0] if self.remote else "file", os.getpid())
 
     def full(self, name: str = "") -> str:
         """A file's name as the filesystem has it."""
         root = self.url.partition("://")[2] if self.remote else os.path.abspath(self.url)
         return f"{root}/{name}" if name else root
 
-    def _called(self, name: str) -> str:
-        """A file's name as people call it."""
-        return f"{self.url}/{name}" if name else self.url
+    def _call(self, method: str, name: str, *arguments: Any, **options: Any) -> Any:
+        """A method of the file system for a file, whose errors name it as people do."""
+        with _errors_named(f"{self.url}/{name}" if name else self.url):
+            return getattr(self.filesystem, method)(self.full(name), *arguments, **options)
 
     def size(self, name: str) -> int | None:
         """Bytes of a file; None where there is none."""
         try:
-            with errors_named(self._called(name)):
-                found = self.filesystem.info(self.full(name))
+            found = self._call("info", name)
         except (FileNotFoundError, NotADirectoryError):
             return None
         return int(found["size"]) if found["type"] == "file" else None
 
     def stamp(self, name: str) -> str:
-        """Stamp that changes when a file does.
-
-        Raises:
-            FileNotFoundError: if the file does not exist.
-        """
-        with errors_named(self._called(name)):
-            return str(self.filesystem.ukey(self.full(name)))
+        """Stamp that changes when a file does."""
+        return str(self._call("ukey", name))
 
     def open(self, name: str) -> IO[bytes]:
-        """A file, opened for reading.
-
-        Raises:
-            FileNotFoundError: if the file does not exist.
-        """
-        with errors_named(self._called(name)):
-            return cast("IO[bytes]", self.filesystem.open(self.full(name), "rb"))
+        """A file, opened for reading."""
+        return cast("IO[bytes]", self._call("open", name, "rb"))
 
     def for_arrow(self, name: str) -> Any:
         """A file for Arrow to read; its own of this machine, whose threads need no Python."""
@@ -345,21 +299,14 @@ class Place:
         return self.filesystem if self.remote else LocalFileSystem()
 
     def read(self, name: str) -> bytes:
-        """A file's bytes.
-
-        Raises:
-            FileNotFoundError: if the file does not exist.
-        """
-        with errors_named(self._called(name)):
-            return cast(bytes, self.filesystem.cat_file(self.full(name)))
+        """A file's bytes."""
+        return cast(bytes, self._call("cat_file", name))
 
     def files(self, prefix: str = "") -> dict[str, int]:
         """Sizes of the files below a folder, by name, sorted; hidden ones are left out."""
-        with errors_named(self._called(prefix)):
-            full = self.full(prefix)
-            if not self.filesystem.exists(full):
-                return {}
-            found: dict[str, Any] = self.filesystem.find(full, detail=True)
+        if not self._call("exists", prefix):
+            return {}
+        found: dict[str, Any] = self._call("find", prefix, detail=True)
         begin = len(self.full().strip("/")) + 1
         named = {path.strip("/")[begin:]: int(one["size"] or 0) for path, one in found.items()}
         return {
@@ -377,7 +324,7 @@ class Place:
     def put(self, file: Path, name: str) -> None:
         """Move a finished file of this machine here, where it appears as a whole or not at all."""
         if self.remote:
-            with errors_named(self._called(name)):
+            with _errors_named(f"{self.url}/{name}"):
                 self.filesystem.put_file(str(file), self.full(name))
             file.unlink()
             return
@@ -386,12 +333,8 @@ class Place:
         os.replace(file, target)
 
     def checksum(self, name: str) -> str:
-        """SHA-256 of a file, which is never in memory as a whole.
-
-        Raises:
-            FileNotFoundError: if there is none.
-        """
-        with errors_named(self._called(name)), self.open(name) as file:
+        """SHA-256 of a file, which is never in memory as a whole."""
+        with _errors_named(f"{self.url}/{name}"), self.open(name) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 

@@ -7,12 +7,12 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,11 +77,7 @@ SIGNALS: Final[tuple[Signal, ...]] = tuple(Signal)
 
 
 def says_stop(signals: CodeArray) -> BoolArray:
-    """Select the signals that are red or yellow.
-
-    Args:
-        signals: codes into ``SIGNALS``, of any shape.
-    """
+    """Select the signals that are red or yellow, of codes into ``SIGNALS``."""
     return np.asarray((signals == Signal.RED.code) | (signals == Signal.YELLOW.code))
 
 
@@ -170,6 +166,12 @@ class Frame:
         return np.asarray(self.kind != PEDESTRIAN)
 
 
+MOVING: Final = ("xy", "heading", "speed")
+OF_AGENTS: Final = ("kind", "length", "width")
+"""Fields of frames that change with time, and those that are the agents' own."""
+
+_NOBODY: Final = Frame(0.0, [], np.empty((0, 2)), [], [], [], [], [])  # type: ignore[arg-type]
+
 BREAK_S: Final = 1.0
 """Longest time between two frames without a break, s."""
 
@@ -215,7 +217,6 @@ class Tracks:
 
     Tracks keep rows. The dense arrays ``xy``, ``heading``, ``speed`` and ``valid`` are filled on
     first use; above ``MAX_CELLS`` they raise an `InputError`, and everything else still works.
-    Tracks `of_dense` arrays keep these, and make rows on first use.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -257,8 +258,8 @@ class Tracks:
         if self.behavior is not None:
             shapes["behavior"] = (np.int8, (n,))
         check_and_freeze(self, shapes)
-        index = self.rows.index if "rows" in self.__dict__ else None
-        if index is not None and (index.agents, index.times) != (n, t):
+        index = self.rows.index
+        if (index.agents, index.times) != (n, t):
             found = f"{index.agents} agents at {index.times} times"
             raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if len(self.names) != n:
@@ -287,31 +288,14 @@ class Tracks:
         """
         n, t = np.shape(facts["ids"])[0], np.shape(facts["time_s"])[0]
         seen = np.asarray(valid, dtype=bool)
-        dense: dict[str, NDArray[Any]] = {"valid": frozen(seen)}
+        rows = {}
         for name, given, tail in (("xy", xy, (2,)), ("heading", heading, ()), ("speed", speed, ())):
             found, expected = np.asarray(given, dtype=np.float64), (n, t, *tail)
             if found.shape != expected or seen.shape != (n, t):
                 shape = found.shape if seen.shape == (n, t) else seen.shape
                 raise InputError(f"Tracks.{name}: found shape {shape}, expected {expected}")
-            dense[name] = frozen(np.where(seen[..., None] if tail else seen, found, np.nan))
-        tracks = cls.__new__(cls)
-        tracks.__dict__.update(
-            {"behavior": None, "events": (), "classes": BEHAVIORS, **facts, **dense}
-        )
-        tracks.__post_init__()
-        return tracks
-
-    if not TYPE_CHECKING:  # it is a field: mypy and the constructor know it
-
-        def __getattr__(self, name: str) -> Any:
-            """The rows of tracks that were made from dense arrays, when they are first needed."""
-            if name != "rows" or "valid" not in self.__dict__:
-                raise AttributeError(f"Tracks has no attribute {name}")
-            index = RowIndex.of(self.valid)
-            at = index.agent, index.step
-            rows = TrackRows(index, self.xy[at], self.heading[at], self.speed[at])
-            self.__dict__["rows"] = rows
-            return rows
+            rows[name] = found[seen]
+        return cls(rows=TrackRows(RowIndex.of(seen), **rows), **facts)
 
     def with_dense(self, **changes: Any) -> Tracks:
         """The same tracks with some arguments of `of_dense` replaced."""
@@ -343,13 +327,13 @@ class Tracks:
         index = self.rows.index
         if index.agents * index.times > MAX_CELLS:
             raise InputError(
-                f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected "
-                f"agents times times at most {MAX_CELLS} where all are looked at together: cut "
-                "the recording in time"
+                f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected a "
+                f"product of at most {MAX_CELLS}: cut the recording in time"
             )
-        filled = np.full((index.agents, index.times, *values.shape[1:]), empty, values.dtype)
-        filled[index.agent, index.step] = values
-        return frozen(filled)
+        tail = values.shape[1:]
+        filled = np.full((index.agents * index.times, *tail), empty, values.dtype)
+        filled[index.cells] = values
+        return frozen(filled.reshape(index.agents, index.times, *tail))
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickled state: the fields without the dense arrays."""
@@ -362,19 +346,20 @@ class Tracks:
         behaviors: dict[int, Behavior | None] | None = None,
         names: dict[int, str] | None = None,
     ) -> Tracks:
-        """Stack frames of one episode.
+        """Tracks of all agents that are in a frame of one episode.
 
         Args:
             frames: frames in time order.
             behaviors: the true behaviour of each agent id, if known.
             names: the source's name of each id; by default the id.
-
-        Returns:
-            Tracks of all agents that are in a frame.
         """
         seq = list(frames)
-        everyone = _joined(seq, "ids", np.int64)
-        ids, agent = np.unique(everyone, return_inverse=True)
+
+        def joined(name: str) -> NDArray[Any]:
+            """One array of all frames after each other."""
+            return np.concatenate([getattr(_NOBODY, name), *(getattr(f, name) for f in seq)])
+
+        ids, agent = np.unique(joined("ids"), return_inverse=True)
         step = np.repeat(np.arange(len(seq)), [f.ids.size for f in seq])
         order = np.argsort(agent, kind="stable")
         index = RowIndex.of_rows(agent[order], step[order], ids.size, len(seq))
@@ -386,21 +371,12 @@ class Tracks:
             classes = tuple(dict.fromkeys((*BEHAVIORS, *(b for b in labels if b is not None))))
             codes = np.array([-1 if b is None else classes.index(b) for b in labels], dtype=np.int8)
         return cls(
-            rows=TrackRows(
-                index,
-                _joined(seq, "xy", np.float64).reshape(-1, 2)[order],
-                _joined(seq, "heading", np.float64)[order],
-                _joined(seq, "speed", np.float64)[order],
-            ),
+            rows=TrackRows(index, *(joined(name)[order] for name in MOVING)),
             ids=ids,
             names=tuple((names or {}).get(int(i), str(int(i))) for i in ids),
-            kind=_joined(seq, "kind", np.int8)[last],
-            length=_joined(seq, "length", np.float64)[last],
-            width=_joined(seq, "width", np.float64)[last],
+            **{name: joined(name)[last] for name in OF_AGENTS},
             time_s=np.array([f.time_s for f in seq], dtype=np.float64),
-            signals=np.stack([f.signals for f in seq], axis=1)
-            if seq
-            else np.zeros((0, 0), dtype=np.int8),
+            signals=np.stack([f.signals for f in seq or [_NOBODY]], axis=1)[:, : len(seq)],
             behavior=codes,
             events=tuple(e for f in seq for e in f.events),
             classes=classes,
@@ -410,18 +386,13 @@ class Tracks:
         """The frame at index ``step``: the agents that are valid there."""
         time_s = float(self.time_s[step])
         before = float(self.time_s[step - 1]) if step > 0 else -np.inf
-        seen = self.rows
-        at = seen.index.at(step)
-        rows = seen.index.agent[at]
+        at = self.rows.index.at(step)
+        rows = self.rows.index.agent[at]
         return Frame(
             time_s=time_s,
             ids=self.ids[rows],
-            xy=seen.xy[at],
-            heading=seen.heading[at],
-            speed=seen.speed[at],
-            length=self.length[rows],
-            width=self.width[rows],
-            kind=self.kind[rows],
+            **{name: getattr(self.rows, name)[at] for name in MOVING},
+            **{name: getattr(self, name)[rows] for name in OF_AGENTS},
             signals=self.signals[:, step],
             events=tuple(e for e in self.events if before < e.time_s <= time_s),
         )
@@ -432,37 +403,29 @@ class Tracks:
             yield self.frame(step)
 
     def window(self, stop: int, steps: int) -> Tracks:
-        """The recent past of the agents that are present at index ``stop - 1``.
+        """The recent past of the agents that are present at index ``stop - 1``, its last column.
 
         Args:
             stop: index after the last frame.
             steps: how many frames at most; fewer at the beginning of the recording.
-
-        Returns:
-            Tracks of those agents only; the last column is index ``stop - 1``.
         """
         columns = slice(max(0, stop - steps), stop)
         index = self.rows.index
         return self.part(index.agent[index.at(stop - 1)], columns)
 
     def part(self, rows: IntArray, columns: slice | IntArray) -> Tracks:
-        """Some agents at some of the times.
+        """Some agents at some of the times, with the events between the first and the last of them.
 
         Args:
             rows: indices of the agents, ascending.
             columns: which times, at least one; as indices, ascending.
-
-        Returns:
-            Their tracks, with the events between the first and the last of these times.
         """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
         return Tracks(
             rows=self.rows.taken(*self.rows.index.part(rows, columns)),
             ids=self.ids[rows],
             names=tuple(self.names[i] for i in rows),
-            kind=self.kind[rows],
-            length=self.length[rows],
-            width=self.width[rows],
+            **{name: getattr(self, name)[rows] for name in OF_AGENTS},
             time_s=self.time_s[columns],
             signals=self.signals[:, columns],
             behavior=None if self.behavior is None else self.behavior[rows],
@@ -592,9 +555,3 @@ def _by_kind(codes: CodeArray) -> str:
     counts = np.bincount(codes, minlength=len(KINDS)).tolist()
     parts = [f"{count} {kind}" for kind, count in zip(KINDS, counts, strict=True) if count]
     return counted(codes.size, "agent") + (f" ({', '.join(parts)})" if parts else "")
-
-
-def _joined(frames: Sequence[Frame], name: str, dtype: Any) -> NDArray[Any]:
-    """One array of all frames after each other."""
-    parts = [getattr(frame, name) for frame in frames]
-    return np.concatenate(parts) if parts else np.empty(0, dtype=dtype)

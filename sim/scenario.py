@@ -154,27 +154,18 @@ class Scenario:
                 )
         for field_name, shares in (("mix", self.mix), ("kinds", self.kinds)):
             values = list(shares.values())
-            if any(not math.isfinite(v) or v < 0 for v in values):
-                raise InputError(f"{field_name}: found a share {values}, expected shares >= 0")
-            if abs(sum(values) - 1.0) > 1e-6:
-                raise InputError(
-                    f"{field_name}: found shares adding to {sum(values):g}, expected 1"
-                )
-        if not 0 <= self.spread <= MAX_SPREAD:
-            raise InputError(f"spread: found {self.spread}, expected 0 to {MAX_SPREAD:g}")
-        if not 0 <= self.jaywalk_share <= 1:
-            raise InputError(f"jaywalk_share: found {self.jaywalk_share}, expected 0 to 1")
-        if not 0 < self.duration_s <= MAX_DURATION_S:
-            raise InputError(
-                f"duration_s: found {self.duration_s}, expected seconds > 0, at most "
-                f"{MAX_DURATION_S:g}"
-            )
-        if not math.isfinite(self.step_s) or not 0.01 <= self.step_s <= 1.0:
-            raise InputError(f"step_s: found {self.step_s}, expected seconds from 0.01 to 1")
-        if self.duration_s < self.step_s:
-            raise InputError(
-                f"duration_s: found {self.duration_s}, expected at least a step of {self.step_s} s"
-            )
+            if not all(v >= 0 for v in values) or not abs(sum(values) - 1.0) <= 1e-6:
+                expected = "shares >= 0 that add up to 1"
+                raise InputError(f"{field_name}: found shares {values}, expected {expected}")
+        for field_name, least, most in (
+            ("spread", 0.0, MAX_SPREAD),
+            ("jaywalk_share", 0.0, 1.0),
+            ("step_s", 0.01, 1.0),
+            ("duration_s", self.step_s, MAX_DURATION_S),
+        ):
+            value = getattr(self, field_name)
+            if not least <= value <= most:
+                raise InputError(f"{field_name}: found {value}, expected {least:g} to {most:g}")
 
     @property
     def population_option(self) -> dict[str, Any]:
@@ -254,7 +245,7 @@ WALKING_SPEED_MPS: Final = (1.34, 0.26)
 def sample_agents(
     scenario: Scenario, seed: int, population: Population | None = None
 ) -> tuple[AgentSpec, ...]:
-    """Draw all agents of an episode, in order of departure.
+    """Draw all agents of an episode, in order of departure, with ids 0, 1, 2, ...
 
     Each flow draws from its own generator, so changing one flow leaves the agents of the others as
     they were.
@@ -263,12 +254,6 @@ def sample_agents(
         scenario: whose demand to draw.
         seed: any non-negative integer; the same seed draws the same agents.
         population: of which drivers are drawn; None for the scenario's.
-
-    Returns:
-        Agents with ids 0, 1, 2, ... in order of departure.
-
-    Raises:
-        InputError: if the seed is negative.
     """
     if seed < 0:
         raise InputError(f"seed: found {seed}, expected an integer >= 0")
@@ -315,20 +300,10 @@ def _draw_pedestrian(
 ) -> AgentSpec:
     seed = int(rng.integers(2**31))
     length, width, _ = DIMENSIONS_M[AgentKind.PEDESTRIAN]
-    mean, sd = WALKING_SPEED_MPS
-    return AgentSpec(
-        id=0,
-        kind=AgentKind.PEDESTRIAN,
-        behavior=None,
-        profile=None,
-        route=route,
-        depart_s=depart_s,
-        length_m=length,
-        width_m=width,
-        speed_mps=float(np.clip(rng.normal(mean, sd), 0.6, 2.2)),
-        seed=seed,
-        jaywalks=bool(rng.random() < scenario.jaywalk_share),
-    )
+    speed = float(np.clip(rng.normal(*WALKING_SPEED_MPS), 0.6, 2.2))
+    jaywalks = bool(rng.random() < scenario.jaywalk_share)
+    kind = AgentKind.PEDESTRIAN
+    return AgentSpec(0, kind, None, None, route, depart_s, length, width, speed, seed, jaywalks)
 
 
 def _draw_driver(
@@ -337,19 +312,19 @@ def _draw_driver(
     seed = int(rng.integers(2**31))
     behavior = _choose((*BEHAVIORS, *scenario.behaviors), scenario.mix, rng)
     kind = _choose(KINDS, scenario.kinds, rng)
-    limits = KIND_LIMITS[kind]
     profile = sample_profile(behavior.profile, rng, scenario.spread)
     if scenario.population is not None:
         own = np.random.default_rng((seed, _POPULATION_STREAM))
         profile = scenario.population.draw(behavior, own, scenario.spread)
-    profile = _limited(profile, limits)
+    profile = _limited(profile, kind)
     median, width, spread = DIMENSIONS_M[kind]
     length = median * math.exp(spread * rng.standard_normal())
     return AgentSpec(0, kind, behavior, profile, route, depart_s, length, width, 0.0, seed)
 
 
-def _limited(wanted: Profile, limits: KindLimits) -> Profile:
+def _limited(wanted: Profile, kind: AgentKind) -> Profile:
     """A driver's wishes as far as its vehicle can fulfil them."""
+    limits = KIND_LIMITS[kind]
     return dataclasses.replace(
         wanted,
         max_accel_mps2=min(wanted.max_accel_mps2, limits.max_accel_mps2),
@@ -382,9 +357,6 @@ def with_behavior(
         spread: how much drivers of one behaviour differ, as in `Scenario`.
         population: as in `Scenario`.
 
-    Returns:
-        The agent with that behaviour and its profile.
-
     Raises:
         InputError: if the agent is a pedestrian.
     """
@@ -393,13 +365,12 @@ def with_behavior(
     six = behavior in BEHAVIORS
     number = behavior.code if six else zlib.crc32(behavior.encode())  # the same in every file
     rng = np.random.default_rng((agent.seed, _REDRAWN_STREAM, number))
-    profile = (
-        sample_profile(behavior.profile, rng, spread)
-        if population is None
-        else population.draw(behavior, rng, spread)
-    )
-    profile = _limited(profile, KIND_LIMITS[agent.kind])
-    return dataclasses.replace(agent, behavior=behavior, profile=profile)
+    if population is None:
+        profile = sample_profile(behavior.profile, rng, spread)
+    else:
+        profile = population.draw(behavior, rng, spread)
+    limited = _limited(profile, agent.kind)
+    return dataclasses.replace(agent, behavior=behavior, profile=limited)
 
 
 def _choose(members: Sequence[M], shares: Mapping[M, float], rng: np.random.Generator) -> M:

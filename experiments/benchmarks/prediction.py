@@ -19,6 +19,7 @@ from behaviors.labels import BEHAVIORS
 from experiments.data.parallel import in_parallel
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
+from experiments.score.labels import beliefs
 from experiments.score.metrics import auc_over_episodes, bootstrap, ratio, root_ratio
 from experiments.score.predictions import (
     EVERY_S,
@@ -26,7 +27,6 @@ from experiments.score.predictions import (
     HORIZONS_S,
     MEASURES,
     Errors,
-    beliefs,
     instants,
     score_episode,
     score_predictions,

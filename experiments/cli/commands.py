@@ -73,21 +73,27 @@ def _command(panel: str, name: str, example: str) -> Callable[[Any], Any]:
     return app.command(name, rich_help_panel=panel, epilog=f"example: graphrqi {example}")
 
 
+def _show(
+    command: str, rows: Sequence[Row], json: Path | None, *, seed: int | None = None,
+    dataset: str | None = None, **shown: Any,
+) -> None:  # fmt: skip
+    """Print the table of a command's rows, or write them; ``shown`` is as `show_table` takes it."""
+    from experiments.score.rows import show_table, stamped
+
+    show_table(stamped(rows, command, seed, dataset), json, **shown)
+
+
 @_command(SIMULATE, "run", "run straight_road --flow dense --stream --predict")
 @with_traffic
 def run(
     scenario: ScenarioName = None,
-    stream: Annotated[bool, option("Classify drivers as they go.", "--stream")] = False,
-    predict: Annotated[bool, option("Predict, and score it.", "--predict")] = False,
+    stream: bool = option("Classify drivers as they go.", "--stream", default=False),
+    predict: bool = option("Predict, and score it.", "--predict", default=False),
     model: ModelName = "graphrqi-plus",
-    window: Annotated[
-        str | None,
-        option("Classify and predict only an agent and those within 100 m (or M), or an area.",
-               metavar="AGENT[:M] or X0,Y0,X1,Y1"),
-    ] = None,
-    out: Annotated[
-        Path | None, option("Keep the episode as a dataset, too.", metavar="FOLDER")
-    ] = None,
+    window: str | None = option(
+        "Classify and predict only an agent and those within 100 m (or M), or an area.",
+        metavar="AGENT[:M] or X0,Y0,X1,Y1"),
+    out: Path | None = option("Keep the episode as a dataset, too.", metavar="FOLDER"),
     seed: Seed = 0,
     json: Json = None,
     quiet: Quiet = False,
@@ -96,34 +102,25 @@ def run(
 ) -> None:  # fmt: skip
     """Run a scenario headless and sum up what happened."""
     from experiments.run import read_window, run_scenario, shown
-    from experiments.score.rows import show_table, stamped
 
     config = traffic.config([scenario] if scenario else None, episodes=1, seed=seed)
     used = model if stream or predict else None
     found = run_scenario(config, used, predict, quiet, read_window(window), out)
-    show_table(stamped(found, "run", seed), json, lines=shown(found))
+    _show("run", found, json, seed=seed, lines=shown(found))
 
 
 @_command(SIMULATE, "generate", "generate --scenario straight_road --episodes 9 --out roads")
 @with_traffic
 def generate(
     out: NewDataset,
-    scenario: Annotated[
-        list[str] | None,
-        option("A scenario's name, its TOML file, or a map; random_world draws one for each "
-               "episode; repeat for several. Needed, here or in the file.", names="scenario"),
-    ] = None,
-    episodes: Annotated[
-        int | None, option("Episodes per scenario. Needed, here or in the file.")
-    ] = None,
-    config: Annotated[
-        Path | None, file_option("The same options in a file.", metavar="FILE.toml")
-    ] = None,
-    seed: Annotated[int | None, option("Same seed, same bytes (default: 0).")] = None,
+    scenario: list[str] | None = option(
+        "A scenario's name, its TOML file, or a map; random_world draws one for each episode; "
+        "repeat for several. Needed, here or in the file.", names="scenario"),
+    episodes: int | None = option("Episodes per scenario. Needed, here or in the file."),
+    config: Path | None = file_option("The same options in a file.", metavar="FILE.toml"),
+    seed: int | None = option("Same seed, same bytes (default: 0)."),
     jobs: Jobs = None,
-    cluster: Annotated[
-        str | None, option("Dask scheduler, instead of processes.", metavar="ADDRESS")
-    ] = None,
+    cluster: str | None = option("Dask scheduler, instead of processes.", metavar="ADDRESS"),
     quiet: Quiet = False,
     *,
     traffic: Traffic,
@@ -149,32 +146,21 @@ def _say_size(out: Path) -> None:
 
 @_command(SIMULATE, "road", "road town.osm --out town")
 def road(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            help="SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.",
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        option("Write NAME.net.xml, the picture NAME.svg, and the scenario NAME.toml.",
-               metavar="NAME", callback=in_a_folder),
-    ] = None,
-    left_hand: Annotated[
-        bool | None,
-        typer.Option(
-            "--left-hand/--right-hand",
-            help="On which side traffic drives, of OpenStreetMap.",
-            show_default="as the map says",
-        ),
-    ] = None,
+    file: Annotated[Path, typer.Argument(
+        metavar="FILE",
+        help="SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.")],
+    out: Path | None = option(
+        "Write NAME.net.xml, the picture NAME.svg, and the scenario NAME.toml.",
+        metavar="NAME", callback=in_a_folder),
+    left_hand: bool | None = option(
+        "On which side traffic drives, of OpenStreetMap.", "--left-hand/--right-hand",
+        show_default="as the map says"),
     json: Json = None,
 ) -> None:  # fmt: skip
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
     from experiments.console.notices import say
     from experiments.guard import guarded_call
-    from experiments.score.rows import show_table, stamped, tidy_row
+    from experiments.score.rows import tidy_row
     from scenarios.own.survey import survey
     from sim.files import write_whole
     from sim.input_files import read_bytes
@@ -196,7 +182,7 @@ def road(
         value = line["value"]
         text, number = (value, None) if isinstance(value, str) else (None, value)
         rows.append(tidy_row({"text": text}, str(line["what"]), number))
-    show_table(stamped(rows, "road"), json, lines=lines)
+    _show("road", rows, json, lines=lines)
     if out is not None and str(json) != "-":
         say(f"{out}.net.xml, {out}.svg and {out}.toml: graphrqi run {out}.toml")
 
@@ -207,30 +193,20 @@ def import_(
     out: NewDataset,
     format: FormatName = None,
     net: Net = None,
-    types: Annotated[Path | None, file_option("vTypes of a SUMO recording, for sizes.")] = None,
+    types: Path | None = file_option("vTypes of a SUMO recording, for sizes."),
     labels: GivenLabels = None,
-    rate: Annotated[
-        float | None,
-        option("Frames per second, where the files are wrong.", metavar="HZ", min=1e-3),
-    ] = None,
-    shift: Annotated[
-        str | None, option("Move the map so far onto the positions, m.", metavar="X,Y")
-    ] = None,
-    columns: Annotated[
-        str | None,
-        option("Columns of your own table; also heading, speed, vx, vy, length, width, kind.",
-               metavar="id=NAME,t=NAME,x=NAME,y=NAME"),
-    ] = None,
-    units: Annotated[
-        str | None, option("Units of these columns, where they are not SI.", metavar="t=ms,x=ft")
-    ] = None,
-    name: Annotated[
-        str | None, option("What the scenario is called; the format's name if not.", metavar="NAME")
-    ] = None,
-    split: Annotated[
-        Literal["train", "validation", "test"] | None,
-        option("The part of the data that everything belongs to.", show_default="all"),
-    ] = None,
+    rate: float | None = option(
+        "Frames per second, where the files are wrong.", metavar="HZ", min=1e-3),
+    shift: str | None = option("Move the map so far onto the positions, m.", metavar="X,Y"),
+    columns: str | None = option(
+        "Columns of your own table; also heading, speed, vx, vy, length, width, kind.",
+        metavar="id=NAME,t=NAME,x=NAME,y=NAME"),
+    units: str | None = option(
+        "Units of these columns, where they are not SI.", metavar="t=ms,x=ft"),
+    name: str | None = option(
+        "What the scenario is called; the format's name if not.", metavar="NAME"),
+    split: Literal["train", "validation", "test"] | None = option(
+        "The part of the data that everything belongs to.", show_default="all"),
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Make a dataset of recordings in other formats."""
@@ -271,13 +247,11 @@ def _pairs(what: str, text: str | None) -> dict[str, str] | None:
 @_command(DATA, "export", "export data --format argoverse2 --out exported")
 def export(
     dataset: DatasetFolder,
-    format: Annotated[
-        str,
-        option("See graphrqi list; vtypes: SUMO's vehicle types of the drivers, of a dataset or "
-               "of behaviours (a TOML file, or distracted, novice).", "--format", metavar="KEY",
-               names="format"),
-    ],
-    out: Annotated[Path, option("New or empty folder.")],
+    format: str = option(
+        "See graphrqi list; vtypes: SUMO's vehicle types of the drivers, of a dataset or of "
+        "behaviours (a TOML file, or distracted, novice).",
+        "--format", metavar="KEY", names="format", default=...),
+    out: Path = option("New or empty folder.", default=...),
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Write a dataset, or its drivers alone, in another format."""
@@ -297,13 +271,13 @@ def verify(dataset: DatasetFolder, json: Json = None) -> None:
     """Compare every file with its checksum."""
     from experiments.console.notices import say
     from experiments.data.verify import verify_dataset
-    from experiments.score.rows import show_table, stamped, tidy_row
+    from experiments.score.rows import tidy_row
 
     flaws = verify_dataset(dataset)
     if flaws or json is not None:
         lines = [{"file": str(f.path), "state": f.state} for f in flaws]
         rows = [tidy_row(line, "wrong_files", 1) for line in lines]
-        show_table(stamped(rows, "verify"), json, lines=lines)
+        _show("verify", rows, json, lines=lines)
     if flaws:
         say(f"graphrqi: error: {dataset}: found {len(flaws)} wrong files", err=True)
         raise typer.Exit(2)
@@ -316,27 +290,24 @@ def train(
     data: Annotated[
         list[Path], typer.Argument(help="Datasets; recordings for --from and --predictor.")
     ],
-    out: Annotated[Path, option("Folder of the model.")],
-    method: Annotated[str, option("See graphrqi list.", names="method")] = "graphrqi-plus",
-    start: Annotated[
-        str | None,
-        option("Adapt this model to the place of recordings instead.", "--from", metavar="MODEL"),
-    ] = None,
+    out: Path = option("Folder of the model.", default=...),
+    method: str = option("See graphrqi list.", names="method", default="graphrqi-plus"),
+    start: str | None = option(
+        "Adapt this model to the place of recordings instead.", "--from", metavar="MODEL"),
     labels: GivenLabels = None,
-    predictor: Annotated[
-        bool, option("Train the predictor for recordings instead.", "--predictor")
-    ] = False,
-    epochs: Annotated[int, option("Passes over the data (--predictor).", min=1)] = 4,
+    predictor: bool = option(
+        "Train the predictor for recordings instead.", "--predictor", default=False),
+    epochs: int = option("Passes over the data (--predictor).", min=1, default=4),
     format: FormatName = None,
     net: Net = None,
     seed: Seed = 0,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Train a classifier on datasets, adapt one to recordings, or train the predictor."""
     from behaviors.errors import InputError
-    from experiments.score.rows import melted, show_table, stamped
+    from experiments.score.rows import melted
 
     if labels is not None and start is None:
         raise InputError("--labels: found no --from, expected the model that labels adapt")
@@ -351,7 +322,7 @@ def train(
             for name, value in scores.items()
         ]
         rows = melted(lines, ["recordings"])
-        show_table(stamped(rows, "train --predictor", seed), json, f"{out}: trained", lines)
+        _show("train --predictor", rows, json, seed=seed, title=f"{out}: trained", lines=lines)
         return
     if start is not None:
         from experiments.data.exchange import as_dataset
@@ -363,7 +334,7 @@ def train(
             raise InputError(f"--from: found {len(data)} recordings, expected one or a folder")
         with as_dataset(data[0], format, net) as dataset:
             rows = adapt(start, dataset, out, labels, quiet)
-        show_table(stamped(rows, "train --from"), json, f"{out}: {start} adapted", rows)
+        _show("train --from", rows, json, title=f"{out}: {start} adapted")
         return
     from experiments.score.rows import dataset_id
     from experiments.training.classifier import train_on
@@ -371,7 +342,7 @@ def train(
 
     rows = train_on(data, method, out, seed, quiet, jobs).card["scores"]
     known = ", ".join(dataset_id(open_dataset(path)) for path in data)
-    _show_scores(stamped(rows, "train", seed, known), json)
+    _show_scores("train", rows, json, seed=seed, dataset=known)
     if not rows:
         typer.echo("not scored: the data have no test episode with a driver seen for 1 s", err=True)
 
@@ -384,11 +355,9 @@ def classify(
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     labels: GivenLabels = None,
-    conflicts: Annotated[
-        Path | None,
-        file_option("File for the conflicts of any two road users: .parquet or .csv.",
-                    "--conflicts", callback=table_to_write),
-    ] = None,
+    conflicts: Path | None = file_option(
+        "File for the conflicts of any two road users: .parquet or .csv.",
+        "--conflicts", callback=table_to_write),
     traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
@@ -396,27 +365,26 @@ def classify(
 ) -> None:  # fmt: skip
     """Name each driver's behaviour as it drives."""
     from experiments.score.labels import classify_dataset, domain_notice, named_table
-    from experiments.score.rows import show_table, stamped
+    from experiments.score.rows import show_table
     from experiments.score.tables import write_conflicts
 
     refuse_to_overwrite([source, net, labels], [out, conflicts, json])
     with named_dataset(source, format, net) as (dataset, known):
         if conflicts is not None:
             write_conflicts(dataset, conflicts)
-        found = classify_dataset(
+        rows = classify_dataset(
             dataset, model, out, labels, traffic=traffic, jobs=jobs, quiet=quiet
         )
-    rows = stamped(found, "classify", dataset=known)
     if str(json) != "-":
         show_table(named_table(rows), title="drivers by their last answer")
-    _show_scores(rows, json)
+    _show_scores("classify", rows, json, dataset=known)
     if notice := domain_notice(rows):
         typer.echo(notice, err=True)
 
 
-def _show_scores(rows: Sequence[Row], json: Path | None) -> None:
+def _show_scores(command: str, rows: Sequence[Row], json: Path | None, **made: Any) -> None:
     """Write all rows, and print the scores and confusions of those over many episodes."""
-    from experiments.score.answers import confusion_table, is_scored, scores_table
+    from experiments.score.answers import LEGEND, confusion_table, is_scored, scores_table
     from experiments.score.rows import show_table
 
     totals = [row for row in rows if row.get("name") is None]
@@ -425,15 +393,15 @@ def _show_scores(rows: Sequence[Row], json: Path | None) -> None:
     paired = [row for row in totals if row.get("against")]
     down = ["model", "scenario", "split"] if paired else ["scenario", "split"]
     title = "every driver once, by its last answer; 95 % intervals over episodes"
-    show_table(rows, json, title, scores_table([row for row in totals if row not in paired], down))
+    lines = scores_table([row for row in totals if row not in paired], down)
+    _show(command, rows, json, title=title, lines=lines, legend=LEGEND, **made)
     if str(json) == "-":
         return
     if paired:
         keys = ("model", "against", "metric", "value", "low", "high")
         lines = [{key: row[key] for key in keys} for row in paired]
         show_table(lines, title="differences on the same drivers")
-    confusions = confusion_table(totals)
-    if confusions:
+    if confusions := confusion_table(totals):
         show_table(confusions, title="how often each behaviour gets each answer")
 
 
@@ -444,84 +412,74 @@ def evaluate(
     format: FormatName = None,
     net: Net = None,
     labels: GivenLabels = None,
-    answers: Annotated[
-        Path | None,
-        file_option("Answers of your own model about the test split, to compare: columns episode, "
-                    "agent, label, and time_s or p_impatient ... if known.", "--answers"),
-    ] = None,
+    answers: Path | None = file_option(
+        "Answers of your own model about the test split, to compare: columns episode, agent, "
+        "label, and time_s or p_impatient ... if known.", "--answers"),
     traffic: TrafficKind = None,
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Score a model where drivers are known; report makes a page of the JSON."""
-    from experiments.score.evaluate import evaluate
-    from experiments.score.rows import stamped
+    from experiments.score.labels import evaluate
 
     refuse_to_overwrite([source, net, labels, answers], [json])
     with named_dataset(source, format, net) as (dataset, known):
         rows = evaluate(model, dataset, labels, answers, traffic=traffic, jobs=jobs, quiet=quiet)
-    _show_scores(stamped(rows, "evaluate", dataset=known), json)
+    _show_scores("evaluate", rows, json, dataset=known)
 
 
 @_command(LEARN, "predict", "predict data --predictors car-following --horizon-s 5")
 def predict(
     source: Source,
-    predictors: Annotated[
-        str,
-        option("Names (see graphrqi list) or module:function of your own, separated by commas.",
-               metavar="A,B"),
-    ] = "constant-velocity,graphrqi-predict",
-    horizon_s: Annotated[float, option("How far ahead, s.", "--horizon-s")] = 5.0,
+    predictors: str = option(
+        "Names (see graphrqi list) or module:function of your own, separated by commas.",
+        metavar="A,B", default="constant-velocity,graphrqi-predict"),
+    horizon_s: float = option("How far ahead, s.", "--horizon-s", default=5.0),
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
     out: TableFile = None,
-    weights: Annotated[
-        Path | None,
-        option("From train --predictor (default: the weights that ship).", metavar="FOLDER"),
-    ] = None,
+    weights: Path | None = option(
+        "From train --predictor (default: the weights that ship).", metavar="FOLDER"),
     traffic: TrafficKind = None,
-    split: Annotated[
-        str | None, option("test, validation, train or all [default: test; all of recordings].")
-    ] = None,
+    split: str | None = option(
+        "test, validation, train or all [default: test; all of recordings]."),
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Predict the motion of every agent, and score it."""
-    from experiments.score.predictions import default_split, errors_table, predict_dataset
-    from experiments.score.rows import show_table, stamped
+    from experiments.score.predictions import errors_table, predict_dataset
 
     refuse_to_overwrite([source, net], [out, json])
     names = [word.strip() for word in predictors.split(",") if word.strip()]
     with named_dataset(source, format, net) as (dataset, known):
-        found = predict_dataset(
+        rows = predict_dataset(
             dataset, names, horizon_s, model, out=out, weights=weights, traffic=traffic,
-            split=split or default_split(dataset), jobs=jobs,
-            quiet=quiet,
+            split=split, jobs=jobs, quiet=quiet,
         )  # fmt: skip
-    rows = stamped(found, "predict", dataset=known)
-    show_table(rows, json, "prediction", errors_table(rows))
+    _show("predict", rows, json, dataset=known, title="prediction", lines=errors_table(rows))
 
 
 @_command(LEARN, "calibrate", "calibrate recordings --out drivers")
 def calibrate(
     source: Source,
-    out: Annotated[Path, option("New folder for the results.", metavar="FOLDER", file_okay=False)],
+    out: Path = option(
+        "New folder for the results.", metavar="FOLDER", file_okay=False, default=...),
     format: FormatName = None,
     net: Net = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Infer every driver's car-following numbers, and the population they come from."""
     from experiments.calibration import population_rows, quantile_rows, write_calibration
-    from experiments.score.rows import melted, show_table, stamped
+    from experiments.score.rows import melted, show_table
 
     calibrated = write_calibration(source, out, format, net, quiet)
     lines = population_rows(calibrated)
-    rows = stamped(melted(lines, ["number"]), "calibrate")
-    show_table(rows, json, f"{out}: {len(calibrated.drivers)} drivers", lines)
+    title = f"{out}: {len(calibrated.drivers)} drivers"
+    _show("calibrate", melted(lines, ["number"]), json, title=title, lines=lines)
     if str(json) != "-":
         places = quantile_rows(calibrated.population(calibrated.better))
         show_table(places, title="quantiles at which each behaviour's median driver lies")
@@ -533,30 +491,22 @@ def calibrate(
 @with_traffic
 def what_if(
     scenario: ScenarioName = None,
-    at_s: Annotated[float | None, option("From when on the driver differs, s.", "--at-s")] = None,
-    agent: Annotated[int | None, option("The driver.", metavar="ID")] = None,
-    out: Annotated[Path | None, option("Folder of the dataset.")] = None,
-    behavior: Annotated[
-        list[str] | None, option("A behaviour to go on with; repeat for several.", metavar="B")
-    ] = None,
-    action: Annotated[
-        list[str] | None,
-        option("brake, keep, accelerate, change-left or change-right at that instant; repeat for "
-               "several.", metavar="A"),
-    ] = None,
-    episode: Annotated[
-        int, option("Which of the scenario's episodes, as by generate.", min=0, metavar="N")
-    ] = 0,
+    at_s: float | None = option("From when on the driver differs, s.", "--at-s"),
+    agent: int | None = option("The driver.", metavar="ID"),
+    out: Path | None = option("Folder of the dataset."),
+    behavior: list[str] | None = option(
+        "A behaviour to go on with; repeat for several.", metavar="B"),
+    action: list[str] | None = option(
+        "brake, keep, accelerate, change-left or change-right at that instant; repeat for several.",
+        metavar="A"),
+    episode: int = option(
+        "Which of the scenario's episodes, as by generate.", min=0, metavar="N", default=0),
     seed: Seed = 0,
-    blame: Annotated[
-        bool,
-        option("Instead, say whose careful driving would have prevented each collision and near "
-               "miss.", "--blame"),
-    ] = False,
-    picture: Annotated[
-        Path | None,
-        file_option("Draw the paths over the factual ones too: .png, .pdf or .svg."),
-    ] = None,
+    blame: bool = option(
+        "Instead, say whose careful driving would have prevented each collision and near miss.",
+        "--blame", default=False),
+    picture: Path | None = file_option(
+        "Draw the paths over the factual ones too: .png, .pdf or .svg."),
     json: Json = None,
     quiet: Quiet = False,
     *,
@@ -567,7 +517,7 @@ def what_if(
     from behaviors.labels import BEHAVIORS, read_behaviors
     from experiments.figure_files import check_figure_file
     from experiments.replay.pictures import write_paths
-    from experiments.score.rows import dataset_id, melted, show_table, stamped
+    from experiments.score.rows import dataset_id, melted
     from experiments.what_if.branches import WhatIf, make_what_if
     from experiments.what_if.outcomes import outcomes
     from sim.store.dataset import open_dataset
@@ -583,20 +533,17 @@ def what_if(
     known = (*BEHAVIORS, *read_behaviors(drawn.behaviors))
     behaviors, actions = {str(b): b for b in known}, {a.value: a for a in Action}
     config = WhatIf(
-        episode=drawn,
-        index=episode,
-        at_s=at_s,
-        agent=agent,
+        episode=drawn, index=episode, at_s=at_s, agent=agent,
         behaviors=tuple(lookup(behaviors, word, "behavior") for word in behavior or ()),
         actions=tuple(lookup(actions, word, "action") for word in action or ()),
-    )
+    )  # fmt: skip
     if picture is not None:
         check_figure_file(picture, "--picture")
     make_what_if(config, out, quiet)
     dataset = open_dataset(out)
     lines = outcomes(dataset)
-    rows = stamped(melted(lines, ["change"]), "what-if", seed, dataset_id(dataset))
-    show_table(rows, json, lines=lines)
+    rows = melted(lines, ["change"])
+    _show("what-if", rows, json, seed=seed, dataset=dataset_id(dataset), lines=lines)
     if picture is not None:
         write_paths(dataset, picture)
 
@@ -604,7 +551,7 @@ def what_if(
 def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | None) -> None:
     """Print a line for each incident of an episode and driver who was tried."""
     from experiments.generate.episode import Task
-    from experiments.score.rows import melted, show_table, stamped
+    from experiments.score.rows import melted
     from experiments.what_if.blame import judge
     from sim.scenario import sample_agents
 
@@ -614,45 +561,30 @@ def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | No
     lines = list(judge(made, agents, task.seed, config.engine))
     if lines or json is not None:
         keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
-        show_table(stamped(melted(lines, keys), "what-if --blame", seed), json, lines=lines)
+        _show("what-if --blame", melted(lines, keys), json, seed=seed, lines=lines)
     else:
         typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")
 
 
 @_command(ASK, "drive", "drive --policy planner-told --quick")
 def drive(
-    policy: Annotated[
-        list[str] | None,
-        option("A policy of ours, such as planner-blind, or module:function; repeat for several "
-               "(default: ours).", metavar="NAME"),
-    ] = None,
-    scenario: Annotated[
-        list[str] | None, option("Where; repeat for several (default: everywhere).")
-    ] = None,
-    crowd: Annotated[
-        list[str] | None,
-        option("Among whom: a behaviour, mixed, recorded, homogeneous, or a mix such as "
-               "timid=.9,novice=.1; repeat for several (default: all).", metavar="NAME or MIX"),
-    ] = None,
-    behaviors: Annotated[
-        str | None,
-        option("Behaviours of your own: a TOML file, or distracted, novice.",
-               metavar="FILE or NAMES"),
-    ] = None,
-    episodes: Annotated[
-        int | None, option("Of each policy in each scenario and crowd (default: 20).")
-    ] = None,
-    seed: Annotated[int | None, option("Of the first episode.", min=0)] = None,
+    policy: list[str] | None = option(
+        "A policy of ours, such as planner-blind, or module:function; repeat for several "
+        "(default: ours).", metavar="NAME"),
+    scenario: list[str] | None = option("Where; repeat for several (default: everywhere)."),
+    crowd: list[str] | None = option(
+        "Among whom: a behaviour, mixed, recorded, homogeneous, or a mix such as "
+        "timid=.9,novice=.1; repeat for several (default: all).", metavar="NAME or MIX"),
+    behaviors: str | None = option(
+        "Behaviours of your own: a TOML file, or distracted, novice.", metavar="FILE or NAMES"),
+    episodes: int | None = option("Of each policy in each scenario and crowd (default: 20)."),
+    seed: int | None = option("Of the first episode.", min=0),
     flow: Flow = None,
-    duration_s: Annotated[
-        float | None, option("Longest episode, s (default: 60).", "--duration-s")
-    ] = None,
-    warmup_s: Annotated[
-        float | None, option("How long the traffic drives before, s (default: 20).", "--warmup-s")
-    ] = None,
-    quick: Annotated[
-        bool, option("Two scenarios, two crowds, two short episodes.", "--quick")
-    ] = False,
+    duration_s: float | None = option("Longest episode, s (default: 60).", "--duration-s"),
+    warmup_s: float | None = option(
+        "How long the traffic drives before, s (default: 20).", "--warmup-s"),
+    quick: bool = option(
+        "Two scenarios, two crowds, two short episodes.", "--quick", default=False),
     jobs: Jobs = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -674,22 +606,18 @@ def drive(
 @_command(LOOK, "summary", "summary data --by behavior --out summary.csv")
 def summary(
     source: Source,
-    by: Annotated[
-        str | None, option("Groups: behavior, kind or scenario (default: all together).")
-    ] = None,
+    by: str | None = option("Groups: behavior, kind or scenario (default: all together)."),
     format: FormatName = None,
     net: Net = None,
     json: Json = None,
-    out: Annotated[
-        Path | None, file_option("The same rows as CSV.", "--out", metavar="FILE.csv")
-    ] = None,
+    out: Path | None = file_option("The same rows as CSV.", "--out", metavar="FILE.csv"),
 ) -> None:
     """Count conflicts, events and traits per kilometre and hour, with speeds and headways."""
     import pandas as pd
 
     from behaviors.errors import lookup
-    from experiments.score.rows import show_table, stamped
-    from experiments.summary import BY, summary, table
+    from experiments.score.rows import stamped
+    from experiments.summary import BY, LEGEND, summary, table
     from sim.files import write_whole
     from sim.store.dataset import open_dataset
 
@@ -697,43 +625,33 @@ def summary(
         lookup(BY, by, "--by")
     with named_dataset(source, format, net) as (folder, known):
         found = summary(open_dataset(folder), by)
-    rows = stamped(found, "summary", dataset=known)
     if out is not None:
+        rows = stamped(found, "summary", dataset=known)
         write_whole(out, pd.DataFrame(rows, dtype=object).to_csv(index=False).encode())
-    show_table(rows, json, lines=table(found, by))
+    _show("summary", found, json, dataset=known, lines=table(found, by), legend=LEGEND)
 
 
 @_command(LOOK, "replay", "replay data --episode straight_road --out replay.html")
 def replay(
     source: Source,
-    out: Annotated[Path, file_option("The page.", metavar="FILE.html")] = Path("replay.html"),
-    episode: Annotated[
-        str | None,
-        option("A name as classify shows it, an id or its beginning, or a scenario (default: the "
-               "first).", metavar="NAME"),
-    ] = None,
-    labels: Annotated[
-        Path | None, file_option("From classify (default: made here).", metavar="FILE.parquet")
-    ] = None,
+    out: Path = file_option("The page.", metavar="FILE.html", default=Path("replay.html")),
+    episode: str | None = option(
+        "A name as classify shows it, an id or its beginning, or a scenario (default: the first).",
+        metavar="NAME"),
+    labels: Path | None = file_option(
+        "From classify (default: made here).", metavar="FILE.parquet"),
     format: FormatName = None,
     net: Net = None,
     model: ModelName = "graphrqi-plus",
-    predictor: Annotated[
-        str,
-        option("See graphrqi list; none for no predictions.", metavar="NAME", names="predictor"),
-    ] = "graphrqi-predict",
-    color: Annotated[
-        str | None,
-        option("At first: true, predicted, confidence, speed or w.", metavar="MODE"),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        file_option("Draw one moment of it too (.png, .pdf or .svg), or a film (.mp4 or .gif)."),
-    ] = None,
-    begin_s: Annotated[
-        float | None, option("When page, film or picture begin, s.", "--begin-s")
-    ] = None,
-    end_s: Annotated[float | None, option("When the film ends, s.", "--end-s")] = None,
+    predictor: str = option(
+        "See graphrqi list; none for no predictions.",
+        metavar="NAME", names="predictor", default="graphrqi-predict"),
+    color: str | None = option(
+        "At first: true, predicted, confidence, speed or w.", metavar="MODE"),
+    picture: Path | None = file_option(
+        "Draw one moment of it too (.png, .pdf or .svg), or a film (.mp4 or .gif)."),
+    begin_s: float | None = option("When page, film or picture begin, s.", "--begin-s"),
+    end_s: float | None = option("When the film ends, s.", "--end-s"),
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Make a page that plays an episode in a browser."""
@@ -752,19 +670,12 @@ def replay(
 
 @_command(LOOK, "report", "report runs/demo")
 def report(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN...", help="Files of rows, or folders of runs or models."),
-    ],
-    out: Annotated[
-        Path | None,
-        file_option("The page (default: beside the rows or in the folder; comparison.html of "
-                    "several)."),
-    ] = None,
-    figures: Annotated[
-        str | None,
-        option("Write the page's pictures beside it in this format, too.", metavar="svg|pdf"),
-    ] = None,
+    runs: Annotated[list[Path], typer.Argument(
+        metavar="RUN...", help="Files of rows, or folders of runs or models.")],
+    out: Path | None = file_option(
+        "The page (default: beside the rows or in the folder; comparison.html of several)."),
+    figures: str | None = option(
+        "Write the page's pictures beside it in this format, too.", metavar="svg|pdf"),
     jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
@@ -780,9 +691,8 @@ def report(
 def list_names(json: Json = None) -> None:
     """Show every registered name, the distribution that it comes from, and what it is."""
     from experiments.cli.names import registered_names
-    from experiments.score.rows import show_table, stamped
 
-    show_table(stamped(registered_names(), "list"), json)
+    _show("list", registered_names(), json)
 
 
 app.add_typer(bench, name="bench", rich_help_panel=LOOK)
@@ -791,13 +701,12 @@ app.add_typer(bench, name="bench", rich_help_panel=LOOK)
 @app.callback()
 def about(
     context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", help="Say the version, and those of the simulators.")
-    ] = False,
-    verbose: Annotated[
-        bool,
-        typer.Option("--verbose", "-v", help="Say on stderr what is read and how long it took."),
-    ] = False,
+    version: bool = option(
+        "Say the version, and those of the simulators.", "--version", default=False
+    ),
+    verbose: bool = option(
+        "Say on stderr what is read and how long it took.", "--verbose", "-v", default=False
+    ),
     quiet: Quiet = False,
 ) -> None:
     """Label, classify and predict drivers in simulated and recorded traffic."""

@@ -31,18 +31,7 @@ BY_MODULE: Final = ("solver", "format")
 
 
 def names_of(what: str) -> list[str]:
-    """The registered names of one kind of thing.
-
-    Args:
-        what: a key of ``REGISTRIES``.
-
-    Returns:
-        Its names, in the registry's order.
-
-    Examples:
-        >>> names_of("engine")
-        ['sumo', 'sumo-idm', 'highway', 'highway-krauss']
-    """
+    """The registered names of one kind of thing, in the registry's order."""
     if what == "population":
         return list(POPULATIONS)
     return [*_registry(what), *([RANDOM_WORLD] if what == "scenario" else [])]

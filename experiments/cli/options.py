@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.models import OptionInfo
 
 if TYPE_CHECKING:
     from experiments.generate.configuration import GenerateConfig
@@ -59,18 +58,27 @@ def names_of(what: str) -> Callable[[str], list[str]]:
     return complete
 
 
-def option(help: str, *flags: str, metavar: str | None = None, **settings: Any) -> OptionInfo:
-    """An option; ``settings`` are those of typer, or ``names``: a registry that completes it."""
+def option(
+    help: str, *flags: str, default: Any = None, metavar: str | None = None, **settings: Any
+) -> Any:
+    """An option as the default of a parameter; without one (``...``) it is needed.
+
+    ``settings`` are those of typer, or ``names``: a registry that completes it.
+    """
     registry = settings.pop("names", None)
     if registry is not None:
         settings["autocompletion"] = names_of(registry)
-    made: OptionInfo = typer.Option(*flags, metavar=metavar, help=help, **settings)
-    return made
+    return typer.Option(default, *flags, metavar=metavar, help=help, **settings)
 
 
-def file_option(help: str, *flags: str, metavar: str = "FILE", **settings: Any) -> OptionInfo:
+def file_option(help: str, *flags: str, metavar: str = "FILE", **settings: Any) -> Any:
     """An option that names a file."""
     return option(help, *flags, metavar=metavar, dir_okay=False, **settings)
+
+
+def shared(help: str, *flags: str, **settings: Any) -> Any:
+    """An option in the annotation of a type that several commands take."""
+    return option(help, *flags, default=..., **settings)
 
 
 @contextmanager
@@ -86,98 +94,86 @@ def named_dataset(source: Path, format: str | None, net: Path | None) -> Iterato
 
 Source = Annotated[Path, typer.Argument(help="A dataset, a recording, or a folder of them.")]
 DatasetFolder = Annotated[Path, typer.Argument(help="Folder written by generate or import.")]
-NewDataset = Annotated[Path, option("Folder of the dataset.", "--out")]
-Jobs = Annotated[int | None, option("Processes (default: one per core).", min=1)]
+NewDataset = Annotated[Path, shared("Folder of the dataset.", "--out")]
+Jobs = Annotated[int | None, shared("Processes (default: one per core).", min=1)]
 Json = Annotated[
     Path | None,
     file_option("Write the figures as JSON rows; - for standard output.", "--json",
-                callback=in_a_folder, allow_dash=True),
+                default=..., callback=in_a_folder, allow_dash=True),
 ]  # fmt: skip
-ModelName = Annotated[str, option("A model that ships, or a folder written by train.", "--model")]
+ModelName = Annotated[str, shared("A model that ships, or a folder written by train.", "--model")]
 FormatName = Annotated[
     str | None,
-    option("Format of the recordings (default: recognised by their content).", "--format",
+    shared("Format of the recordings (default: recognised by their content).", "--format",
            metavar="KEY", names="format"),
 ]  # fmt: skip
-Net = Annotated[Path | None, file_option("SUMO net or map of the recordings' place.", "--net")]
-Seed = Annotated[int, option("Same seed, same result.", min=0)]
+Net = Annotated[
+    Path | None, file_option("SUMO net or map of the recordings' place.", "--net", default=...)
+]
+Seed = Annotated[int, shared("Same seed, same result.", min=0)]
 GivenLabels = Annotated[
     Path | None,
     file_option("Known drivers: columns name and label (a behaviour or style), or also recording.",
-                "--labels", metavar="FILE.csv"),
+                "--labels", default=..., metavar="FILE.csv"),
 ]  # fmt: skip
 TrafficKind = Annotated[
     str | None,
-    option("Where the positions come from: simulated (by run or generate), recorded or other "
+    shared("Where the positions come from: simulated (by run or generate), recorded or other "
            "(default: what the data say).", "--traffic", metavar="KIND"),
 ]  # fmt: skip
-Quiet = Annotated[bool, option("Show no progress.", "--quiet", "-q")]
+Quiet = Annotated[bool, shared("Show no progress.", "--quiet", "-q")]
 ScenarioName = Annotated[
     str | None,
-    typer.Argument(
-        help="Name of a scenario (see graphrqi list), its TOML file, or a map.",
-        autocompletion=names_of("scenario"),
-    ),
-]
+    typer.Argument(help="Name of a scenario (see graphrqi list), its TOML file, or a map.",
+                   autocompletion=names_of("scenario")),
+]  # fmt: skip
 TableFile = Annotated[
     Path | None,
     file_option("File for the answers themselves: .parquet or .csv.", "--out",
-                callback=table_to_write),
+                default=..., callback=table_to_write),
 ]  # fmt: skip
 
 
-def _traffic(help: str, *flags: str, **settings: Any) -> OptionInfo:
+def _traffic(help: str, *flags: str, **settings: Any) -> Any:
     return option(help, *flags, rich_help_panel="Traffic", **settings)
 
 
-Flow = Annotated[str | None, _traffic("light, medium, dense or vehicles per hour.", metavar="FLOW")]
+Flow = Annotated[
+    str | None, _traffic("light, medium, dense or vehicles per hour.", default=..., metavar="FLOW")
+]
 
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
     """The options that say which traffic drives; `with_traffic` gives them to a command."""
 
-    engine: Annotated[str | None, _traffic("Which simulator (default: sumo).", names="engine")] = (
-        None
-    )
+    engine: str | None = _traffic("Which simulator (default: sumo).", names="engine")
     flow: Flow = None
-    mix: Annotated[
-        str | None,
-        _traffic("Shares of behaviours or styles: aggressive=.2,timid=.8.", metavar="MIX"),
-    ] = None
-    kinds: Annotated[
-        str | None, _traffic("Shares of kinds of agents: car=.9,truck=.1.", metavar="KINDS")
-    ] = None
-    spread: Annotated[
-        float | None, _traffic("How much drivers of one behaviour differ; 0 gives clones.")
-    ] = None
-    population: Annotated[
-        str | None,
-        _traffic("Population that drivers are drawn from: a name (see graphrqi list), or a TOML "
-                 "file as calibrate writes it.", metavar="NAME or FILE", names="population"),
-    ] = None  # fmt: skip
-    behaviors: Annotated[
-        str | None,
-        _traffic("Behaviours of your own, beside the six: a TOML file, or distracted, novice.",
-                 metavar="FILE or NAMES"),
-    ] = None  # fmt: skip
-    duration_s: Annotated[float | None, _traffic("Length, s; at most 86400.", "--duration-s")] = (
-        None
+    mix: str | None = _traffic(
+        "Shares of behaviours or styles: aggressive=.2,timid=.8.", metavar="MIX"
     )
-    net: Annotated[
-        str | None,
-        _traffic("A map instead of a scenario: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, "
-                 "CommonRoad or Argoverse 2.", metavar="FILE"),
-    ] = None  # fmt: skip
-    routes: Annotated[
-        str | None,
-        _traffic("SUMO routes for the map (default: made from the map).", metavar="FILE"),
-    ] = None
-    option: Annotated[
-        list[str] | None,
-        _traffic("Another option of the scenario, such as lanes=2; repeat for several.", "--set",
-                 metavar="NAME=VALUE"),
-    ] = None  # fmt: skip
+    kinds: str | None = _traffic("Shares of kinds of agents: car=.9,truck=.1.", metavar="KINDS")
+    spread: float | None = _traffic("How much drivers of one behaviour differ; 0 gives clones.")
+    population: str | None = _traffic(
+        "Population that drivers are drawn from: a name (see graphrqi list), or a TOML file as "
+        "calibrate writes it.", metavar="NAME or FILE", names="population",
+    )  # fmt: skip
+    behaviors: str | None = _traffic(
+        "Behaviours of your own, beside the six: a TOML file, or distracted, novice.",
+        metavar="FILE or NAMES",
+    )
+    duration_s: float | None = _traffic("Length, s; at most 86400.", "--duration-s")
+    net: str | None = _traffic(
+        "A map instead of a scenario: SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or "
+        "Argoverse 2.", metavar="FILE",
+    )  # fmt: skip
+    routes: str | None = _traffic(
+        "SUMO routes for the map (default: made from the map).", metavar="FILE"
+    )
+    option: list[str] | None = _traffic(
+        "Another option of the scenario, such as lanes=2; repeat for several.", "--set",
+        metavar="NAME=VALUE",
+    )  # fmt: skip
 
     def config(
         self, scenarios: Sequence[str] | None, file: Path | None = None, **more: Any
@@ -224,15 +220,7 @@ def with_traffic(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def read_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:
-    """Options given as ``NAME=VALUE``: true, false, a number, or a word.
-
-    Raises:
-        InputError: if one is written otherwise, or is an option of its own.
-
-    Examples:
-        >>> read_options(["blocks=8", "crossing=true"])
-        {'blocks': 8, 'crossing': True}
-    """
+    """Options given as ``NAME=VALUE``: true, false, a number, or a word."""
     from behaviors.errors import InputError
 
     found: dict[str, bool | int | float | str] = {}

@@ -1,15 +1,24 @@
-"""An episode of the licence test: a policy drives in a scenario among a crowd, and is measured."""
+"""An episode of the licence test: a policy drives in a scenario among a crowd, and is measured.
+
+A crowd is each behaviour alone, all of them, or clones. With one seed everybody departs at the same
+time for the same goal in every crowd; only who drives how differs.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from experiments.drive.crowds import Crowd, crowd_of
+from behaviors.errors import lookup
+from behaviors.labels import BEHAVIORS
+from behaviors.profiles import Profile
 from experiments.drive.policies import POLICIES, get_policy
+from experiments.what_if.outcomes import RULES
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
@@ -19,6 +28,59 @@ from sim.road import Road
 from sim.safety import ConflictKind
 from sim.scenario import AgentSpec
 
+STANDARD: Final = Profile(
+    speed_factor=1.0, time_headway_s=1.5, min_gap_m=2.0, max_accel_mps2=1.4,
+    comfort_decel_mps2=2.0, politeness=0.2, lane_change_gain=1.0, lane_change_patience_s=0.0,
+    lane_change_assertiveness=1.0, gap_acceptance_s=1.0, crossing_gap_s=10.0,
+    yield_probability=1.0, red_run_probability=0.0, stop_roll_probability=0.0, yellow_run_s=0.0,
+    insistence=0.0, startup_delay_s=0.0, cut_in_rate_per_min=0.0, stop_rate_per_min=0.0,
+    wrong_way_rate_per_min=0.0,
+)  # fmt: skip
+"""The driver of homogeneous traffic: IDM's and MOBIL's usual numbers (Kesting, Treiber and Helbing
+2010, Phil. Trans. R. Soc. A 368, table 1), who breaks no rule."""
+
+
+def standard(agent: AgentSpec) -> AgentSpec:
+    """The agent as a clone of the `STANDARD` driver; a pedestrian as it is."""
+    if agent.profile is None:
+        return agent
+    return dataclasses.replace(agent, behavior=None, profile=STANDARD)
+
+
+@dataclass(frozen=True, slots=True)
+class Crowd:
+    """The other drivers.
+
+    Attributes:
+        mix: share of each behaviour, as the environments take it.
+        changed: what becomes of each drawn agent.
+        population: of which drivers are drawn, as the environments take it.
+    """
+
+    mix: str | dict[str, float] | None = None
+    changed: Callable[[AgentSpec], AgentSpec] = lambda agent: agent
+    population: str | None = None
+
+
+HOMOGENEOUS, MIXED = "homogeneous", "mixed"
+
+CROWDS: Final[dict[str, Crowd]] = {
+    **{str(b): Crowd({str(b): 1.0}) for b in BEHAVIORS},
+    MIXED: Crowd(),
+    "recorded": Crowd(population="us101"),
+    HOMOGENEOUS: Crowd(None, standard),
+}
+"""By name: the behaviours alone, all of them in equal shares, the same with
+numbers drawn from a recorded population, and clones."""
+
+
+def crowd_of(name: str, own: Sequence[str] = ()) -> Crowd:
+    """The crowd of a name: of `CROWDS`, a behaviour of one's own, or a mix."""
+    if "=" in name:
+        return Crowd(name)
+    return lookup({**CROWDS, **{one: Crowd({one: 1.0}) for one in own}}, name, "crowd")
+
+
 FORWARD_MPS2: Final = (-4.05, 2.40)
 """Comfortable braking and acceleration, m/s2 (nuPlan's bounds, from human drivers: Karnchanachari
 et al. 2024, ICRA)."""
@@ -26,27 +88,22 @@ et al. 2024, ICRA)."""
 SIDEWAYS_MPS2: Final = 4.89
 """Comfortable sideways acceleration, m/s2 (the same)."""
 
-RULES: Final = (
-    EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.NOT_YIELDED, EventKind.WRONG_WAY,
-)  # fmt: skip
-"""What counts as a rule broken."""
-
 BEHIND: Final = (ConflictKind.FOLLOWING, ConflictKind.MERGING)
 """The conflicts in which one of the two is ahead of the other."""
 
 WEIGHTS: Final[dict[str, float]] = {"progress": 5.0, "calm": 5.0, "lawful": 4.0, "comfort": 2.0}
-"""What the score weighs (nuPlan's weights of progress, time to collision, speed limit and comfort;
-here rules broken stand for the limit)."""
+"""Weights of the score: nuPlan's of progress, time to collision, speed limit and comfort. Rules
+broken stand for the limit here."""
 
 METRICS: Final = (
     "score", "collisions", "collisions_caused", "near_misses", "near_misses_ahead",
     "near_misses_behind", "near_misses_crossing", "rules_broken", "off_road",
     "uncomfortable_share", "rms_jerk_mps3", "progress", "arrived", "minutes",
 )  # fmt: skip
-"""What is measured of an episode; all are counts or shares but for the jerk and the minutes.
+"""Measures of an episode; all are counts or shares but for the jerk and the minutes.
 
 Near misses are with somebody whom the vehicle follows ("ahead"), who follows it ("behind"), or who
-comes from elsewhere ("crossing").
+comes from the side ("crossing").
 """
 
 _GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
@@ -55,7 +112,7 @@ ROADS: Final[dict[str, dict[str, Any]]] = {
     **{row["scenario_name"]: row for row in ENVIRONMENTS.values() if row is not _GRID},
     "city": {**_GRID, "scenario_name": "city"},
 }
-"""What `TrafficEnv` makes the environment of each scenario of."""
+"""Arguments of `TrafficEnv` for each scenario."""
 
 
 class _Among(TrafficEnv):
@@ -93,27 +150,17 @@ class _Among(TrafficEnv):
         """Do nothing: near misses are counted afterwards, in what was driven."""
 
     def observe(self, ego: Ego) -> Observation:
-        """What the policy observes; nothing for one that does not look."""
+        """The policy's observation; nothing for one that does not look."""
         return super().observe(ego) if self.looks else {}
 
 
 def drive(
     scenario: str, crowd: str, policy: str, seed: int, config: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Drive one episode; with one seed, traffic departs alike for every policy and crowd.
+    """The `METRICS` of an episode; with one seed, traffic departs alike in all crowds.
 
-    Args:
-        scenario: a key of `ROADS`.
-        crowd: as `crowd_of` takes it.
-        policy: as in `get_policy`.
-        seed: of the traffic.
-        config: of the environment.
-
-    Returns:
-        The `METRICS`.
-
-    Raises:
-        InputError: if the policy or a part of the configuration is not usable.
+    The scenario is a key of `ROADS`; crowd and policy are as `crowd_of` and `get_policy` take them.
+    The seed is the traffic's, and the configuration the environment's.
     """
     make, changes = get_policy(policy)
     others = crowd_of(crowd, [*(config.get("behaviors") or ())])
@@ -148,15 +195,16 @@ def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
     mine = [event for event in found if ego_id in (event.agent, event.other)]
     near = [event for event in mine if event.kind is EventKind.NEAR_MISS]
     collisions = [event for event in mine if event.kind is EventKind.COLLISION]
-    return {
-        "collisions": float(len(collisions)),
-        "collisions_caused": float(sum(event.agent == ego_id for event in collisions)),
-        "near_misses": float(len(near)),
-        "near_misses_ahead": float(sum(e.rule in BEHIND and e.agent == ego_id for e in near)),
-        "near_misses_behind": float(sum(e.rule in BEHIND and e.agent != ego_id for e in near)),
-        "near_misses_crossing": float(sum(event.rule not in BEHIND for event in near)),
-        "rules_broken": float(sum(e.kind in RULES and e.agent == ego_id for e in mine)),
+    counts = {
+        "collisions": len(collisions),
+        "collisions_caused": sum(event.agent == ego_id for event in collisions),
+        "near_misses": len(near),
+        "near_misses_ahead": sum(e.rule in BEHIND and e.agent == ego_id for e in near),
+        "near_misses_behind": sum(e.rule in BEHIND and e.agent != ego_id for e in near),
+        "near_misses_crossing": sum(event.rule not in BEHIND for event in near),
+        "rules_broken": sum(e.kind in RULES and e.agent == ego_id for e in mine),
     }
+    return {name: float(count) for name, count in counts.items()}
 
 
 def _comfort(driven: Tracks, ego_id: int) -> dict[str, float]:
@@ -187,12 +235,6 @@ def score(figures: Mapping[str, float]) -> float:
 
     A collision that the vehicle caused, or leaving the road, makes it 0. Otherwise it is the mean
     of progress, having no near miss, breaking no rule, and comfort, by `WEIGHTS`.
-
-    Examples:
-        >>> calm = {"collisions_caused": 0, "off_road": 0, "progress": 1.0, "near_misses": 0,
-        ...         "rules_broken": 0, "uncomfortable_share": 0.0}
-        >>> score(calm), score({**calm, "near_misses": 2}), score({**calm, "collisions_caused": 1})
-        (1.0, 0.6875, 0.0)
     """
     if figures["collisions_caused"] or figures["off_road"]:
         return 0.0

@@ -1,12 +1,12 @@
 """Drives one vehicle among others by rolling out what they are believed to do.
 
-Each manoeuvre (keep the lane, or move to one beside, at one of a few wished speeds) is rolled out
-jointly with everybody else, who follow, change lanes and mind signals as they are believed to drive
-and react to it. The manoeuvre that gets farthest at least risk is begun, and half a second later
-all are compared again. Risk is how soon one would collide with somebody ahead, behind or across if
-both kept their speeds (time to collision), summed over the next seconds; and what comes without a
-reason in the traffic, as often as those around are believed to do it: a leader that stops, a
-neighbour that cuts in.
+Each manoeuvre keeps the lane or moves to one beside, at one of a few wished speeds. It is rolled
+out jointly with everybody else, who react to it as they are believed to drive. The manoeuvre that
+gets farthest at least risk is begun, and half a second later all are compared again.
+
+Risk is how soon one would collide with somebody if both kept their speeds (time to collision),
+summed over the next seconds. A leader that stops without a reason and a neighbour that cuts in are
+risks, too, as often as those around are believed to do it.
 
 References:
     Hayward (1972), "Near-miss determination through use of a scale of danger", HRR 384 (time to
@@ -25,11 +25,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout.car_following import Rollout
-from graphrqi.predict.rollout.driver_table import (
-    DriverParameters,
-    DriverTable,
-    expected_parameters,
-)
+from graphrqi.predict.rollout.driver_table import DriverParameters, DriverTable, expected_parameters
 from graphrqi.predict.rollout.rollout import centre_ahead, on_lane_beside, positions, roll
 from graphrqi.predict.scene.scene import Scene
 
@@ -58,13 +54,13 @@ MARGIN_M: Final = 0.3
 """An agent that passes this near to the side is in the way, m."""
 
 RISK_WEIGHT, OVERLAP_WEIGHT, CHANGE_WEIGHT, SURPRISE_WEIGHT = 1.5, 20.0, 0.05, 1.0
-"""Costs of a second with a time to collision of zero, of a second of overlap, of a lane change and
-of an expected near miss; the unit is the distance that the limit allows (chosen on other seeds than
-are reported)."""
+"""Costs of a second with no time to collision, of a second of overlap, of a lane change and of an
+expected near miss. Their unit is the distance that the limit allows (chosen on other seeds than are
+reported)."""
 
 CUT_IN_GAP_M: Final = (2.0, 15.0)
-"""A driver may cut in front of a vehicle that is this far behind it, least and most, m (cutting in
-closer is a collision, and farther away it disturbs nobody)."""
+"""A driver may cut in front of a vehicle that is this far behind it, least and most, m (closer is a
+collision, and farther disturbs no driver)."""
 
 CUT_IN_SIDE_M: Final = (1.5, 5.0)
 """Distance between the two to the side, least and most, m: they drive on neighbouring lanes."""
@@ -86,7 +82,7 @@ ACT_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What the vehicle does until the next decision.
+    """A manoeuvre until the next decision.
 
     Attributes:
         accel: m/s2.
@@ -100,16 +96,9 @@ class Plan:
 
 
 def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) -> Plan:
-    """Choose what one vehicle does next.
+    """The best manoeuvre's beginning for the vehicle in row ``ego``, on the path it is to take.
 
-    Args:
-        scene: the present, the planned vehicle on the path that it is to take.
-        ego: its row.
-        probability: (n, 6) beliefs about the drivers' behaviours.
-        table: drivers' numbers.
-
-    Returns:
-        The best manoeuvre's beginning.
+    Beliefs (n, 6) are about the drivers' behaviours; the table has the numbers of these.
     """
     drivers = expected_parameters(scene, probability, table)
     length = scene.history.length.copy()
@@ -152,18 +141,16 @@ def _driving(
     drivers: DriverParameters, ego: int, wish: float, headway_s: float
 ) -> DriverParameters:
     """The drivers with the planned vehicle's own: it wants that speed and keeps that headway."""
-    following = drivers.following.copy()
+    following, ignores = drivers.following.copy(), drivers.ignores.copy()
     following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)
-    ignores = drivers.ignores.copy()
     ignores[ego] = False
     return dataclasses.replace(drivers, following=following, ignores=ignores)
 
 
 def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) -> float:
     """Distance driven over the distance that the limit allows, less the cost of the risk."""
-    limit = (
-        max(float(scene.states.limit[ego]), 1.0) if np.isfinite(scene.states.limit[ego]) else 10.0
-    )
+    limit = float(scene.states.limit[ego])
+    limit = max(limit, 1.0) if np.isfinite(limit) else 10.0
     progress = float(rollout.travelled[ego, -1]) / (limit * scene.steps * STEP_S)
     near = np.hypot(*(scene.xy - scene.xy[ego]).T) < 100.0
     near[ego] = True
@@ -171,26 +158,18 @@ def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) ->
     me = int(np.searchsorted(rows, ego))
     xy = positions(scene, rollout)[rows, EVERY - 1 :: EVERY]
     risk, overlap, surprise = risks(xy, scene, rows, me, probability[rows])
-    span = EVERY * STEP_S
     cost = RISK_WEIGHT * risk + OVERLAP_WEIGHT * overlap + SURPRISE_WEIGHT * surprise
-    return progress - cost * span
+    return progress - cost * EVERY * STEP_S
 
 
 def risks(
     xy: FloatArray, scene: Scene, rows: IntArray, me: int, probability: FloatArray
 ) -> tuple[float, float, float]:
-    """How dangerous a joint future is for one agent.
+    """How dangerous a joint future is for the agent ``me``.
 
-    Args:
-        xy: (m, H, 2) places of some agents, `EVERY` steps apart, m.
-        scene: the present.
-        rows: (m,) who they are.
-        me: whose danger, index into them.
-        probability: (m, 6) beliefs about how they drive.
-
-    Returns:
-        Nearness of collision summed over steps, the number of steps with an overlap, and near
-        misses to be expected from stops and cut-ins without a reason, 1/s summed over steps.
+    Given are places (m, H, 2) of the agents of some rows (m,), `EVERY` steps apart, m, the present,
+    and beliefs (m, 6) about how they drive. Returned are sums over steps: nearness of collision,
+    steps with an overlap, and near misses expected from stops and cut-ins without a reason, 1/s.
     """
     span = EVERY * STEP_S
     before = np.concatenate([scene.xy[rows][:, None], xy[:, :-1]], axis=1)

@@ -1,10 +1,11 @@
-"""Who drives the ego vehicle: our policies by name, or ``module:function`` of the user's own.
+"""Drivers of the ego vehicle: our policies by name, or ``module:function`` of the user's own.
 
 A policy is made for one environment, before its first episode: ``make(env)`` returns a function
 that takes an observation and returns an action. The attribute ``config`` of ``make``, if it has
 one, changes the environment's configuration: ``{"action": {"type": "ContinuousAction"}}``. A
 trained network is loaded inside ``make``, by the library that wrote it: no file of a policy is
-opened here.
+opened here. Beside what gymnasium gives, the environment has ``scenario``, ``time``, ``ego_id``,
+the ``truth`` by id, and ``on_frame``, which is called with every frame.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import own_function
 from experiments.drive.planner import ACT_S, Plan, plan
-from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.scene import make_scene
@@ -43,47 +43,31 @@ MOST_ACCEL_MPS2: Final = 8.0
 """The planned vehicle's accelerator and brake reach this, m/s2."""
 
 EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
-"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (as
-hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap. It
+is as hard as dry asphalt allows, so the plan and not the brake avoids near misses."""
 
 
-class DrivenEnv(Protocol):
-    """What a policy may use of its environment, beside what gymnasium gives."""
-
-    scenario: Any
-    time: float
-    ego_id: int
-    truth: Mapping[int, int]
-    on_frame: Callable[[Frame], object] | None
-
-
-def do_nothing(env: DrivenEnv) -> Act:
+def do_nothing(env: Any) -> Act:
     """Keep speed and lane, whatever happens."""
     return lambda observation: 1
 
 
-def idm_mobil(env: DrivenEnv) -> Act:
+def idm_mobil(env: Any) -> Act:
     """highway-env's own driver: IDM and MOBIL, no signals, no pedestrians."""
     return lambda observation: 0
 
 
-@functools.lru_cache(maxsize=2)
-def _model(name: str) -> Model:
-    """A classifier, read once."""
-    return load_model(name)
+_model = functools.lru_cache(maxsize=2)(load_model)
 
 
 class Planner:
     """Our planner at the wheel, which knows nothing, beliefs or the truth of the other drivers.
 
-    Args:
-        knows: "nothing", "beliefs" or "truth".
-        env: what is driven; every frame of it is seen.
-        model: the classifier that the beliefs come from.
+    It ``knows`` "nothing", "beliefs" or "truth", and sees every frame of the environment.
     """
 
-    def __init__(self, knows: str, env: DrivenEnv, model: str = DEFAULT_MODEL) -> None:
-        self._knows, self._env, self._model = knows, env, model
+    def __init__(self, knows: str, env: Any) -> None:
+        self._knows, self._env = knows, env
         self._frame: Frame | None = None
         env.on_frame = self._see
 
@@ -92,7 +76,7 @@ class Planner:
         if self._frame is None or frame.time_s <= self._frame.time_s:
             self._buffer = FrameBuffer(HISTORY_STEPS)
             classifies = self._knows == "beliefs"
-            self._stream = BehaviorStream(_model(self._model)) if classifies else None
+            self._stream = BehaviorStream(_model(DEFAULT_MODEL)) if classifies else None
             self._plan: Plan | None = None
             self._next_s = 0.0
         self._frame = frame
@@ -141,14 +125,8 @@ def steering(
 ) -> float:
     """The front wheels' angle that leads onto a centre line, rad, positive to the left.
 
-    Pure pursuit: a circle through a point on the line ahead, driven by highway-env's bicycle.
-
-    Args:
-        centre: (H, 2) the line, m.
-        xy: (2,) where the vehicle is, m.
-        heading: rad.
-        speed: m/s.
-        length: of the vehicle, m.
+    Pure pursuit: a circle through a point on the line (H, 2), m, ahead of the place (2,), m, driven
+    by highway-env's bicycle. Headings are in rad, speeds in m/s and the vehicle's length in m.
     """
     away = np.hypot(*(centre - xy).T)
     ahead = np.flatnonzero(away >= max(LOOK_AHEAD_M, LOOK_AHEAD_S * speed))
@@ -194,19 +172,12 @@ POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
 }
 """Our policies, with what each changes in an environment's configuration."""
 
-PLANNERS: Final = (BLIND, "planner-told", "planner-true")
+PLANNERS: Final = tuple(name for name, (_, config) in POLICIES.items() if config is STEERED)
 """Names of the planner, whatever it knows."""
 
 
 def get_policy(name: str) -> tuple[Callable[..., Act], dict[str, Any]]:
-    """A policy and its environment's configuration.
-
-    Args:
-        name: a key of `POLICIES`, or "module:function" that can be imported from here.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """A policy of `POLICIES` or "module:function", and its environment's configuration."""
     if ":" not in name:
         return lookup(POLICIES, name, "policy")
     make = own_function("policy", name)

@@ -12,15 +12,12 @@ from scipy.stats import rankdata
 from behaviors.errors import InputError, lookup
 from behaviors.labels import read_behaviors, tables_of
 from experiments.data.parallel import in_parallel
-from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED, crowd_of
-from experiments.drive.episode import METRICS, ROADS, drive
+from experiments.drive.episode import CROWDS, HOMOGENEOUS, METRICS, MIXED, ROADS, crowd_of, drive
 from experiments.drive.policies import BLIND, PLANNERS, POLICIES, get_policy
+from experiments.score.metrics import LEAST_EPISODES, RESAMPLES, RESAMPLING_SEED
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios.demand import parse_mix
 from sim.frames import FloatArray
-
-RESAMPLES: Final = 2000
-"""Bootstrap resamples (enough for two digits of a 95 % interval)."""
 
 STRAYS: Final = ("roundabout", "city")
 """Scenarios in which our planners leave their route: they do not know which exit is theirs."""
@@ -28,7 +25,7 @@ STRAYS: Final = ("roundabout", "city")
 
 @dataclass(frozen=True, slots=True)
 class LicenceTest:
-    """Who is tested where, among whom and how often.
+    """A test: policies, scenarios, crowds and the number of episodes.
 
     Attributes:
         policies: names, or "module:function" of one's own.
@@ -63,25 +60,17 @@ QUICK = LicenceTest(
 def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[Row]]:
     """Drive everything.
 
-    Args:
-        test: what to drive.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
-
     Yields:
         The rows of each scenario; then those over all of them ("all"), if there are several.
-
-    Raises:
-        InputError: if a scenario, crowd or policy is not known.
     """
     for name in test.scenarios:
         lookup(ROADS, name, "scenario")
     own = read_behaviors(test.behaviors)
     for name in test.crowds:
         parse_mix(crowd_of(name, own).mix, own)
+    strayed = sorted({*test.scenarios} & {*STRAYS})
     for name in test.policies:
         get_policy(name)
-        strayed = sorted({*test.scenarios} & {*STRAYS})
         if name in PLANNERS and strayed:
             expected = "another scenario or policy: planners leave their route there"
             raise InputError(f"scenario: found {strayed[0]} for {name}, expected {expected}")
@@ -108,13 +97,13 @@ def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[
 def mean_row(keys: Mapping[str, Cell], metric: str, values: FloatArray) -> Row:
     """The mean of (scenarios, seeds) values with its interval over seeds.
 
-    The scenarios are those that are there, no sample of others; seeds are drawn anew within each.
-    With one seed there is no interval.
+    The scenarios are those that are there, not a sample; seeds are resampled within each.
+    Fewer than `LEAST_EPISODES` seeds give no interval.
     """
     scenarios, seeds = values.shape
     low = high = None
-    if seeds > 1:
-        rng = np.random.default_rng(0)
+    if seeds >= LEAST_EPISODES:
+        rng = np.random.default_rng(RESAMPLING_SEED)
         weight = rng.multinomial(seeds, np.full(seeds, 1 / seeds), (RESAMPLES, scenarios))
         low, high = np.quantile((weight * values).sum(axis=(1, 2)) / values.size, [0.025, 0.975])
     return tidy_row(keys, metric, float(values.mean()), low, high, values.size)
@@ -123,21 +112,14 @@ def mean_row(keys: Mapping[str, Cell], metric: str, values: FloatArray) -> Row:
 def figure_rows(
     scenario: str, crowds: Sequence[str], policies: Sequence[str], table: FloatArray
 ) -> list[Row]:
-    """Rows of every crowd and policy.
+    """Rows of every crowd and policy from a (scenarios, seeds, crowds, policies, metrics) table.
 
-    Args:
-        scenario: what stands in the rows.
-        crowds: their names.
-        policies: their names.
-        table: (scenarios, seeds, crowds, policies, metrics) what was measured.
-
-    Returns:
-        The mean of each of the `METRICS`, and the ``rank`` by score in the crowd. Paired by seed:
-        by how much clones flatter a policy (``score_minus_diverse``), and what a planner gains by
-        what it knows (``score_minus_blind``, ``near_misses_minus_blind``).
+    They are the mean of each of the `METRICS`, and the ``rank`` by score in the crowd. Two
+    differences are paired by seed. ``score_minus_diverse`` says by how much clones flatter a
+    policy; ``score_minus_blind`` and ``near_misses_minus_blind`` what a planner gains by knowledge.
     """
     found: list[Row] = []
-    scores = table[..., METRICS.index("score")]
+    scores, near = (table[..., METRICS.index(metric)] for metric in ("score", "near_misses"))
     for c, crowd in enumerate(crowds):
         rank = rankdata(-scores[:, :, c].mean(axis=(0, 1)))
         for p, policy in enumerate(policies):
@@ -148,11 +130,10 @@ def figure_rows(
             if crowd == HOMOGENEOUS and MIXED in crowds:
                 gain = scores[:, :, c, p] - scores[:, :, crowds.index(MIXED), p]
                 found.append(mean_row(keys, "score_minus_diverse", gain))
-            if policy in ("planner-told", "planner-true") and BLIND in policies:
-                blind = table[:, :, c, policies.index(BLIND)]
-                for metric in ("score", "near_misses"):
-                    m = METRICS.index(metric)
-                    gain = own[..., m] - blind[..., m]
+            if policy in PLANNERS and policy != BLIND and BLIND in policies:
+                blind = policies.index(BLIND)
+                for metric, of in (("score", scores), ("near_misses", near)):
+                    gain = of[:, :, c, p] - of[:, :, c, blind]
                     found.append(mean_row(keys, f"{metric}_minus_blind", gain))
     return found
 

@@ -1,4 +1,4 @@
-"""What a replay shows beside positions: beliefs, futures, the traffic graph, and ghosts."""
+"""Layers of a replay beside positions: beliefs, futures, the traffic graph, and ghosts."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.guard import guarded_call
+from experiments.score.labels import beliefs
 from experiments.score.tables import CHANCES, read_labels
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
@@ -22,8 +23,8 @@ from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from graphrqi.spectrum import SOLVERS
-from graphrqi.stream import HISTORY_STEPS, BehaviorStream
-from sim.frames import CodeArray, FloatArray, IntArray, Tracks
+from graphrqi.stream import HISTORY_STEPS
+from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 
 LOOK_EVERY_S: Final = 0.5
@@ -80,6 +81,12 @@ class Beliefs:
     time_s: FloatArray
     probability: NDArray[np.float32]
 
+    @classmethod
+    def none(cls, tracks: Tracks, steps: IntArray) -> Beliefs:
+        """No beliefs at some frames, to be filled."""
+        shape = tracks.ids.size, steps.size, len(BEHAVIORS)
+        return cls(tracks.ids, tracks.time_s[steps], np.full(shape, np.nan, dtype=np.float32))
+
     def at(self, time_s: float) -> Posterior:
         """The latest beliefs at a time, of the agents that have any."""
         column = int(np.searchsorted(self.time_s, time_s + 1e-6)) - 1
@@ -96,29 +103,19 @@ def believe(tracks: Tracks, model: Model, is_scene: bool, traffic: Traffic) -> B
     Where the frames show no plausible scene, every behaviour is as likely.
     """
     steps = kept_steps(tracks)
-    probability = _unknown(tracks, steps)
-    column = {int(step): i for i, step in enumerate(steps)}
-    stream = BehaviorStream(model, traffic=traffic, is_scene=is_scene)
-    for step, frame in enumerate(tracks.frames()):
-        stream.push(frame)
-        if step in column:
-            posterior = stream.posterior()
-            rows = np.searchsorted(tracks.ids, posterior.ids)
-            known = (posterior.unknown < 1.0)[:, None]
-            chance = np.where(known, posterior.probability, 1.0 / len(BEHAVIORS))
-            probability[rows, column[step]] = chance
-    return Beliefs(tracks.ids, tracks.time_s[steps], probability)
+    found = Beliefs.none(tracks, steps)
+    answers = beliefs(tracks, model, (steps + 1).tolist(), is_scene, traffic)
+    for column, posterior in enumerate(answers.values()):
+        known = (posterior.unknown < 1.0)[:, None]
+        chance = np.where(known, posterior.probability, 1.0 / len(BEHAVIORS))
+        found.probability[np.searchsorted(tracks.ids, posterior.ids), column] = chance
+    return found
 
 
 def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
-    """Beliefs about an episode from a labels file (.parquet) of ``graphrqi classify``.
-
-    Raises:
-        InputError: if the file is not a labels file or does not speak of this episode.
-    """
+    """Beliefs about an episode from a labels file (.parquet) of ``graphrqi classify``."""
     path.stat()  # which says in the system's words that there is no such file
     table = guarded_call(path, read_labels, path, episode)
-    believed = table[CHANCES].to_numpy(dtype=np.float32)
     agent, time_s = table["agent"].to_numpy(), table["time_s"].to_numpy()
     row = np.minimum(np.searchsorted(tracks.ids, agent), tracks.ids.size - 1)
     strangers = agent[tracks.ids[row] != agent]
@@ -126,22 +123,17 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
         raise InputError(
             f"{path}: found agent {strangers[0]}, expected one of {episode}'s {tracks.ids.size}"
         )
-    steps = kept_steps(tracks)
-    times = tracks.time_s[steps]
+    found = Beliefs.none(tracks, kept_steps(tracks))
+    times = found.time_s
     column = np.clip(np.searchsorted(times, time_s - 1e-4), 0, times.size - 1)
     here = np.abs(times[column] - time_s) < 1e-3
-    probability = _unknown(tracks, steps)
-    probability[row[here], column[here]] = believed[here]
-    return Beliefs(tracks.ids, times, probability)
-
-
-def _unknown(tracks: Tracks, steps: IntArray) -> NDArray[np.float32]:
-    return np.full((tracks.ids.size, steps.size, len(BEHAVIORS)), np.nan, dtype=np.float32)
+    found.probability[row[here], column[here]] = table[CHANCES].to_numpy(np.float32)[here]
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
-    """What was predicted at one instant.
+    """Predictions of one instant.
 
     Attributes:
         time_s: the present, s.
@@ -164,7 +156,7 @@ class Forecast:
 
 
 def forecast(
-    tracks: Tracks, beliefs: Beliefs, road: Road | None, predictor: str
+    tracks: Tracks, believed: Beliefs, road: Road | None, predictor: str
 ) -> list[Forecast]:  # fmt: skip
     """Predict every agent throughout an episode: every second, or less often if there are many.
 
@@ -179,7 +171,7 @@ def forecast(
         if not history.ids.size:
             continue
         time_s = float(tracks.time_s[step])
-        prediction = predict(history, beliefs.at(time_s), road, HORIZON_S, predictor)
+        prediction = predict(history, believed.at(time_s), road, HORIZON_S, predictor)
         found.append(_kept(time_s, np.searchsorted(tracks.ids, prediction.ids), prediction))
     return found
 
@@ -251,49 +243,21 @@ def graph_history(tracks: Tracks) -> GraphHistory:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ghosts:
-    """The factual places of a counterfactual episode's agents, where they differ.
-
-    Attributes:
-        kind: (G,) code of each ghost.
-        length: (G,) m.
-        width: (G,) m.
-        ghost: (k,) which ghost a place belongs to; its places follow each other in time.
-        step: (k,) index of the time among those shown.
-        xy: (k, 2) m.
-        heading: (k,) rad.
-    """
-
-    kind: CodeArray
-    length: FloatArray
-    width: FloatArray
-    ghost: IntArray
-    step: IntArray
-    xy: FloatArray
-    heading: FloatArray
-
-    def at(self, step: int) -> IntArray:
-        """Indices of the places at one of the times shown."""
-        return np.flatnonzero(self.step == step)
-
-
-def find_ghosts(factual: Tracks, shown: Tracks) -> Ghosts:
-    """The ghosts of all who are ever `APART_M` away from their counterfactual self, or have none.
+def find_ghosts(factual: Tracks, shown: Tracks) -> Tracks:
+    """Factual places of all who are `APART_M` away from their counterfactual self, or have none.
 
     The times of the counterfactual episode that is shown are among the factual ones.
     """
     columns = np.searchsorted(factual.time_s, shown.time_s - 1e-6)
-    columns = np.minimum(columns, factual.time_s.size - 1)
-    there, xy = factual.valid[:, columns], factual.xy[:, columns]
-    rows = np.minimum(np.searchsorted(shown.ids, factual.ids), max(shown.ids.size - 1, 0))
-    same = shown.ids[rows] == factual.ids
-    both = there & same[:, None] & shown.valid[rows]
-    apart = np.hypot(*np.moveaxis(np.where(both[..., None], xy - shown.xy[rows], 0.0), 2, 0))
-    agent, step = np.nonzero(there & (~both | (apart > APART_M)))
-    some, ghost = np.unique(agent, return_inverse=True)
-    return Ghosts(
-        kind=factual.kind[some], length=factual.length[some], width=factual.width[some],
-        ghost=ghost.astype(np.int64), step=step.astype(np.int64), xy=xy[agent, step],
-        heading=factual.heading[:, columns][agent, step],
+    there = factual.part(np.arange(factual.ids.size), columns)
+    rows = np.minimum(np.searchsorted(shown.ids, there.ids), max(shown.ids.size - 1, 0))
+    both = there.valid & (shown.ids[rows] == there.ids)[:, None] & shown.valid[rows]
+    apart = np.where(both[..., None], there.xy - shown.xy[rows], 0.0)
+    differs = there.valid & (~both | (np.hypot(apart[..., 0], apart[..., 1]) > APART_M))
+    some = np.flatnonzero(differs.any(axis=1))
+    return Tracks.of_dense(
+        ids=there.ids[some], names=tuple(there.names[i] for i in some), kind=there.kind[some],
+        length=there.length[some], width=there.width[some], time_s=there.time_s,
+        signals=there.signals, xy=there.xy[some], heading=there.heading[some],
+        speed=there.speed[some], valid=differs[some],
     )  # fmt: skip

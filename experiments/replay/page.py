@@ -37,10 +37,10 @@ SCRIPTS: Final = (
 """In the order in which they are joined."""
 
 UNITS: Final = {"x": 0.01, "y": 0.01, "heading": 0.0015, "speed": 0.05, "future": 0.1}
-"""What places (m or pixels), headings (rad), speeds and places of futures are rounded to."""
+"""Steps to which places (m or pixels), headings (rad), speeds and futures are rounded."""
 
 MODES: Final = ("true", "predicted", "confidence", "speed", "w")
-"""What agents can be coloured by."""
+"""Colourings of agents."""
 
 RAMP_STOPS: Final = 17
 
@@ -49,12 +49,7 @@ RAMP_BEGIN: Final = 0.12
 
 
 def ramp_color(share: float) -> str:
-    """The colour of a share, 0 to 1, as in HTML: viridis without its darkest end.
-
-    Examples:
-        >>> ramp_color(1.0), ramp_color(7.0)
-        ('#fde725', '#fde725')
-    """
+    """The colour of a share, 0 to 1, as in HTML: viridis without its darkest end."""
     place = RAMP_BEGIN + (1.0 - RAMP_BEGIN) * min(max(share, 0.0), 1.0)
     return str(to_hex(colormaps["viridis"](place)))
 
@@ -68,19 +63,11 @@ DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i4": "Int32", "f4": "Float32"}
 """Little-endian numbers that a browser reads as typed arrays."""
 
 
-def default_mode(scene: ReplayScene) -> str:
-    """The colouring that a page opens with: by the true behaviour where it is known."""
-    return "predicted" if scene.tracks.behavior is None else "true"
-
-
 def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None = None) -> None:
     """Write the page of a scene; the HTML file appears whole or not at all.
 
     Agents are coloured by one of ``MODES`` at first. The page opens at a time, s; None for when the
     road has filled to half and there are beliefs.
-
-    Raises:
-        OSError: if it cannot be written.
     """
     folder = resources.files("experiments.replay") / "page"
     style = (folder / "style.css").read_text()
@@ -90,19 +77,13 @@ def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None =
         + "\n})();\n"
     )
     environment = Environment(
-        loader=PackageLoader("experiments.replay", "page"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
+        loader=PackageLoader("experiments.replay", "page"), autoescape=True,
+        undefined=StrictUndefined, trim_blocks=True,
+    )  # fmt: skip
     page = environment.get_template("page.html").render(
-        title=scene.name,
-        style=style,
-        script=script,
-        style_hash=_csp_hash(style),
-        script_hash=_csp_hash(script),
-        data=_json(_data(scene, mode, begin_s)),
-    )
+        title=scene.entry.name, style=style, script=script, style_hash=_csp_hash(style),
+        script_hash=_csp_hash(script), data=_json(_data(scene, mode, begin_s)),
+    )  # fmt: skip
     write_whole(out, page.encode())
 
 
@@ -117,7 +98,7 @@ def _json(value: object) -> str:
 
 
 def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
-    """What the page's script reads."""
+    """All that the page's script reads."""
     tracks = scene.tracks
     begin_s = float(tracks.time_s[0])
     arrays: dict[str, NDArray[Any]] = {"time": (tracks.time_s - begin_s).astype("f4")}
@@ -138,7 +119,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
         "agents": int(tracks.ids.size),
     }
     return meta | {
-        "title": scene.name,
+        "title": scene.entry.name,
         "facts": facts,
         "notes": list(scene.notes),
         "unit": scene.unit,
@@ -209,17 +190,19 @@ def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
         numbers = [
             [name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS if profile
         ]
-        found.append(
-            {
-                "name": tracks.names[i],
-                "kind": int(tracks.kind[i]),
-                "length": round(float(tracks.length[i]), 2),
-                "width": round(float(tracks.width[i]), 2),
-                "truth": -1 if tracks.behavior is None else int(tracks.behavior[i]),
-                "profile": numbers or None,
-            }
-        )
+        found.append({
+            "name": tracks.names[i],
+            **_size(tracks.kind[i], tracks.length[i], tracks.width[i]),
+            "truth": -1 if tracks.behavior is None else int(tracks.behavior[i]),
+            "profile": numbers or None,
+        })  # fmt: skip
     return found
+
+
+def _size(kind: int, length: float, width: float) -> dict[str, Any]:
+    return {
+        "kind": int(kind), "length": round(float(length), 2), "width": round(float(width), 2)
+    }  # fmt: skip
 
 
 def _places(tracks: Tracks, arrays: dict[str, NDArray[Any]]) -> None:
@@ -272,15 +255,12 @@ def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[dict[st
     ghosts = scene.ghosts
     if ghosts is None:
         return []
-    arrays["ghostOf"] = ghosts.ghost.astype("u2")
-    arrays["ghostStep"] = ghosts.step.astype("i4")
-    arrays["ghostXY"] = differences(ghosts.xy, UNITS["x"])
-    arrays["ghostHeading"] = ghosts.heading.astype("f4")
-    sizes = zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)
-    return [
-        {"kind": int(k), "length": round(float(a), 2), "width": round(float(b), 2)}
-        for k, a, b in sizes
-    ]
+    places = ghosts.rows
+    arrays["ghostOf"] = places.index.agent.astype("u2")
+    arrays["ghostStep"] = places.index.step.astype("i4")
+    arrays["ghostXY"] = differences(places.xy, UNITS["x"])
+    arrays["ghostHeading"] = places.heading.astype("f4")
+    return [_size(*one) for one in zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)]
 
 
 def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[float]:
@@ -327,11 +307,6 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]
     """Put arrays, each of a type in ``DTYPES``, into one text.
 
     Also returned is what is where, by name: type, offset in bytes, count.
-
-    Examples:
-        >>> index, text = pack({"a": np.array([1, 2], dtype="<u2")})
-        >>> index, list(zlib.decompress(base64.b64decode(text)))
-        ({'a': ['Uint16', 0, 2]}, [1, 0, 2, 0])
     """
     index: dict[str, list[Any]] = {}
     parts: list[bytes] = []
@@ -347,10 +322,5 @@ def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]
 
 
 def differences(values: FloatArray, unit: float) -> NDArray[np.int32]:
-    """Values (n, ...), rounded to a unit, as differences along the first axis, as flat numbers.
-
-    Examples:
-        >>> differences(np.array([1.0, 1.5, 9.0]), 0.5).tolist()
-        [2, 1, 15]
-    """
+    """Values (n, ...), rounded to a unit, as differences along the first axis, as flat numbers."""
     return np.diff(np.rint(values / unit), axis=0, prepend=0).astype(np.int32).ravel()

@@ -22,7 +22,7 @@ from experiments.figure_files import check_figure_file, write_figure
 from experiments.replay.page import ramp_color
 from experiments.replay.scene import ReplayScene
 from experiments.what_if.branches import branch_of, change_of
-from experiments.what_if.outcomes import INCIDENTS, branches_of, factual_of, new_incidents
+from experiments.what_if.outcomes import INCIDENTS, branches_of, factual_of, new_incidents, path_of
 from sim.files import write_whole
 from sim.frames import PEDESTRIAN, SIGNALS, EventKind, FloatArray, IntArray, Signal, Tracks
 from sim.road import Road
@@ -92,12 +92,7 @@ def draw_road(axes: Axes, road: Road, width: float) -> None:
 
 
 def rows_of(extent: tuple[float, float, float, float], width: int, height: int) -> int:
-    """How many rows show an extent (x0, y0, x1, y1, m) as large as possible in so many pixels.
-
-    Examples:
-        >>> [rows_of((0, 0, size, 12), 1280, 630) for size in (12, 800)]
-        [1, 6]
-    """
+    """How many rows show an extent (x0, y0, x1, y1, m) as large as possible in so many pixels."""
     long, high = extent[2] - extent[0], extent[3] - extent[1]
     if long <= LONG * high:
         return 1
@@ -126,12 +121,9 @@ def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
 
 
 class Drawing:
-    """A scene as a figure, which can be drawn at any time.
+    """A scene as a figure of some pixels, which can be drawn at any time.
 
-    Args:
-        scene: what to draw.
-        mode: what agents are coloured by: true, predicted, confidence, speed or w.
-        size: width and height, pixels.
+    Agents are coloured by a mode: true, predicted, confidence, speed or w.
     """
 
     def __init__(self, scene: ReplayScene, mode: str, size: tuple[int, int] = (1280, 720)) -> None:
@@ -217,7 +209,7 @@ class Drawing:
         }[self.mode]
         middle = 1 - HEAD_PX / 2 / height
         self.figure.text(
-            0.012, middle, f"{scene.name}: {said}", va="center", color=INK, parse_math=False
+            0.012, middle, f"{scene.entry.name}: {said}", va="center", color=INK, parse_math=False
         )
         if self.mode in ("true", "predicted"):
             known = [(COLORS[b], b.value) for b in BEHAVIORS]
@@ -317,11 +309,12 @@ class Drawing:
         ghosts = self.scene.ghosts
         if ghosts is None:
             return []
-        found = []
-        for i in ghosts.at(self._step(time_s)):
-            who = ghosts.ghost[i]
-            size = float(ghosts.length[who]), float(ghosts.width[who])
-            outline = _outline(ghosts.xy[i], float(ghosts.heading[i]), *size)
+        places, found = ghosts.rows, []
+        at = places.index.at(self._step(time_s))
+        for row, xy, heading in zip(
+            places.index.agent[at], places.xy[at], places.heading[at], strict=True
+        ):
+            outline = _outline(xy, heading, float(ghosts.length[row]), float(ghosts.width[row]))
             found.append(np.concatenate([outline, outline[:1]]))
         return found
 
@@ -351,11 +344,7 @@ def fullest_s(scene: ReplayScene) -> float:
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a name of a picture or film that cannot be made, before anything is computed.
-
-    Raises:
-        InputError: if its ending is not known, or MP4 cannot be made here.
-    """
+    """Refuse a name of a picture or film that cannot be made, before anything is computed."""
     endings = (".png", ".pdf", ".svg", *FILMS)
     if path.suffix.lower() not in endings:
         raise InputError(
@@ -380,20 +369,11 @@ def write_picture(
     end_s: float | None = None,
     quiet: bool = True,
 ) -> None:
-    """Draw a scene at one time, or film it.
+    """Draw a scene at one time, or film it, coloured as in `Drawing`.
 
-    Args:
-        scene: what to draw.
-        path: the file; it appears complete or not at all. Its ending says the format.
-        mode: what agents are coloured by, as for `Drawing`.
-        begin_s: the time of a picture (None for the one with most agents), or when a film begins
-            (None for the beginning), s.
-        end_s: when a film ends, s; None for the end.
-        quiet: whether to show no progress.
-
-    Raises:
-        InputError: if the name or the times are wrong.
-        OSError: if it cannot be written.
+    The file's ending says the format; it appears complete or not at all. A picture is of the time
+    at which it begins, s, or by default of that with most agents. A film lasts by default from the
+    episode's beginning to its end.
     """
     check_picture(path)
     ending = path.suffix.lower()
@@ -426,11 +406,6 @@ def write_paths(dataset: Dataset, path: Path) -> None:
     """Draw every counterfactual episode of a dataset of ``what-if`` over the factual one.
 
     The file, .png, .pdf or .svg, appears whole or not at all.
-
-    Raises:
-        InputError: if the name says no format of figures, or the dataset is not one that
-            ``what-if`` wrote.
-        OSError: if the file cannot be written.
     """
     check_figure_file(path, "--picture")
     happened = factual_of(dataset)
@@ -458,9 +433,10 @@ def _draw(
         draw_road(plan, road, 0.7)
     for name in (agent, *others[:DRAWN_OTHERS]):
         own = name == agent
-        start = _path(factual, name, since_s)[1][:1]
+        start = path_of(factual, name, since_s - 1e-6)[:1, 1:]
         for tracks, paint, dashes in ((factual, FACTUAL, "--"), (other, color, "-")):
-            time_s, xy = _path(tracks, name, since_s)
+            path = path_of(tracks, name, since_s - 1e-6)
+            time_s, xy = path[:, 0], path[:, 1:]
             if not len(xy):
                 continue
             wide = 3.4 if tracks is factual else 1.8
@@ -478,7 +454,7 @@ def _draw(
         (factual, new_incidents(known, other.events), FACTUAL),
     ):
         for event in events:
-            _, xy = _path(tracks, event.agent, event.time_s)
+            xy = path_of(tracks, event.agent, event.time_s - 1e-6)[:, 1:]
             marker = "X" if event.kind is INCIDENTS[0] else "^"
             plan.plot(*xy[:1].T, marker, color=paint, markersize=9, zorder=8)
             course.axvline(event.time_s, color=paint, linewidth=0.8, linestyle=":")
@@ -507,12 +483,3 @@ def _separations(factual: Tracks, other: Tracks) -> dict[int, float]:
     apart = other.xy[mine] - factual.xy[theirs][:, columns]
     farthest = np.nan_to_num(np.hypot(apart[..., 0], apart[..., 1])).max(axis=1, initial=0.0)
     return dict(zip(both.tolist(), farthest.tolist(), strict=True))
-
-
-def _path(tracks: Tracks, agent: int, since_s: float) -> tuple[FloatArray, FloatArray]:
-    """(k,) times and (k, 2) places of an agent from an instant on."""
-    row = np.flatnonzero(tracks.ids == agent)
-    if not row.size:
-        return np.empty(0), np.empty((0, 2))
-    columns = np.flatnonzero(tracks.valid[row[0]] & (tracks.time_s > since_s - 1e-6))
-    return tracks.time_s[columns], tracks.xy[row[0], columns]

@@ -16,17 +16,8 @@ from experiments.console.progress import Progress
 from experiments.data.scene_check import SCALED, is_scene
 from experiments.data.units import image_scale
 from experiments.data.windows import measured, traffic_of
-from experiments.replay.layers import (
-    Beliefs,
-    Forecast,
-    Ghosts,
-    GraphHistory,
-    believe,
-    find_ghosts,
-    forecast,
-    graph_history,
-    read_beliefs,
-)
+from experiments.replay import layers
+from experiments.replay.layers import Beliefs, Forecast, GraphHistory
 from experiments.what_if.branches import branch_of, change_of
 from experiments.what_if.outcomes import factual_of
 from graphrqi.model_files import load_model
@@ -49,9 +40,6 @@ NAMED: Final = 6
 """Most episodes that a message names."""
 
 DEFAULT_PREDICTOR: Final = "graphrqi-predict"
-
-MAX_AGENTS: Final = 2**15
-"""Most agents that are shown (a page numbers them in 16 bits)."""
 
 PARKED_M: Final = 2.0
 """A vehicle that stays within this is parked, m (more than the noise of recordings)."""
@@ -95,12 +83,7 @@ class ReplayScene:
     forecasts: tuple[Forecast, ...]
     predictor: str
     notes: tuple[str, ...]
-    ghosts: Ghosts | None = None
-
-    @property
-    def name(self) -> str:
-        """What the episode is called: its recording, or its scenario and index."""
-        return self.entry.name
+    ghosts: Tracks | None = None
 
 
 def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
@@ -108,9 +91,6 @@ def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
 
     It is called by its id, the beginning of its id, its name (the recording, with its folder or
     without, or the scenario and the index), or its scenario, of which it is the first then.
-
-    Raises:
-        InputError: if there is none, or if several have that name or begin so.
     """
     entries = dataset.manifest.episodes
     if not entries:
@@ -146,9 +126,6 @@ def gather(
 
     The classifier, a shipped one's name or a folder, is not used where a labels file of
     ``graphrqi classify`` is given. The predictor is a key of ``PREDICTORS``, or "none".
-
-    Raises:
-        InputError: if a file is broken or does not speak of this episode, or it has no agents.
     """
     episode = dataset.read(entry)
     tracks, road = measured(episode), dataset.road(entry)
@@ -156,10 +133,6 @@ def gather(
         raise InputError(
             f"{entry.name}: found {tracks.ids.size} agents in {tracks.time_s.size} frames, "
             "expected at least 1 in 2"
-        )
-    if tracks.ids.size > MAX_AGENTS:
-        raise InputError(
-            f"episode {entry.id}: found {tracks.ids.size} agents, expected at most {MAX_AGENTS}"
         )
     shown_traits = episode.shown_traits
     if entry.engine in FORMATS:  # a recording: nobody has looked yet
@@ -171,24 +144,30 @@ def gather(
     with Progress("looking at the episode", 3, quiet) as progress:
         if labels is None:
             trained = load_model(model)
-            beliefs = believe(tracks, trained, is_scene(entry), traffic_of(entry))
+            beliefs = layers.believe(tracks, trained, is_scene(entry), traffic_of(entry))
             believer = trained.method.name
         else:
-            beliefs, believer = read_beliefs(labels, entry.id, tracks), labels.name
+            beliefs, believer = layers.read_beliefs(labels, entry.id, tracks), labels.name
         progress.advance()
         if predictor != "none":
-            forecasts = forecast(tracks, beliefs, road, predictor)
+            forecasts = layers.forecast(tracks, beliefs, road, predictor)
         progress.advance()
-        graph = graph_history(tracks)
+        graph = layers.graph_history(tracks)
         progress.advance()
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = max(1, round(SHOWN_EVERY_S / tracks.step_s))
     stride = max(stride, -(-tracks.rows.speed.size // MAX_PLACES))
-    if unit == "px":
-        tracks = _with_drawn_sizes(tracks)
+    if unit == "px":  # boxes are as large as the perspective makes them: draw cars of one size
+        box = np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE)
+        length = np.full(tracks.ids.size, float(box))
+        tracks = replace(tracks, length=length, width=length / CAR_SHAPE)
     kept = tracks.part(np.arange(tracks.ids.size), slice(None, None, stride))
-    ghosts, notes = _ghosts_of(dataset, entry, kept)
+    ghosts, notes, branch = None, [], branch_of(entry)
+    if branch is not None:
+        said = f"what if driver {branch['agent']} had changed at {branch['at_s']} s"
+        notes.append(f"{said}: {change_of(entry)}; dashed outlines: where everyone factually was")
+        ghosts = layers.find_ghosts(dataset.read(factual_of(dataset, entry)).tracks, kept)
     notes += _notes(episode, road, unit, stride)
     return ReplayScene(
         entry=entry, unit=unit, road=road, tracks=kept,
@@ -196,21 +175,6 @@ def gather(
         beliefs=beliefs, believer=believer, graph=graph, forecasts=tuple(forecasts),
         predictor=predictor if forecasts else "", notes=tuple(notes), ghosts=ghosts,
     )  # fmt: skip
-
-
-def _ghosts_of(
-    dataset: Dataset, entry: EpisodeEntry, shown: Tracks
-) -> tuple[Ghosts | None, list[str]]:
-    """The ghosts of a counterfactual episode, and a note for its reader."""
-    branch = branch_of(entry)
-    if branch is None:
-        return None, []
-    said = f"what if driver {branch['agent']} had changed at {branch['at_s']} s: {change_of(entry)}"
-    try:
-        factual = dataset.read(factual_of(dataset, entry)).tracks
-    except InputError:
-        return None, [f"{said}; the factual episode is not in this dataset"]
-    return find_ghosts(factual, shown), [f"{said}; dashed outlines: where everyone factually was"]
 
 
 def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
@@ -225,19 +189,8 @@ def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...
     return tuple(e for e in events if e.kind is not near or not parked & {e.agent, e.other})
 
 
-def _with_drawn_sizes(tracks: Tracks) -> Tracks:
-    """The tracks of an image's boxes as cars of one size, which can be drawn from above.
-
-    A box in an image is upright and as large as the perspective makes it. Turned into the driving
-    direction, boxes of dense traffic would cover each other.
-    """
-    length = float(np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE))
-    many = tracks.ids.size
-    return replace(tracks, length=np.full(many, length), width=np.full(many, length / CAR_SHAPE))
-
-
 def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> list[str]:
-    """What a reader should know of the data."""
+    """Notes on the data for a reader."""
     known = episode.entry.options.get("notes")
     notes = [str(note) for note in known] if isinstance(known, list) else []
     if road is None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from behaviors.errors import InputError, lookup
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
-from experiments.replay.page import MODES, default_mode, write_page
+from experiments.replay.page import MODES, write_page
 from experiments.replay.pictures import check_picture, write_picture
 from experiments.replay.scene import DEFAULT_PREDICTOR, chosen_entry, gather
 from graphrqi.predict import PREDICTORS
@@ -67,7 +67,7 @@ def write_replay(
         raise InputError(
             f"--begin-s: found {begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
         )
-    mode = color or default_mode(scene)
+    mode = color or ("predicted" if scene.tracks.behavior is None else "true")
     write_page(scene, out, mode, begin_s)
     if picture is not None:
         write_picture(scene, picture, mode, begin_s, end_s, quiet)

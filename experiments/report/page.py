@@ -6,7 +6,6 @@ import base64
 import itertools
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +20,7 @@ from experiments.report.findings import findings
 from experiments.report.pictures import Picture, pictures_of
 from experiments.report.tables import tables_of
 from experiments.report.worst_cases import Excerpt, take_excerpts
-from experiments.score.rows import MADE, Row, checked_rows, read_rows
+from experiments.score.rows import MADE, checked_rows, read_rows
 from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
 from sim.store.catalogue import is_dataset
@@ -36,46 +35,17 @@ FORMATS: Final = {"svg": ".svg", "pdf": ".pdf"}
 """Formats of pictures in files of their own, and their endings."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Source:
-    """One thing to report on.
-
-    Attributes:
-        path: the file or folder.
-        name: what it is called.
-        rows: the figures, a row each; those without a value are left out.
-    """
-
-    path: Path
-    name: str
-    rows: pd.DataFrame
-
-    @property
-    def is_run(self) -> bool:
-        """Whether the data and the model of the figures lie beside them, as ``make demo`` does."""
-        return (self.path / "model" / FILE).is_file() and is_dataset(self.path / "data")
-
-
-def read_source(path: Path) -> Source:
-    """The rows of a file, of a folder with such files, or of a model's folder.
-
-    Raises:
-        InputError: if there is nothing to report on, or a file is broken.
-    """
+def read_source(path: Path) -> pd.DataFrame:
+    """The rows with a value of a file, of a folder with such files, or of a model's folder."""
     if path.is_file():
-        return Source(path, path.stem, _table_of(read_rows(path), path))
-    if not path.is_dir():
+        rows = read_rows(path)
+    elif not path.is_dir():
         raise InputError(f"{path}: found nothing there, expected a file of rows or a folder")
-    if (path / FILE).is_file():
+    elif (path / FILE).is_file():
         card = load_model(path).card
         rows = checked_rows(card.get("scores", []), f"{path / FILE}: card.scores")
     else:
         rows = [row for file in sorted(path.glob("*.json")) for row in read_rows(file)]
-    return Source(path, path.resolve().name, _table_of(rows, path))
-
-
-def _table_of(rows: Sequence[Row], path: Path) -> pd.DataFrame:
-    """Rows with a value, of which there must be one, as a table."""
     measured = [row for row in rows if row.get("value") is not None]
     if not measured:
         raise InputError(
@@ -96,46 +66,45 @@ def write_report(
 ) -> Path:
     """Write the page of some rows; of several files or folders, one that compares them.
 
-    Args:
-        paths: files of rows, folders with such files, or folders of models.
-        out: the page; None for ``report.html`` in the folder, beside a file by its name, or
-            ``comparison.html`` for several.
-        figures: ``svg`` or ``pdf`` to write the pictures beside the page, too; None for none.
-        jobs: processes for looking at a run's episodes; None for one per core.
-        quiet: whether to show no progress.
-
-    Returns:
-        The page. It loads nothing; a run's worst cases link to the replays beside it.
-
-    Raises:
-        InputError: if there is nothing to report on, or a part is broken.
-        OSError: if it cannot be written.
+    The page loads nothing. By default it is ``report.html`` in the folder, beside a file by its
+    name, or ``comparison.html`` for several. Pictures are written beside it, too, as ``svg`` or
+    ``pdf``. A run with its data and model, as ``make demo`` leaves it, gets worst cases, which
+    link to replays beside the page.
     """
     ending = None if figures is None else lookup(FORMATS, figures, "format of figures")
-    sources = [read_source(path) for path in paths]
-    out = _place(sources) if out is None else out
+    path, many = paths[0], len(paths) > 1
+    names = [path.stem if path.is_file() else path.resolve().name for path in paths]
+    tables = [read_source(path) for path in paths]
+    if out is None:
+        out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
+        out = Path("comparison.html") if many else out
     if out.is_file() and MARK not in out.read_bytes()[:HEAD_BYTES]:
         raise InputError(f"{out}: found a page that is not a report, expected none; move it away")
-    rows, across = _together(sources)
+    rows = tables[0]
+    if many:
+        runs = names if len(set(names)) == len(names) else [str(path) for path in paths]
+        together = [table.assign(run=run) for table, run in zip(tables, runs, strict=True)]
+        rows = pd.concat(together, ignore_index=True)
     shown: list[dict[str, Any]] = [
         {
             "title": name,
-            "tables": list(tables_of(part, across)),
+            "tables": list(tables_of(part, ["run"] if many else [])),
             "pictures": list(pictures_of(part)),
         }
         for name, part in rows.groupby("command", sort=False)
     ]
     excerpts = list[Excerpt]()
-    if len(sources) == 1 and sources[0].is_run and out.parent.samefile(sources[0].path):
-        excerpts = take_excerpts(sources[0].path, jobs, quiet)
+    is_run = (path / "model" / FILE).is_file() and is_dataset(path / "data")
+    if is_run and not many and out.parent.samefile(path):
+        excerpts = take_excerpts(path, jobs, quiet)
     environment = Environment(
         loader=PackageLoader("experiments.report", "."), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["drawn"] = _drawn
     page = environment.get_template("page.html").render(
-        title=" beside ".join(source.name for source in sources),
-        findings=[] if len(sources) > 1 else findings(rows),
+        title=" beside ".join(names),
+        findings=[] if many else findings(rows),
         sections=shown,
         excerpts=excerpts,
         made=rows[[key for key in MADE if key in rows]].drop_duplicates().fillna(""),
@@ -145,23 +114,6 @@ def write_report(
         parts = [*(section["pictures"] for section in shown), *(e.pictures for e in excerpts)]
         _write_pictures(out, ending, itertools.chain(*parts))
     return out
-
-
-def _place(sources: Sequence[Source]) -> Path:
-    if len(sources) > 1:
-        return Path("comparison.html")
-    path = sources[0].path
-    return path / "report.html" if path.is_dir() else path.with_suffix(".html")
-
-
-def _together(sources: Sequence[Source]) -> tuple[pd.DataFrame, list[str]]:
-    """All rows, and the key that distinguishes several sources."""
-    if len(sources) == 1:
-        return sources[0].rows, []
-    names = [source.name for source in sources]
-    names = names if len(set(names)) == len(names) else [str(source.path) for source in sources]
-    tables = [s.rows.assign(run=name) for s, name in zip(sources, names, strict=True)]
-    return pd.concat(tables, ignore_index=True), ["run"]
 
 
 def _drawn(picture: Picture) -> Markup:

@@ -79,12 +79,7 @@ def _parts(
 
 
 def color_of(name: str, place: int) -> str:
-    """The colour of a behaviour, or for anything else the next colour that no behaviour has.
-
-    Examples:
-        >>> color_of("timid", 0), color_of("arpack", 0)
-        ('#009E73', '#4477AA')
-    """
+    """The colour of a behaviour, or for anything else the next colour that no behaviour has."""
     return COLORS.get(name) or CYCLE[place % len(CYCLE)]
 
 

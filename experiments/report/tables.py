@@ -53,22 +53,12 @@ class Table(NamedTuple):
 
 
 def name_of(metric: str) -> str:
-    """Name of a metric on a page.
-
-    Examples:
-        >>> name_of("ade_m"), name_of("lane_changes_per_km")
-        ('ADE, m', 'lane changes per km')
-    """
+    """Name of a metric on a page."""
     return NAMES.get(metric, metric.replace("_", " "))
 
 
 def number(value: float) -> str:
-    """A figure as text, with three or four significant digits.
-
-    Examples:
-        >>> [number(x) for x in (0.51249, 12.3456, 1234.5, 0.00012, 3.0)]
-        ['0.512', '12.35', '1234', '0.00012', '3']
-    """
+    """A figure as text, with three or four significant digits."""
     if value == int(value) and abs(value) < 1e15:
         return str(int(value))
     if abs(value) >= 100:
@@ -109,7 +99,7 @@ def tables_of(rows: pd.DataFrame, across: Sequence[str] = ()) -> Iterator[Table]
 
 
 def is_everyone(rows: pd.DataFrame) -> pd.Series[bool]:
-    """Which rows are of all drivers, not of those of one behaviour."""
+    """Whether rows are of all drivers, not of those of one behaviour."""
     if "behavior" not in rows:
         return pd.Series(data=True, index=rows.index)
     return rows["behavior"].isna() | (rows["behavior"] == "all")

@@ -11,36 +11,16 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, Behavior, Style
-from experiments.score.metrics import (
-    Statistic,
-    auc_over_episodes,
-    balanced_accuracy,
-    bootstrap,
-    calibration_error,
-    confusion,
-    macro_f1,
-    ratio,
-    recalls,
-    reliability,
-    summed,
-    weighted_accuracy,
-)
+from experiments.score import metrics
+from experiments.score.metrics import Statistic, ratio, row_of, summed
 from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from graphrqi.posterior import aggressive_share
 from sim.frames import FloatArray, IntArray
 
 STYLES: Final = (Style.AGGRESSIVE, Style.CONSERVATIVE)
-
-
-def joined_answers(tables: Sequence[pa.Table]) -> pd.DataFrame:
-    """Tables as of a labels file, of an episode each, as one, in which episodes are numbers."""
-    number = np.repeat(np.arange(len(tables)), [table.num_rows for table in tables])
-    answers: pd.DataFrame = pa.concat_tables(tables).to_pandas().assign(episode=number)
-    return answers
 
 
 def known_answers(
@@ -49,7 +29,7 @@ def known_answers(
 ) -> pd.DataFrame:  # fmt: skip
     """Answers (n, k) that are always given, with the columns of a labels file that scores need.
 
-    Episodes (n,) are numbers. True codes (n,) stand for the classes, and -1 for an unknown one.
+    True codes (n,) stand for the classes, and -1 for an unknown one.
     """
     words, styles = (
         np.array([*map(str, names), None], dtype=object)
@@ -72,8 +52,8 @@ def score_answers(
     """All answers of one source.
 
     Args:
-        answers: one of every driver (or of every window of observation), as from `joined_answers`
-            or `known_answers`.
+        answers: one of every driver (or of every window of observation), with the columns of a
+            labels file, as `answer_episodes` or `known_answers` give them.
         keys: what was measured, for the rows.
         majority: code of the constant answer; None for the most frequent behaviour of the scored
             drivers.
@@ -91,7 +71,7 @@ def score_answers(
         ``confidence`` the ``reliability``, a share of right answers. Intervals are by bootstrap
         over episodes.
     """
-    n, episode = len(answers), answers["episode"].to_numpy()
+    n, episode = len(answers), _episodes(answers)
     rows = [tidy_row(keys, "drivers", n, n=n)]
     if not n:
         return rows
@@ -106,8 +86,7 @@ def score_answers(
     for code, behavior in enumerate(classes if breakdown else ()):
         shares.append(("named_share", {"behavior": str(behavior)}, answer == code))
     for name, more, part in shares:
-        found = bootstrap(ratio, summed(episode, part, np.ones(n)))
-        rows.append(tidy_row({**keys, **more}, name, *found, n))
+        rows.append(row_of({**keys, **more}, name, ratio, summed(episode, part, np.ones(n)), n))
     known = answers[_codes(answers["truth"], classes) >= 0]
     if len(known):
         rows += _behavior_rows(known, keys, majority, breakdown, classes)
@@ -115,6 +94,11 @@ def score_answers(
     if len(known):
         rows += _style_rows(known, keys, majority, classes)
     return rows
+
+
+def _episodes(answers: pd.DataFrame) -> IntArray:
+    """(n,) numbers of the answers' episodes, in the order in which they come."""
+    return np.asarray(pd.factorize(answers["episode"])[0], dtype=np.int64)
 
 
 def _codes(words: pd.Series[Any], known: Sequence[str]) -> IntArray:
@@ -126,17 +110,15 @@ def _chances(answers: pd.DataFrame, classes: Sequence[Behavior]) -> FloatArray:
     return np.asarray(answers[[f"p_{b}" for b in classes]], dtype=np.float64)
 
 
-def _counts(answers: pd.DataFrame, classes: Sequence[Behavior] = BEHAVIORS) -> FloatArray:
-    """(E, k, k) confusion matrices of behaviours."""
-    truth, likeliest = _codes(answers["truth"], classes), _chances(answers, classes).argmax(axis=1)
-    return confusion(truth, likeliest, answers["episode"].to_numpy(), len(classes))
+def _style_chances(answers: pd.DataFrame, classes: Sequence[Behavior]) -> FloatArray:
+    """(n, 2) probabilities of `STYLES`."""
+    aggressive = aggressive_share(_chances(answers, classes), classes)
+    return np.stack([aggressive, 1.0 - aggressive], axis=1)
 
 
-def _style_counts(answers: pd.DataFrame, classes: Sequence[Behavior] = BEHAVIORS) -> FloatArray:
-    """(E, 2, 2) confusion matrices of styles, by the larger sum of probabilities."""
-    answer = (aggressive_share(_chances(answers, classes), classes) < 0.5).astype(np.int64)
-    truth = _codes(answers["true_style"], STYLES)
-    return confusion(truth, answer, answers["episode"].to_numpy(), len(STYLES))
+def _counts(truth: IntArray, probability: FloatArray, episode: IntArray) -> FloatArray:
+    """(E, k, k) confusion matrices of the likeliest class."""
+    return metrics.confusion(truth, probability.argmax(axis=1), episode, probability.shape[1])
 
 
 def _behavior_rows(
@@ -144,37 +126,34 @@ def _behavior_rows(
     classes: Sequence[Behavior],
 ) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose behaviour is known."""
-    truth, episode = _codes(answers["truth"], classes), answers["episode"].to_numpy()
-    counts, probability = _counts(answers, classes), _chances(answers, classes)
-    answered = answers["behavior"].notna().to_numpy()
+    truth, episode = _codes(answers["truth"], classes), _episodes(answers)
+    probability, answered = _chances(answers, classes), answers["behavior"].notna().to_numpy()
+    counts, right = _counts(truth, probability, episode), probability.argmax(axis=1) == truth
+    bins = metrics.reliability(right, probability.max(axis=1), episode)
     usual = np.bincount(truth).argmax() if majority is None else majority
-    bins = reliability(truth, probability, episode)
-    right = summed(episode, answered & (probability.argmax(axis=1) == truth), answered)
-    figures: list[tuple[str, Statistic, FloatArray]] = [
-        ("weighted_accuracy", weighted_accuracy, counts),
-        ("majority_weighted_accuracy", ratio, summed(episode, truth == usual, truth >= 0)),
-        ("answered_accuracy", ratio, right),
-        ("balanced_accuracy", balanced_accuracy, counts),
-        ("macro_f1", macro_f1, counts),
-        ("ece", calibration_error, bins),
+    figures: list[tuple[str, Statistic, FloatArray, int]] = [
+        ("weighted_accuracy", metrics.weighted_accuracy, counts, truth.size),
+        ("majority_weighted_accuracy", ratio, _share(episode, truth == usual), truth.size),
+        ("answered_accuracy", ratio, summed(episode, answered & right, answered), answered.sum()),
+        ("balanced_accuracy", metrics.balanced_accuracy, counts, truth.size),
+        ("macro_f1", metrics.macro_f1, counts, truth.size),
+        ("ece", metrics.calibration_error, bins, truth.size),
     ]
-    for name, statistic, per_episode in figures:
-        n = int(right[:, 1].sum()) if name == "answered_accuracy" else truth.size
+    for name, statistic, per_episode, n in figures:
         if n:
-            yield tidy_row(keys, name, *bootstrap(statistic, per_episode), n)
+            yield row_of(keys, name, statistic, per_episode, int(n))
     total = counts.sum(axis=0)
     for code, behavior in enumerate(classes):
         own, row = int(total[code].sum()), {**keys, "behavior": str(behavior)}
         if own:
-            found = bootstrap(lambda matrix, at=code: recalls(matrix)[..., at], counts)  # type: ignore[misc]
-            yield tidy_row(row, "recall", *found, own)
+            per_episode = np.stack([counts[:, code, code], counts[:, code].sum(axis=1)], axis=1)
+            yield row_of(row, "recall", ratio, per_episode, own)
         for taken, other in zip(total[code], classes if breakdown else (), strict=False):
             yield tidy_row({**row, "answer": str(other)}, "confusion", float(taken), n=own)
     for number, (count, sure, _) in enumerate(bins.sum(axis=0) if breakdown else ()):
         if count:
             row = {**keys, "confidence": round(float(sure / count), 4)}
-            found = bootstrap(ratio, bins[:, number, [2, 0]])
-            yield tidy_row(row, "reliability", *found, int(count))
+            yield row_of(row, "reliability", ratio, bins[:, number, [2, 0]], int(count))
 
 
 def _style_rows(
@@ -182,25 +161,26 @@ def _style_rows(
     classes: Sequence[Behavior],
 ) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose style is known, with or without their behaviour."""
-    truth, episode = _codes(answers["true_style"], STYLES), answers["episode"].to_numpy()
-    aggressive, counts = (
-        aggressive_share(_chances(answers, classes), classes),
-        _style_counts(answers, classes),
-    )
-    usual = (
-        np.bincount(truth).argmax() if majority is None else STYLES.index(classes[majority].style)
-    )
-    bins = reliability(truth, np.stack([aggressive, 1.0 - aggressive], axis=1), episode)
+    truth, episode = _codes(answers["true_style"], STYLES), _episodes(answers)
+    probability = _style_chances(answers, classes)
+    counts, right = _counts(truth, probability, episode), probability.argmax(axis=1) == truth
+    constant = None if majority is None else STYLES.index(classes[majority].style)
+    usual = np.bincount(truth).argmax() if constant is None else constant
+    bins = metrics.reliability(right, probability.max(axis=1), episode)
     figures: list[tuple[str, Statistic, FloatArray]] = [
-        ("style_accuracy", weighted_accuracy, counts),
-        ("majority_style_accuracy", ratio, summed(episode, truth == usual, truth >= 0)),
-        ("style_balanced_accuracy", balanced_accuracy, counts),
-        ("style_ece", calibration_error, bins),
+        ("style_accuracy", metrics.weighted_accuracy, counts),
+        ("majority_style_accuracy", ratio, _share(episode, truth == usual)),
+        ("style_balanced_accuracy", metrics.balanced_accuracy, counts),
+        ("style_ece", metrics.calibration_error, bins),
     ]
     for name, statistic, per_episode in figures:
-        yield tidy_row(keys, name, *bootstrap(statistic, per_episode), truth.size)
-    auc = auc_over_episodes(aggressive, truth == 0, episode)
+        yield row_of(keys, name, statistic, per_episode, truth.size)
+    auc = metrics.auc_over_episodes(probability[:, 0], truth == 0, episode)
     yield tidy_row(keys, "style_auc", *auc, truth.size)
+
+
+def _share(episode: IntArray, some: NDArray[np.bool_]) -> FloatArray:
+    return summed(episode, some, np.ones(some.size))
 
 
 def score_difference(
@@ -213,17 +193,23 @@ def score_difference(
         behaviour is known, with intervals by a paired bootstrap over episodes.
     """
     known = _codes(ours["truth"], BEHAVIORS) >= 0
-    ours, theirs, rows = ours[known], theirs[known], []
-    for name, of, counted in (
-        ("macro_f1", macro_f1, _counts),
-        ("style_balanced_accuracy", balanced_accuracy, _style_counts),
-    ):
+    both, rows = (ours[known], theirs[known]), []
+    figures: Any = (
+        ("macro_f1", "truth", BEHAVIORS, _chances),
+        ("style_balanced_accuracy", "true_style", STYLES, _style_chances),
+    )
+    for name, column, words, chances in figures:
+        of = metrics.macro_f1 if column == "truth" else metrics.balanced_accuracy
 
         def difference(counts: FloatArray, of: Statistic = of) -> FloatArray:
             return np.asarray(of(counts[..., 0, :, :]) - of(counts[..., 1, :, :]))
 
-        found = bootstrap(difference, np.stack([counted(ours), counted(theirs)], axis=1))
-        rows.append(tidy_row(keys, f"{name}_difference", *found, len(ours)))
+        counts = [
+            _counts(_codes(one[column], words), chances(one, BEHAVIORS), _episodes(one))
+            for one in both
+        ]
+        per_episode = np.stack(counts, axis=1)
+        rows.append(row_of(keys, f"{name}_difference", difference, per_episode, int(known.sum())))
     return rows
 
 
@@ -241,6 +227,14 @@ SHOWN: Final = {
     "domain": "domain",
 }
 """Metrics of the table for people, by column."""
+
+LEGEND: Final = (
+    "accuracy: share of drivers whose likeliest behaviour is right; majority class: that of always "
+    "naming the commonest; of answers: that of labelled drivers alone.\n"
+    "balanced: mean over behaviours; ECE: calibration error; domain: 0 like the training traffic, "
+    "1 unlike it; [low, high]: 95 % interval, from three episodes on."
+)
+"""Text below that table: its columns."""
 
 WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
 """Metrics that the table for people gives with their intervals (all would not fit)."""

@@ -1,36 +1,63 @@
-"""Answers about every driver at every frame: as a table, as a file, and scored."""
+"""Answers about every driver at every frame: as a table, as a file, and scored beside others."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, get_args
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.console.notices import LOGGER
 from experiments.data.parallel import in_parallel
 from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, places_of, traffic_of
 from experiments.guard import guarded_call
-from experiments.score.answers import STYLES, joined_answers, score_answers
+from experiments.rival import PlainRival, whole_tracks
+from experiments.score.answers import STYLES, is_scored, score_answers, score_difference
 from experiments.score.rows import Cell, Row, pivoted
-from experiments.score.tables import LABELS, joined_columns, table_file
+from experiments.score.tables import CHANCES, LABELS, as_table, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
-from graphrqi.posterior import aggressive_share
+from graphrqi.places.other_traffic import Traffic
+from graphrqi.posterior import Posterior, aggressive_share
 from graphrqi.stream import MIN_SECONDS, BehaviorStream
 from sim.formats.common.label_file import DriverLabels, read_driver_labels
-from sim.frames import BoolArray, IntArray
+from sim.formats.common.tables import read_table
+from sim.frames import Tracks
 from sim.store.dataset import Dataset, Episode, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
+RIVAL: Final = "plain rival"
+"""Name of the random forest on nine numbers of a driver's whole track, `experiments.rival`."""
+
 ALL: Final = "all"
 """The scenario or split of rows over several of them."""
+
+
+def beliefs(
+    tracks: Tracks,
+    model: Model,
+    stops: Iterable[int],
+    is_scene: bool = True,
+    traffic: Traffic = "simulated",
+) -> dict[int, Posterior]:
+    """Posteriors of a `graphrqi.stream.BehaviorStream` at some instants, by these.
+
+    Instants are indices one past each present; other arguments are those of the stream.
+    """
+    stream, wanted = BehaviorStream(model, traffic=traffic, is_scene=is_scene), {*stops}
+    found: dict[int, Posterior] = {}
+    for stop, frame in enumerate(tracks.frames(), start=1):
+        stream.push(frame)
+        if stop in wanted:
+            found[stop] = stream.posterior()
+    return found
 
 
 def labels_schema(model: Model) -> pa.Schema:
@@ -39,94 +66,59 @@ def labels_schema(model: Model) -> pa.Schema:
     return pa.schema([*LABELS, *(pa.field(f"p_{b}", pa.float32()) for b in own)])
 
 
-def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pa.Table:
-    """Posteriors of every driver at every frame of an episode.
+def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pd.DataFrame:
+    """Posteriors of every driver at every frame of an episode, with the columns ``LABELS``.
 
-    Args:
-        episode: as read from a dataset; what is known of its drivers only fills the columns
-            ``truth`` and ``true_style``.
-        model: a trained model.
-        traffic: where the positions come from; None for what the episode's entry says.
-
-    Returns:
-        A table with the columns ``LABELS``. Every driver is unknown in a recording that is not a
-        plausible scene.
+    The traffic's kind is what the episode's entry says unless it is named. True labels only fill
+    the columns ``truth`` and ``true_style``. Every driver is unknown in a recording that is not a
+    plausible scene.
     """
-    stream = BehaviorStream(
-        model, traffic=traffic_of(episode.entry, traffic), is_scene=is_scene(episode.entry)
-    )
-    tracks = measured(episode)
-    answers = [(frame.time_s, stream.update(frame)) for frame in tracks.frames()]
-    schema = labels_schema(model)
+    tracks, entry = measured(episode), episode.entry
+    stops = range(1, tracks.time_s.size + 1)
+    found = beliefs(tracks, model, stops, is_scene(entry), traffic_of(entry, traffic))
+    answers, schema = list(found.values()), labels_schema(model)
     if not answers:
-        return schema.empty_table()
-    row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for _, a in answers])
-    each = [a.ids.size for _, a in answers]
-    probability = np.concatenate([a.probability for _, a in answers])
-    labelled = np.concatenate([a.labelled for _, a in answers])
-    aggressive = aggressive_share(probability, model.classes) >= 0.5
+        return schema.empty_table().to_pandas()
+    row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for a in answers])
+    each = [a.ids.size for a in answers]
+    probability = np.concatenate([a.probability for a in answers])
+    labelled = np.concatenate([a.labelled for a in answers])
+    conservative = aggressive_share(probability, model.classes) < 0.5
     known = {agent.id: agent for agent in episode.agents}
     drivers = [known[i] for i in tracks.ids.tolist()]
-
-    def of_agents(words: Sequence[str | None]) -> pa.Array:
-        return pa.array(words, pa.string()).take(pa.array(row))
-
+    behavior, style = (np.array([*map(str, names)], object) for names in (model.classes, STYLES))
     columns = {
-        **joined_columns(episode.entry, row.size),
-        "agent": pa.array(tracks.ids[row]),
-        "name": of_agents(tracks.names),
-        "time_s": pa.array(np.repeat([time_s for time_s, _ in answers], each)),
-        "behavior": _words(model.classes, probability.argmax(axis=1), labelled),
-        "style": _words(STYLES, np.where(aggressive, 0, 1), labelled),
-        "domain": pa.array(np.repeat([a.domain for _, a in answers], each)),
-        "unknown": pa.array(np.concatenate([a.unknown for _, a in answers])),
-        "truth": of_agents([agent.behavior for agent in drivers]),
-        "true_style": of_agents([agent.style for agent in drivers]),
+        **joined_columns(entry),
+        "agent": tracks.ids[row],
+        "name": np.array(tracks.names, object)[row],
+        "time_s": np.repeat(tracks.time_s, each),
+        "behavior": np.where(labelled, behavior[probability.argmax(axis=1)], None),
+        "style": np.where(labelled, style[conservative.astype(int)], None),
+        "domain": np.repeat([a.domain for a in answers], each),
+        "unknown": np.concatenate([a.unknown for a in answers]),
+        "truth": np.array([agent.behavior for agent in drivers], object)[row],
+        "true_style": np.array([agent.style for agent in drivers], object)[row],
     }
-    for behavior, share in zip(model.classes, probability.T.astype(np.float32), strict=True):
-        columns[f"p_{behavior}"] = pa.array(share)
-    return pa.table(columns).select(schema.names).cast(schema)
-
-
-def _words(names: Sequence[str], codes: IntArray, known: BoolArray) -> pa.Array:
-    """The word of each code; null where it is not known."""
-    return pa.array([*map(str, names)], pa.string()).take(pa.array(codes, pa.int64(), mask=~known))
+    columns |= {f"p_{b}": p for b, p in zip(model.classes, probability.T, strict=True)}
+    return as_table(pd.DataFrame(columns), schema).to_pandas()
 
 
 def _with_truth(
-    table: pa.Table, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels
-) -> pa.Table:
+    table: pd.DataFrame, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels
+) -> pd.DataFrame:
     """Answers about one episode with labels that are given now instead of what was known."""
     found = zip(names, labels.of(names, entry.name, entry.file, entry.id), strict=True)
     given = {name: label for name, label in found if label is not None}
     for column, attribute in (("truth", "behavior"), ("true_style", "style")):
-        rows = zip(table["name"].to_pylist(), table[column].to_pylist(), strict=True)
+        rows = zip(table["name"], table[column], strict=True)
         words = [getattr(given[n], attribute) if n in given else word for n, word in rows]
-        at = table.column_names.index(column)
-        table = table.set_column(at, column, pa.array(words, pa.string()))
+        table[column] = pd.Series(words, table.index, dtype=object)
     return table
 
 
-def _last_answers(table: pa.Table) -> pa.Table:
+def _last_answers(table: pd.DataFrame) -> pd.DataFrame:
     """The last row of every driver of an episode, in order of agent."""
-    agent = table["agent"].to_numpy()
-    _, last = np.unique(agent[::-1], return_index=True)
-    return table.take(pa.array(agent.size - 1 - last))
-
-
-@dataclass(frozen=True, slots=True)
-class Answered:
-    """The last answers about the drivers of one episode.
-
-    Attributes:
-        place: scenario, where the data are of several engines with the engine.
-        entry: the episode.
-        table: one row per driver, with the columns ``LABELS``.
-    """
-
-    place: str
-    entry: EpisodeEntry
-    table: pa.Table
+    return table.drop_duplicates("agent", keep="last").sort_values("agent")
 
 
 def answer_episodes(
@@ -139,7 +131,7 @@ def answer_episodes(
     traffic: str | None = None,
     jobs: int | None = None,
     quiet: bool = True,
-) -> list[Answered]:
+) -> pd.DataFrame:
     """Answer for every driver of datasets.
 
     Args:
@@ -154,7 +146,8 @@ def answer_episodes(
         quiet: whether to show no progress.
 
     Returns:
-        The last answers of each episode, in the datasets' order.
+        The last answers about all drivers, in the datasets' order, with the columns ``LABELS`` and
+        ``place``: the scenario, and where the data are of several engines, the engine.
 
     Raises:
         InputError: if a label belongs to no driver of the source.
@@ -167,22 +160,24 @@ def answer_episodes(
         if split in (None, entry.split)
     ]
     arguments = [(model, path, entry, out is not None, traffic) for path, entry, _ in chosen]
-    found: list[Answered] = []
-    with nullcontext() if out is None else table_file(out, labels_schema(model)) as writer:
+    schema = labels_schema(model)
+    found = [schema.empty_table().to_pandas().assign(place="")]
+    with nullcontext() if out is None else table_file(out, schema) as write:
         answers = in_parallel(_answers, arguments, jobs, "answering episodes", quiet)
         for (_, entry, place), (names, table) in zip(chosen, answers, strict=True):
             labelled = table if given is None else _with_truth(table, names, entry, given)
-            if writer is not None:
-                writer.write_table(labelled)
-            found.append(Answered(place, entry, _last_answers(labelled)))
+            if write is not None:
+                write(labelled)
+            if len(labelled):
+                found.append(_last_answers(labelled).assign(place=place))
         if given is not None:
             given.check()  # inside the block: nothing is written if a label belongs to no driver
-    return found
+    return pd.concat(found[1:] or found, ignore_index=True)
 
 
 def _answers(
     model: Model, folder: Path, entry: EpisodeEntry, every_frame: bool, traffic: str | None
-) -> tuple[tuple[str, ...], pa.Table]:
+) -> tuple[tuple[str, ...], pd.DataFrame]:
     """Names of an episode's agents, and answers at every frame or the last ones."""
     episode = open_dataset(folder).read(entry)
     table = label_episode(episode, model, traffic)
@@ -201,28 +196,23 @@ def note_unknown(
 
 
 def scored_answers(
-    answered: Sequence[Answered], model: str, classes: tuple[Behavior, ...] = BEHAVIORS
+    answers: pd.DataFrame, model: str, classes: tuple[Behavior, ...] = BEHAVIORS
 ) -> list[Row]:
     """Rows of a model's last answers as from `score_answers`, with ``scenario`` and ``split``.
 
     Both are "all" over several of them.
     """
-    truth = {word for one in answered for word in one.table["truth"].to_pylist()}
-    note_unknown(model, truth, classes, "scored by their style alone")
-    found = [one for one in answered if one.table.num_rows]
-    scenarios = list(dict.fromkeys(one.place for one in found))
-    splits = [split for split in get_args(Split) if any(one.entry.split == split for one in found)]
+    note_unknown(model, answers["truth"].dropna(), classes, "scored by their style alone")
+    scenarios = list(answers["place"].unique())
+    splits = [split for split in get_args(Split) if (answers["split"] == split).any()]
     rows: list[Row] = []
     for split in [*splits, *([ALL] if len(splits) > 1 else [])]:
         for scenario in [*scenarios, *([ALL] if len(scenarios) > 1 else [])]:
-            tables = [
-                one.table
-                for one in found
-                if scenario in (ALL, one.place) and split in (ALL, one.entry.split)
-            ]
-            if tables:
+            there = (answers["place"] == scenario) | (scenario == ALL)
+            some = answers[there & ((answers["split"] == split) | (split == ALL))]
+            if len(some):
                 keys = {"model": model, "scenario": scenario, "split": split}
-                rows += score_answers(joined_answers(tables), keys, classes=classes)
+                rows += score_answers(some, keys, classes=classes)
     return rows
 
 
@@ -238,19 +228,126 @@ def classify_dataset(
     Returns:
         Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
     """
-    known = load_model(model)
+    known, dataset = load_model(model), open_dataset(source)
+    answers = answer_episodes(
+        known, [dataset], labels=labels, out=out, traffic=traffic, jobs=jobs, quiet=quiet
+    )
+    parts = dict(list(answers.groupby("episode")))
+    rows: list[Row] = []
+    for entry, place in zip(dataset.episodes(), places_of([dataset]), strict=True):
+        keys = {
+            "model": str(model), "episode": entry.id, "name": entry.name, "scenario": place,
+            "split": entry.split,
+        }  # fmt: skip
+        rows += score_answers(parts.get(entry.id, answers[:0]), keys, classes=known.classes)
+    return [*rows, *scored_answers(answers, str(model), known.classes)]
+
+
+def evaluate(
+    model: str | Path, source: Path, labels: Path | None = None, answers: Path | None = None,
+    *, traffic: str | None = None, jobs: int | None = None, quiet: bool = False,
+) -> list[Row]:  # fmt: skip
+    """Implement ``graphrqi evaluate`` of a shipped model's name or a folder on a dataset's folder.
+
+    Other arguments are as `answer_episodes` takes them. Answers of another model, as `read_answers`
+    takes them, are scored beside it, on the test split alone.
+
+    Returns:
+        Rows by ``model``, ``scenario`` and ``split``, see `scored_answers`. With ``answers`` also
+        those of the file and of the plain rival, which learns from the training split, and paired
+        differences to each other model, which the key ``against`` names. A driver without an
+        answer counts as unanswered, with the mean of the file's own probabilities.
+
+    Raises:
+        InputError: if nothing is known of any driver that an answer was given about, the file is
+            broken, or it answers about no driver of the test split.
+    """
+    known, dataset = load_model(model), open_dataset(source)
+    given = None if answers is None else guarded_call(answers, read_answers, answers)
     answered = answer_episodes(
-        known, [open_dataset(source)], labels=labels, out=out, traffic=traffic,
+        known, [dataset], split=None if given is None else "test", labels=labels, traffic=traffic,
         jobs=jobs, quiet=quiet,
     )  # fmt: skip
-    rows: list[Row] = []
-    for one in answered:
-        keys = {
-            "model": str(model), "episode": one.entry.id, "name": one.entry.name,
-            "scenario": one.place, "split": one.entry.split,
-        }  # fmt: skip
-        rows += score_answers(joined_answers([one.table]), keys, classes=known.classes)
-    return [*rows, *scored_answers(answered, str(model), known.classes)]
+    if answered.empty:
+        raise InputError(f"{source}: found no driver seen for {MIN_SECONDS:g} s, expected one")
+    rows = scored_answers(answered, str(model), known.classes)
+    if not is_scored(rows):
+        raise InputError(
+            f"{source}: found no driver whose behaviour or style is known, expected at least one; "
+            "--labels FILE.csv names some"
+        )
+    data = known.card.get("data")
+    configurations = data.get("configurations") if isinstance(data, dict) else None
+    if dict(dataset.header.configuration) in (configurations or ()):
+        LOGGER.info("the model was trained on data like these: the test split counts")
+    if given is None or answers is None:
+        return rows
+    if not given.index.isin(_drivers(answered)).any():
+        raise InputError(
+            f"{answers}: found no answer about a driver of the test split of {source}, expected "
+            "its episodes and agents as in the dataset's tables"
+        )
+    compared = {str(model): answered}
+    if dataset.episodes("train"):
+        compared[RIVAL] = _replaced(answered, _forest_answers(dataset, jobs))
+        rows += scored_answers(compared[RIVAL], RIVAL)
+    mine = _replaced(answered, given)
+    rows += scored_answers(mine, answers.stem)
+    for name, other in compared.items():
+        keys = {"model": answers.stem, "against": name, "scenario": ALL, "split": "test"}
+        rows += score_difference(mine, other, keys)
+    return rows
+
+
+def read_answers(path: Path) -> pd.DataFrame:
+    """The last answer about each driver in a file.
+
+    Args:
+        path: CSV or Parquet with the columns ``episode``, ``agent`` and ``label``, a behaviour.
+            ``time_s`` orders several answers about one driver; `CHANCES` may be given, all or none.
+
+    Returns:
+        Probabilities (n, 6) by episode and agent; without such columns the label has 1.
+    """
+    numbers = ("agent", "time_s", *CHANCES)
+    optional = ("time_s", *CHANCES)
+    table = read_table(path, numbers, ("episode", "label"), optional)
+    table = table.astype({"episode": str, "label": str, "agent": np.int64})
+    codes = pd.Categorical(table["label"], [str(b) for b in BEHAVIORS]).codes
+    if (codes < 0).any():
+        wrong = table["label"][codes < 0].iloc[0]
+        known = ", ".join(BEHAVIORS)
+        raise InputError(f"{path}: label: found {wrong[:60]!r}, expected one of {known}")
+    if not set(CHANCES) <= set(table):
+        table[CHANCES] = np.eye(len(BEHAVIORS))[codes]
+    if "time_s" in table:
+        table = table.sort_values("time_s", kind="stable")
+    last: pd.DataFrame = table.groupby(["episode", "agent"])[CHANCES].last()
+    return last
+
+
+def _forest_answers(dataset: Dataset, jobs: int | None) -> pd.DataFrame:
+    """The plain rival's probabilities in the test split, by episode and agent."""
+    training, asked = (whole_tracks(dataset, split, jobs) for split in ("train", "test"))
+    names = np.array([entry.id for entry in dataset.manifest.episodes])
+    probability = PlainRival(training).posterior(asked.features.astype(np.float64))
+    where = pd.MultiIndex.from_arrays([names[asked.episode], asked.agent])
+    return pd.DataFrame(probability, index=where)
+
+
+def _drivers(answers: pd.DataFrame) -> pd.MultiIndex:
+    return pd.MultiIndex.from_frame(answers[["episode", "agent"]])
+
+
+def _replaced(ours: pd.DataFrame, given: pd.DataFrame) -> pd.DataFrame:
+    """The same drivers with probabilities by episode and agent; their mean where there are none."""
+    probability = given.reindex(_drivers(ours)).to_numpy(np.float64, copy=True)
+    answered = np.isfinite(probability).all(axis=1)
+    probability[~answered] = given.mean().to_numpy()
+    words = np.array([str(b) for b in BEHAVIORS], object)[probability.argmax(axis=1)]
+    found = ours.assign(behavior=np.where(answered, words, None))
+    found[CHANCES] = probability.astype(np.float32)
+    return found
 
 
 def named_table(rows: Sequence[Row]) -> list[dict[str, Cell]]:

@@ -7,13 +7,14 @@ to nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
+from experiments.score.rows import Cell, Row, tidy_row
 from sim.frames import BoolArray, FloatArray, IntArray
 
 Statistic = Callable[[FloatArray], FloatArray]
@@ -23,6 +24,9 @@ RESAMPLES: Final = 2000
 
 RESAMPLING_SEED: Final = 0
 """Seed of every bootstrap, so that the same data have the same interval."""
+
+LEAST_EPISODES: Final = 3
+"""Fewest episodes that give an interval (two give their own figures as its ends)."""
 
 CONFIDENCE_BINS: Final = 15
 """Bins of equal width for calibration (Guo et al., ICML 2017)."""
@@ -36,22 +40,29 @@ def bootstrap(statistic: Statistic, per_episode: FloatArray) -> tuple[float, flo
         per_episode: (E, ...) counts of each episode.
 
     Returns:
-        Value, low, high; low and high are NaN with a single episode.
+        Value, low, high; low and high are NaN with fewer than `LEAST_EPISODES`.
 
     Examples:
-        >>> right = np.array([[8.0, 10.0], [6.0, 10.0]])  # right answers, all answers
+        >>> right = np.array([[8.0, 10.0], [7.0, 10.0], [6.0, 10.0]])  # right answers, all answers
         >>> bootstrap(ratio, right)
         (0.7, 0.6, 0.8)
     """
     value = float(statistic(per_episode.sum(axis=0)))
     episodes = len(per_episode)
-    if episodes < 2 or not np.isfinite(value):
+    if episodes < LEAST_EPISODES or not np.isfinite(value):
         return value, float("nan"), float("nan")
     rng = np.random.default_rng(RESAMPLING_SEED)
     drawn = rng.multinomial(episodes, np.full(episodes, 1.0 / episodes), size=RESAMPLES)
     values = statistic(np.tensordot(drawn.astype(np.float64), per_episode, axes=1))
     low, high = np.nanquantile(values, [0.025, 0.975])
     return value, float(low), float(high)
+
+
+def row_of(
+    keys: Mapping[str, Cell], metric: str, statistic: Statistic, per_episode: FloatArray, n: int
+) -> Row:
+    """The row of a statistic with its interval, see `bootstrap`."""
+    return tidy_row(keys, metric, *bootstrap(statistic, per_episode), n)
 
 
 def ratio(sums: FloatArray) -> FloatArray:
@@ -75,13 +86,7 @@ def _totals(
 
 
 def summed(group: IntArray, above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
-    """(G, 2) sums of two columns (n,) over each group, of which `ratio` is the share.
-
-    Examples:
-        >>> where, right = np.array([4, 4, 7]), np.array([True, False, True])
-        >>> summed(where, right, np.ones(3)).tolist()
-        [[1.0, 2.0], [1.0, 1.0]]
-    """
+    """(G, 2) sums of two columns (n,) over each group, of which `ratio` is the share."""
     none = np.zeros_like(group)
     return np.concatenate([_totals(group, none, 1, each) for each in (above, below)], axis=1)
 
@@ -94,12 +99,7 @@ def confusion(
 
 
 def recalls(matrix: FloatArray) -> FloatArray:
-    """(..., k) recall of each class; NaN where the class does not occur.
-
-    Examples:
-        >>> recalls(np.array([[8.0, 2.0], [1.0, 3.0]])).tolist()
-        [0.8, 0.75]
-    """
+    """(..., k) recall of each class; NaN where the class does not occur."""
     total = matrix.sum(axis=-1)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.diagonal(matrix, axis1=-2, axis2=-1) / np.where(total, total, np.nan))
@@ -124,27 +124,18 @@ def macro_f1(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.where(occurs, f1, 0.0).sum(axis=-1) / occurs.sum(axis=-1))
 
 
-def reliability(
-    truth: NDArray[np.integer[Any]], probability: FloatArray, episode: IntArray
-) -> FloatArray:
+def reliability(right: BoolArray, confidence: FloatArray, episode: IntArray) -> FloatArray:
     """(E, bins, 3) answers by episode and bin of confidence, their confidences' sum, and the right.
 
-    The answer is the most likely class of each row of posteriors (n, k); true codes are (n,).
+    Whether an answer is right, its confidence and its episode are (n,).
     """
-    confidence = probability.max(axis=1)
-    right = probability.argmax(axis=1) == truth
     place = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
-    weights = (np.ones(truth.size), confidence, right)
+    weights = (np.ones(right.size), confidence, right)
     return np.stack([_totals(episode, place, CONFIDENCE_BINS, w) for w in weights], axis=2)
 
 
 def calibration_error(bins: FloatArray) -> FloatArray:
-    """(...) mean distance of confidence from accuracy over bins (..., bins, 3) of `reliability`.
-
-    Examples:
-        >>> float(calibration_error(np.array([[4.0, 3.2, 2.0], [1.0, 0.9, 1.0]])).round(2))
-        0.26
-    """
+    """(...) mean distance of confidence from accuracy over bins (..., bins, 3) of `reliability`."""
     missed = np.abs(bins[..., 1] - bins[..., 2]).sum(axis=-1)
     return np.asarray(missed / bins[..., 0].sum(axis=-1))
 
@@ -156,11 +147,6 @@ def auc_over_episodes(
 
     Equal to scikit-learn's ``roc_auc_score``; from the pairs won between any two episodes, all
     resamples follow at once. NaN where there are no pairs.
-
-    Examples:
-        >>> truth, where = np.array([True, False, True]), np.array([0, 0, 1])
-        >>> auc_over_episodes(np.array([0.9, 0.5, 0.4]), truth, where)[0]
-        0.5
     """
     known, number = np.unique(episode, return_inverse=True)
     count = known.size

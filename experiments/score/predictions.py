@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
-import pyarrow as pa
+import pandas as pd
 
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
@@ -23,32 +23,24 @@ from experiments.console.notices import LOGGER
 from experiments.data.parallel import in_parallel
 from experiments.data.scene_check import is_scene
 from experiments.data.windows import measured, traffic_of
-from experiments.score.metrics import bootstrap, ratio, root_ratio
-from experiments.score.rows import Cell, Row, pivoted, tidy_row
+from experiments.score.labels import ALL, beliefs
+from experiments.score.metrics import ratio, root_ratio, row_of
+from experiments.score.rows import Cell, Row, pivoted
 from experiments.score.tables import PREDICTIONS, predictions_table, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
-from graphrqi.places.other_traffic import Traffic
 from graphrqi.posterior import Posterior
-from graphrqi.predict import check_map, chosen_predictor, predict
+from graphrqi.predict import check_map, chosen_predictor, metrics, predict
 from graphrqi.predict.learned.predictors import with_weights
-from graphrqi.predict.metrics import (
-    METRICS,
-    SAMPLE_S,
-    covered,
-    displacement_errors,
-    distances,
-    log_density,
-    overlap,
-)
+from graphrqi.predict.metrics import METRICS, SAMPLE_S
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.recorded.network import trained_network
 from graphrqi.predict.scene.scene import LEARNED_S, LONGEST_S, make_scene
-from graphrqi.stream import DEFAULT_MODEL, BehaviorStream
+from graphrqi.stream import DEFAULT_MODEL
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
-from sim.store.dataset import open_dataset
+from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
 HORIZONS_S: Final = (1.0, 3.0, 5.0)
@@ -80,11 +72,6 @@ LANE_MARGIN_M: Final = 0.5
 
 GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 """Groups of agents: all that drive, those of each true behaviour, those that walk."""
-
-SPLITS: Final[dict[str, Split | None]] = {
-    "test": "test", "validation": "validation", "train": "train", "all": None
-}  # fmt: skip
-"""Episodes that may be scored, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,17 +107,10 @@ def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iter
 
 
 def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> FloatArray:
-    """Where agents went, at given times after the present.
+    """(n, H, 2) where agents of some rows went, at times (H,) after an index one past the present.
 
-    Args:
-        tracks: an episode.
-        rows: (n,) rows of the agents.
-        stop: one past the present's index.
-        time_s: (H,) seconds from the present.
-
-    Returns:
-        (n, H, 2) m, between frames on the straight line; NaN where either frame is missing or
-        they are more than `MOST_SPAN_S` apart.
+    Places are on the straight line between frames, m; NaN where either frame is missing or they are
+    more than `MOST_SPAN_S` apart.
     """
     at = tracks.time_s[stop - 1] + time_s
     after = np.clip(np.searchsorted(tracks.time_s, at - 1e-6), 1, tracks.time_s.size - 1)
@@ -143,26 +123,6 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
     return np.asarray(out)
 
 
-def beliefs(
-    tracks: Tracks,
-    model: Model,
-    stops: Sequence[int],
-    is_scene: bool = True,
-    traffic: Traffic = "simulated",
-) -> dict[int, Posterior]:
-    """Posteriors of a `graphrqi.stream.BehaviorStream` at each instant of prediction.
-
-    Instants are indices one past each present; other arguments are those of the stream.
-    """
-    stream, wanted = BehaviorStream(model, traffic=traffic, is_scene=is_scene), set(stops)
-    found: dict[int, Posterior] = {}
-    for column, frame in enumerate(tracks.frames()):
-        stream.push(frame)
-        if column + 1 in wanted:
-            found[column + 1] = stream.posterior()
-    return found
-
-
 def score_episode(
     tracks: Tracks,
     posteriors: Mapping[int, Posterior],
@@ -172,20 +132,12 @@ def score_episode(
     on_prediction: Callable[[str, Tracks, Prediction], None] | None = None,
     weights: Path | None = None,
 ) -> dict[str, Errors]:
-    """Errors of predictors in one episode.
+    """Errors of predictors, by name, in one episode, whose labels only sort them.
 
-    Args:
-        tracks: the episode; its labels only sort the errors.
-        posteriors: beliefs at each instant of prediction, by the index one past the present.
-        road: its road; None without a map.
-        predictors: keys of ``PREDICTORS``, or "module:function".
-        horizons_s: ascending, s.
-        on_prediction: called with each predictor's name, the history it was given and its futures.
-        weights: folder of the network that ``graphrqi-predict`` uses on recordings; None for the
-            one that ships.
-
-    Returns:
-        Errors by predictor.
+    Beliefs are given at each instant of prediction, by the index one past the present. There may be
+    no road. Horizons ascend, s. ``on_prediction`` is called with each predictor's name, the history
+    it was given and its futures. Weights are a folder of the network that ``graphrqi-predict`` uses
+    on recordings, None for the one that ships.
     """
     longest = float(max(horizons_s))
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
@@ -220,12 +172,12 @@ def score_episode(
             if on_prediction is not None:
                 on_prediction(name, history, prediction)
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
-            gap = distances(prediction.xy[scored][:, :, at], truth[scored])
+            gap = metrics.distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
             hit = _hits(history, prediction.best[:, at])[scored]
             for h, horizon_s in enumerate(horizons_s):
                 last = round(horizon_s / SAMPLE_S)
-                values = [*displacement_errors(gap[:, :, :last], probability).values()]
+                values = [*metrics.displacement_errors(gap[:, :, :last], probability).values()]
                 values += _set_measures(prediction, scored, at[last - 1], truth[scored, last - 1])
                 values.append(np.asarray(hit[:, :last].any(axis=1), dtype=np.float64))
                 values.append(_off_road(road, prediction, scored, at[last - 1]))
@@ -242,7 +194,7 @@ def _hits(history: Tracks, xy: FloatArray) -> BoolArray:
     drives = history.kind != PEDESTRIAN
     out = np.zeros(xy.shape[:2], dtype=bool)
     for h in range(xy.shape[1]):
-        out[drives, h] = overlap(
+        out[drives, h] = metrics.overlap(
             xy[drives, h], heading[drives, h], history.length[drives], history.width[drives]
         )
     return out
@@ -256,8 +208,8 @@ def _set_measures(
         return [np.full(rows.size, np.nan)] * 2
     xy, spread = prediction.xy[rows, :, at], prediction.spread[rows, :, at]
     probability = prediction.probability[rows]
-    inside = covered(xy, spread, probability, truth).astype(np.float64)
-    return [inside, -log_density(truth[:, None], xy, spread, probability)[:, 0]]
+    inside = metrics.covered(xy, spread, probability, truth).astype(np.float64)
+    return [inside, -metrics.log_density(truth[:, None], xy, spread, probability)[:, 0]]
 
 
 def _off_road(road: Road | None, prediction: Prediction, rows: IntArray, at: int) -> FloatArray:
@@ -290,15 +242,9 @@ def score_predictions(
 ) -> list[Row]:
     """Rows over episodes, with intervals, and each predictor's paired difference to the first.
 
-    Args:
-        episodes: errors by predictor, one mapping per episode.
-        keys: what was measured (such as ``scenario`` and ``split``), for the rows.
-        horizons_s: as given to `score_episode`.
-
-    Returns:
-        Rows by ``predictor``, ``horizon_s`` and ``behavior`` ("all" for all that drive). A row
-        whose metric is ``ade_m_minus_NAME`` is the mean difference to predictor NAME in the same
-        episodes.
+    Given are the errors by predictor of each episode, with what was measured and the horizons. Rows
+    are by ``predictor``, ``horizon_s`` and ``behavior`` ("all" for all that drive). One whose
+    metric is ``ade_m_minus_NAME`` is the mean difference to predictor NAME in the same episodes.
     """
     rows: list[Row] = []
     names = list(episodes[0]) if episodes else []
@@ -318,15 +264,15 @@ def score_predictions(
                     figures[f"{metric}_minus_{other}"] = mine - total[other][:, g, h, m]
                 mean = root_ratio if metric == "rmse_m" else ratio
                 for what, sums in figures.items():
-                    found = bootstrap(mean, np.stack([sums, count], axis=1))
-                    rows.append(tidy_row(row, what, *found, int(count.sum())))
+                    per_episode = np.stack([sums, count], axis=1)
+                    rows.append(row_of(row, what, mean, per_episode, int(count.sum())))
     return rows
 
 
 def _evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
     model: Model, keep: bool, weights: Path | None, traffic: str | None,
-) -> tuple[dict[str, Errors], pa.Table, float]:  # fmt: skip
+) -> tuple[dict[str, Errors], list[pd.DataFrame], float]:  # fmt: skip
     """Errors by predictor, futures as rows if they are kept, and the length of one episode, s.
 
     There are no errors where the episode is too short to predict anything.
@@ -334,10 +280,10 @@ def _evaluate_episode(
     dataset = open_dataset(folder)
     tracks, road = measured(dataset.read(entry)), dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
-    tables = [PREDICTIONS.empty_table()]
+    tables: list[pd.DataFrame] = []
     length_s = float(tracks.time_s[-1] - tracks.time_s[0]) if tracks.time_s.size else 0.0
     if not stops:
-        return {}, tables[0], length_s
+        return {}, tables, length_s
 
     def keep_futures(name: str, history: Tracks, prediction: Prediction) -> None:
         tables.append(predictions_table(prediction, history, name, entry, max(horizons_s)))
@@ -346,20 +292,24 @@ def _evaluate_episode(
     errors = score_episode(
         tracks, posteriors, road, predictors, horizons_s, keep_futures if keep else None, weights
     )
-    return errors, pa.concat_tables(tables), length_s
+    return errors, tables, length_s
 
 
-def _check_request(predictors: Sequence[str], horizon_s: float) -> None:
-    samples = horizon_s / SAMPLE_S
-    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
-        raise InputError(
-            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
-            f"{LONGEST_S:g} s"
-        )
-    if not predictors:
-        raise InputError("predictors: found none, expected at least one name")
-    for name in predictors:
-        chosen_predictor(name)
+def _entries(dataset: Dataset, split: str | None) -> list[tuple[str, str, EpisodeEntry]]:
+    """Scenario and split, as rows say them, of each episode that is scored."""
+    if split is None:
+        recorded = all(entry.recording is not None for entry in dataset.episodes())
+        split = ALL if recorded else "test"
+    wanted = lookup({**dict.fromkeys(get_args(Split), True), ALL: False}, split, "split")
+    found = []
+    for scenario in dataset.scenarios:
+        every = dataset.episodes(None, scenario)
+        some = [entry for entry in every if not wanted or entry.split == split]
+        said = split if some else ALL
+        found += [(scenario, said, e) for e in (some or (every if split == "test" else ()))]
+    if not found:
+        raise InputError(f"{dataset.path}: found no {split} episode, expected at least 1")
+    return found
 
 
 def predict_dataset(
@@ -371,63 +321,49 @@ def predict_dataset(
     out: Path | None = None,
     weights: Path | None = None,
     traffic: str | None = None,
-    split: str = "test",
+    split: str | None = None,
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
     """Implement ``graphrqi predict``: predict every episode of a split and return the errors.
 
-    Episodes that are too short are left out, each in a line on stderr.
-
-    Args:
-        source: a dataset.
-        predictors: keys of ``PREDICTORS``, or "module:function".
-        horizon_s: how far ahead, s.
-        model: the classifier whose beliefs are used: a shipped one's name or a folder.
-        out: where to write the futures (`experiments.score.tables`); None: nowhere.
-        weights: as `score_episode` takes them.
-        traffic: as `experiments.score.labels.label_episode` takes it.
-        split: a key of `SPLITS`; of ``test``, all of a scenario is predicted that has none.
-        jobs: processes; None for one per core.
-        quiet: whether to show no progress.
+    Episodes that are too short are left out, each in a line on stderr. Futures are written into the
+    file ``out``. The model is the classifier whose beliefs are used; weights and traffic are as
+    `score_episode` and `label_episode` take them. The split is "test", "validation", "train" or
+    "all"; by default it is "test", and "all" of recordings. Of "test", all of a scenario is
+    predicted that has none.
 
     Returns:
         Rows of `score_predictions` for each scenario.
-
-    Raises:
-        InputError: if the dataset, the model or a predictor's name is wrong, or no agent is seen
-            for long enough.
     """
-    _check_request(predictors, horizon_s)
-    wanted = lookup(SPLITS, split, "split")
+    samples = horizon_s / SAMPLE_S
+    if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
+        raise InputError(
+            f"horizon_s: found {horizon_s}, expected {SAMPLE_S} s or a multiple of it up to "
+            f"{LONGEST_S:g} s"
+        )
+    if not predictors:
+        raise InputError("predictors: found none, expected at least one name")
+    for name in predictors:
+        chosen_predictor(name)
     if weights is not None:
         trained_network(weights)
-    classifier = load_model(model)
+    classifier, entries = load_model(model), _entries(open_dataset(source), split)
     horizons_s = sorted({h for h in HORIZONS_S if h < horizon_s} | {horizon_s})
-    dataset = open_dataset(source)
-    entries, scored = [], {}
-    for scenario in dataset.scenarios:
-        some = dataset.episodes(wanted, scenario)
-        scored[scenario] = split if some else "all"
-        if not some and split == "test":
-            some = dataset.episodes(None, scenario)
-        entries += [(scenario, entry) for entry in some]
-    if not entries:
-        raise InputError(f"{source}: found no {split} episode, expected at least 1")
-    found: dict[str, list[Mapping[str, Errors]]] = {}
+    found: dict[tuple[str, str], list[Mapping[str, Errors]]] = {}
     short: list[tuple[EpisodeEntry, float]] = []
     least_s = horizon_s + min(LEAST_SEEN_S, horizon_s)
     same = (predictors, horizons_s, classifier, out is not None, weights, traffic)
-    arguments = [(source, entry, *same) for _, entry in entries]
-    with nullcontext() if out is None else table_file(out, PREDICTIONS) as file:
+    arguments = [(source, entry, *same) for *_, entry in entries]
+    with nullcontext() if out is None else table_file(out, PREDICTIONS) as write:
         answers = in_parallel(_evaluate_episode, arguments, jobs, "predicting episodes", quiet)
-        for (scenario, entry), (errors, futures, length_s) in zip(entries, answers, strict=True):
+        for (*place, entry), (errors, futures, length_s) in zip(entries, answers, strict=True):
             if errors:
-                found.setdefault(scenario, []).append(errors)
+                found.setdefault((place[0], place[1]), []).append(errors)
             else:
                 short.append((entry, length_s))
-            if file is not None:
-                file.write_table(futures)
+            if write is not None and futures:
+                write(pd.concat(futures))
         if not found:
             raise InputError(
                 f"{source}: found {len(short)} episodes of at most "
@@ -444,19 +380,10 @@ def predict_dataset(
             "skipped episode %s (%s): found %g s, expected at least %g s to predict %g s ahead",
             entry.id, entry.name, length_s, least_s, horizon_s,
         )  # fmt: skip
-    return [
-        row
-        for scenario, episodes in found.items()
-        for row in score_predictions(
-            episodes, {"scenario": scenario, "split": scored[scenario]}, horizons_s
-        )
-    ]
-
-
-def default_split(source: Path) -> str:
-    """The split that is scored unless another is asked for: of recordings, all."""
-    entries = open_dataset(source).episodes()
-    return "all" if all(entry.recording is not None for entry in entries) else "test"
+    rows: list[Row] = []
+    for (scenario, said), episodes in found.items():
+        rows += score_predictions(episodes, {"scenario": scenario, "split": said}, horizons_s)
+    return rows
 
 
 def errors_table(rows: Sequence[Row]) -> list[dict[str, Cell]]:

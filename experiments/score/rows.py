@@ -49,33 +49,22 @@ def tidy_row(
     high: float | None = None,
     n: int | None = None,
 ) -> Row:
-    """One figure as a row; what is not finite is None, and an interval needs both ends.
+    """One figure of n cases with its 95 % interval; what is not finite is None.
 
-    Args:
-        keys: what was measured.
-        metric: name of the figure, with its unit.
-        value: the figure.
-        low: lower end of its 95 % interval.
-        high: upper end.
-        n: number of cases.
+    The keys say what was measured, and the metric's name has its unit. An interval needs both ends.
 
     Examples:
         >>> tidy_row({"solver": "eigh"}, "cpu_ms", 2.5, float("nan"), float("nan"), 10)
         {'solver': 'eigh', 'metric': 'cpu_ms', 'value': 2.5, 'low': None, 'high': None, 'n': 10}
     """
-    ends = [None if x is None or not math.isfinite(x) else float(x) for x in (low, high)]
+    numbers = [None if x is None or not math.isfinite(x) else float(x) for x in (value, low, high)]
+    value, *ends = numbers
     low, high = (None, None) if None in ends else ends
-    value = None if value is None or not math.isfinite(value) else float(value)
     return {**keys, "metric": metric, "value": value, "low": low, "high": high, "n": n}
 
 
 def melted(lines: Iterable[Row], keys: Sequence[str]) -> list[Row]:
-    """Tidy rows of a table that has a column for each figure; ``keys`` are its other columns.
-
-    Examples:
-        >>> melted([{"jobs": 2, "cpu_s": 1.5, "steps": 90}], ["jobs"])[0]
-        {'jobs': 2, 'metric': 'cpu_s', 'value': 1.5, 'low': None, 'high': None, 'n': None}
-    """
+    """Tidy rows of a table that has a column for each figure; ``keys`` are its other columns."""
     return [
         tidy_row({key: line.get(key) for key in keys}, name, float(value))
         for line in lines
@@ -93,11 +82,6 @@ def pivoted(
     """A table for people: a line for each combination of some keys, with a cell for each row.
 
     Rows without a column are left out; of several rows of one cell, the last is shown.
-
-    Examples:
-        >>> made = [tidy_row({"solver": "eigh", "d": d}, "cpu_ms", d / 10) for d in (25, 100)]
-        >>> pivoted(made, ["solver"], lambda row: f"{row['d']} (ms)", lambda row: row["value"])
-        [{'solver': 'eigh', '25 (ms)': 2.5, '100 (ms)': 10.0}]
     """
     lines: dict[tuple[Cell, ...], dict[str, Cell]] = {}
     for row in rows:
@@ -113,16 +97,8 @@ def stamped(
 ) -> list[Row]:
     """Rows that say how they were made.
 
-    Args:
-        rows: the figures.
-        command: what measured them, as on the command line: ``evaluate``, ``bench loop``.
-        seed: the command's seed; None where nothing is drawn at random.
-        dataset: see `dataset_id`; None without a dataset.
-
-    Examples:
-        >>> [row] = stamped([{"metric": "jobs", "value": 2}], "generate", seed=3)
-        >>> row["command"], row["seed"], row["dataset"], row["value"]
-        ('generate', 3, None, 2)
+    The command is as on the command line (``evaluate``, ``bench loop``), the seed None where
+    nothing is drawn at random, and the dataset as from `dataset_id`.
     """
     made = {"command": command, "version": metadata.version("graphrqi"), "seed": seed}
     return [{**made, "dataset": dataset, **row} for row in rows]
@@ -149,11 +125,7 @@ class _Figure(BaseModel):
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read rows as a command's ``--json`` writes them.
-
-    Raises:
-        InputError: if the file is not a list of flat rows with a command, a metric and a value.
-    """
+    """Read rows as a command's ``--json`` writes them."""
     try:
         found: Any = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
@@ -162,11 +134,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def checked_rows(found: Any, where: str) -> list[Row]:
-    """Rows that were read from a place, refused if they are anything but a list of flat rows.
-
-    Raises:
-        InputError: naming the row and what is wrong with it.
-    """
+    """Rows from a place that is named in errors, refused unless they are a list of flat rows."""
     if not isinstance(found, list):
         raise InputError(f"{where}: found {type(found).__name__}, expected a list of rows")
     for number, row in enumerate(found):
@@ -181,11 +149,7 @@ def checked_rows(found: Any, where: str) -> list[Row]:
 
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as a JSON list (``-``: to standard output); a number not finite becomes null.
-
-    Raises:
-        OSError: if the file cannot be written.
-    """
+    """Write rows as a JSON list (``-``: to standard output); a number not finite becomes null."""
     finite = [
         {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
         for row in rows
@@ -202,6 +166,7 @@ def show_table(
     json: Path | None = None,
     title: str = "",
     lines: Sequence[Mapping[str, Any]] | None = None,
+    legend: str = "",
 ) -> None:
     """Print a table for people, and write tidy rows as JSON if a file is named.
 
@@ -211,9 +176,7 @@ def show_table(
         title: what stands above the table.
         lines: what is printed, as mappings with the same keys; None for the rows themselves. Off a
             terminal, a line is up to 200 characters wide.
-
-    Raises:
-        OSError: if the file cannot be written.
+        legend: what stands below the table.
     """
     if json is not None:
         write_rows(rows, json)
@@ -231,6 +194,8 @@ def show_table(
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, width=200)
     console.print(table)
+    if legend:
+        console.print(legend)
 
 
 def _text(cell: object) -> str:
@@ -245,14 +210,9 @@ def show_parts(
     json: Path | None,
     table: Callable[[Sequence[Row]], Sequence[Row]] | None = None,
 ) -> None:
-    """Print rows that come part by part; a measurement that is stopped has written those so far.
+    """Print rows of a command that come part by part, with `show_table`, laid out by ``table``.
 
-    Args:
-        name: what measured them; the ``command`` of every row.
-        parts: the rows.
-        json: file for all rows so far, written after every part; ``-`` prints them as JSON instead
-            of the table; None for none.
-        table: lays rows out for reading; None to print them as they are.
+    A file of JSON is written after every part, so a measurement that is stopped has left some.
     """
     rows: list[Row] = []
     for part in parts:

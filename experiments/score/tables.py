@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -76,12 +76,7 @@ CHANCES: Final = [f"p_{b.value}" for b in BEHAVIORS]
 
 
 def read_labels(path: Path, episode: str) -> pd.DataFrame:
-    """The columns ``agent``, ``time_s`` and `CHANCES` of an episode's rows in a labels file.
-
-    Raises:
-        InputError: if the file (.parquet) is no labels file, has no such row, or an empty cell in
-            one, or its probabilities do not add to 1.
-    """
+    """The columns ``agent``, ``time_s`` and `CHANCES` of an episode's rows in a labels file."""
     try:
         table = pd.read_parquet(
             path, columns=["agent", "time_s", *CHANCES], filters=[("episode", "==", episode)]
@@ -99,80 +94,66 @@ def read_labels(path: Path, episode: str) -> pd.DataFrame:
     return table
 
 
-def joined_columns(entry: EpisodeEntry, rows: int) -> dict[str, pa.Array]:
+def joined_columns(entry: EpisodeEntry) -> dict[str, str | None]:
     """The columns `JOINED`, by name, of rows that are all of one episode."""
     words = (entry.id, entry.recording, entry.file, entry.scenario, entry.split)
-    return {
-        field.name: pa.repeat(pa.scalar(word, pa.string()), rows)
-        for field, word in zip(JOINED, words, strict=True)
-    }
+    return {field.name: word for field, word in zip(JOINED, words, strict=True)}
+
+
+def as_table(frame: pd.DataFrame, schema: pa.Schema) -> pa.Table:
+    """The columns of a schema."""
+    return pa.Table.from_pandas(frame[schema.names], schema, preserve_index=False)
 
 
 def predictions_table(
     prediction: Prediction, history: Tracks, predictor: str, entry: EpisodeEntry, horizon_s: float
-) -> pa.Table:
-    """One instant's futures as rows with the columns `PREDICTIONS`.
+) -> pd.DataFrame:
+    """One instant's futures of the last frame of a history, as rows with the columns `PREDICTIONS`.
 
-    Args:
-        prediction: the futures of the agents of the history.
-        history: what was predicted from; its last column is the present.
-        predictor: whose futures they are.
-        entry: the episode.
-        horizon_s: no place farther ahead is kept, s.
+    No place farther ahead than the horizon, s, is kept.
     """
     ahead = np.arange(1, round(horizon_s / SAMPLE_S) + 1) * SAMPLE_S
     ahead = ahead[ahead <= prediction.time_s[-1] + 1e-6]
     xy = prediction.xy[:, :, np.searchsorted(prediction.time_s, ahead - 1e-6)]
     n, modes, times, _ = xy.shape
-    rows = n * modes * times
     agent = np.repeat(np.searchsorted(history.ids, prediction.ids), modes * times)
     columns = {
-        **joined_columns(entry, rows),
-        "predictor": pa.repeat(predictor, rows),
+        **joined_columns(entry),
+        "predictor": predictor,
         "agent": history.ids[agent],
-        "name": pa.array(history.names, pa.string()).take(pa.array(agent)),
-        "time_s": np.full(rows, history.time_s[-1]),
-        "mode": np.tile(np.repeat(np.arange(modes, dtype=np.int8), times), n),
-        "probability": np.repeat(prediction.probability.ravel(), times).astype(np.float32),
-        "ahead_s": np.tile(ahead, n * modes).astype(np.float32),
+        "name": np.array(history.names, object)[agent],
+        "time_s": history.time_s[-1],
+        "mode": np.tile(np.repeat(np.arange(modes), times), n),
+        "probability": np.repeat(prediction.probability.ravel(), times),
+        "ahead_s": np.tile(ahead, n * modes),
         "x_m": xy[..., 0].ravel(),
         "y_m": xy[..., 1].ravel(),
     }
-    return pa.table(columns, schema=PREDICTIONS)
+    return pd.DataFrame(columns)
 
 
 def check_ending(path: Path) -> Path:
-    """The path of a file to write, refused if nothing is written with such an ending.
-
-    Examples:
-        >>> check_ending(Path("labels.xlsx"))
-        Traceback (most recent call last):
-        ...
-        behaviors.errors.InputError: labels.xlsx: found the ending .xlsx, expected .parquet or .csv
-    """
+    """The path of a file to write, refused if nothing is written with such an ending."""
     if path.suffix.lower() not in ("", *ENDINGS):
         raise InputError(f"{path}: found the ending {path.suffix}, expected {' or '.join(ENDINGS)}")
     return path
 
 
 @contextmanager
-def table_file(path: Path, schema: pa.Schema) -> Iterator[pyarrow.csv.CSVWriter | pq.ParquetWriter]:
+def table_file(path: Path, schema: pa.Schema) -> Iterator[Callable[[pd.DataFrame], None]]:
     """A new file of rows; it appears complete when the block ends, or not at all.
 
-    Its writer's ``write_table`` adds rows with the schema. The file's ending says whether it is
-    Parquet or CSV, where null is an empty cell.
-
-    Raises:
-        InputError: if the file has another ending.
-        OSError: if it cannot be written.
+    What the block is given adds rows with the schema. The file's ending says whether it is Parquet
+    or CSV, where null is an empty cell.
     """
     with whole_file(check_ending(path)) as partial:
+        writer: Any
         if path.suffix.lower() == ".csv":
-            with pyarrow.csv.CSVWriter(partial, schema) as lines:
-                yield lines
+            writer = pyarrow.csv.CSVWriter(partial, schema)
         else:
-            with pq.ParquetWriter(partial, schema, compression="zstd") as writer:
-                yield writer
+            writer = pq.ParquetWriter(partial, schema, compression="zstd")
+        with writer:
+            yield lambda frame: writer.write_table(as_table(frame, schema))
 
 
 def write_conflicts(source: Path, out: Path) -> None:
@@ -180,10 +161,6 @@ def write_conflicts(source: Path, out: Path) -> None:
 
     It has the columns `JOINED`, the names of both road users, and those of the dataset's table
     ``conflicts``.
-
-    Raises:
-        InputError: if the file has another ending.
-        OSError: if it cannot be written.
     """
     dataset = open_dataset(source)
     names = [(name, pa.string()) for name in ("first_name", "second_name")]
@@ -192,12 +169,12 @@ def write_conflicts(source: Path, out: Path) -> None:
         for f in CONFLICTS
         if f.name != "episode"
     ]
-    with table_file(out, pa.schema([*JOINED, *names, *own])) as file:
+    with table_file(out, pa.schema([*JOINED, *names, *own])) as write:
         for entry in dataset.episodes():
-            rows, tracks = dataset.rows(entry, "conflicts"), dataset.read(entry).tracks
-            columns = joined_columns(entry, rows.num_rows)
-            for side in ("first", "second"):
-                at = np.searchsorted(tracks.ids, rows[side].to_numpy())
-                columns[f"{side}_name"] = pa.array(tracks.names, pa.string()).take(pa.array(at))
-            columns |= {field.name: rows[field.name].cast(field.type) for field in own}
-            file.write_table(pa.table(columns))
+            rows, tracks = dataset.rows(entry, "conflicts").to_pandas(), dataset.read(entry).tracks
+            called = np.array(tracks.names, object)
+            found = {
+                f"{side}_name": called[np.searchsorted(tracks.ids, rows[side])]
+                for side in ("first", "second")
+            }
+            write(rows.assign(**joined_columns(entry), **found))

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.guard import guarded_call
-from experiments.score.labels import Answered, answer_episodes
+from experiments.score.labels import answer_episodes
 from experiments.score.rows import Row, tidy_row
+from experiments.score.tables import CHANCES
 from graphrqi.model_files import check_model_folder, load_model, save_model
 from graphrqi.places.adaptation import from_labels
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 from sim.formats.common.label_file import DriverLabels, read_driver_labels
 from sim.frames import BoolArray, FloatArray
 from sim.store.dataset import open_dataset
+from sim.store.schema import EpisodeEntry
 
 LABELLED: Final = (10, 30, 100)
 """Numbers of labelled drivers that are reported."""
@@ -46,10 +50,10 @@ def adapt(
             "graphrqi train on such data makes one for them"
         )
     given = guarded_call(labels, read_driver_labels, labels)
-    datasets = [open_dataset(recordings)]
-    answered = answer_episodes(trained, datasets, traffic="recorded", quiet=quiet)
-    drivers = sum(one.table.num_rows for one in answered)
-    probability, allowed = _labelled(answered, given)
+    dataset = open_dataset(recordings)
+    answered = answer_episodes(trained, [dataset], traffic="recorded", quiet=quiet)
+    drivers = len(answered)
+    probability, allowed = _labelled(dataset.episodes(), answered, given)
     given.check()
     if not len(allowed):
         raise InputError(
@@ -71,14 +75,15 @@ def adapt(
     return rows
 
 
-def _labelled(answered: list[Answered], given: DriverLabels) -> tuple[FloatArray, BoolArray]:
+def _labelled(
+    entries: Sequence[EpisodeEntry], answered: pd.DataFrame, given: DriverLabels
+) -> tuple[FloatArray, BoolArray]:
     """The last answers (n, 6) about labelled drivers, and the behaviours (n, 6) labels allow."""
     answers, allowed = [], []
-    for one in answered:
-        names, entry = one.table["name"].to_pylist(), one.entry
-        columns = [one.table[f"p_{b!s}"].to_numpy() for b in BEHAVIORS]
-        found = given.of(names, entry.name, entry.file, entry.id)
-        for label, answer in zip(found, np.stack(columns, axis=1), strict=True):
+    for entry in entries:
+        own = answered[answered["episode"] == entry.id]
+        found = given.of(own["name"].tolist(), entry.name, entry.file, entry.id)
+        for label, answer in zip(found, own[CHANCES].to_numpy(), strict=True):
             if label is not None:
                 answers.append(answer)
                 allowed.append(label.allowed)

@@ -14,17 +14,17 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.data.parallel import in_parallel
+from experiments.score.labels import beliefs
 from experiments.score.predictions import (
     HISTORY_S,
     HORIZONS_S,
     LEAST_SEEN_S,
-    beliefs,
     future,
     instants,
 )
 from graphrqi.model_files import load_model
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
-from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
+from graphrqi.predict.networks import KNOT_S, KNOTS, Futures, PredictorInputs
 from graphrqi.predict.rollout.driver_table import DriverTable, load_table, save_table
 from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene

@@ -2,8 +2,8 @@
 
 For each incident of an episode, the episode is branched some seconds before it, once for every
 driver who was near, and that driver goes on carefully. If the incident does not happen, that driver
-alone could have prevented it. Traffic is chaotic, so a second branch tells luck from care: in it,
-the driver keeps the own behaviour but is drawn anew (placebo).
+alone could have prevented it. Traffic is chaotic, so a second branch separates luck from care:
+in it, the driver keeps the own behaviour with other numbers (placebo).
 
 References:
     Pearl (2009), Causality, chapter 9: "but for" causes. Halpern and Pearl (2005), British Journal
@@ -36,9 +36,6 @@ AFTER_S: Final = 4.0
 NEAREST: Final = 4
 """How many drivers beside the two parties are tried: those nearest to either."""
 
-CAREFUL: Final = Behavior.CAREFUL
-"""Whom a driver is compared with."""
-
 
 def judge(
     scenario: Scenario,
@@ -47,14 +44,9 @@ def judge(
     engine: str = "sumo",
     bystanders: int = NEAREST,
 ) -> Iterator[dict[str, Cell]]:
-    """Try every driver near each incident of an episode.
+    """Try every driver near each incident of an episode on "sumo" or "sumo-idm".
 
-    Args:
-        scenario: of the episode.
-        agents: who travels.
-        seed: of the simulator.
-        engine: "sumo" or "sumo-idm".
-        bystanders: how many drivers beside the parties are tried.
+    Beside the parties of an incident, some bystanders are tried.
 
     Yields:
         A line for each incident and driver, in order of time. ``time_s``, ``incident``, ``agent``,
@@ -149,5 +141,5 @@ def _tried(
                 return None
         return not _same_again(event, [*before[-kept:], *after], scenario)
 
-    careful = False if behavior is CAREFUL else prevented(CAREFUL)
+    careful = False if behavior is Behavior.CAREFUL else prevented(Behavior.CAREFUL)
     return behavior, careful, None if careful is None else prevented(behavior)

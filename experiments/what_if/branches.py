@@ -8,7 +8,6 @@ say in ``branch`` what differs: ``at_s``, ``agent``, and ``behavior`` or ``actio
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -21,11 +20,11 @@ from experiments.data.data_card import write_data_card
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
 from sim.frames import Frame
-from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.scenario import Scenario, sample_agents
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta, Manifest
-from sim.store.writing import EpisodeWriter, made_with, new_dataset
+from sim.store.writing import made_with, new_dataset
 from sim.sumo.branches import ENGINE_LAWS, Trunk, check_platform
 from sim.sumo.control.acting import Action
 
@@ -61,14 +60,7 @@ class WhatIf(BaseModel):
         return (*self.behaviors, *self.actions)
 
     def check(self) -> Scenario:
-        """Refuse what cannot be branched.
-
-        Returns:
-            The scenario of the episode.
-
-        Raises:
-            InputError: if a field is out of range; the message names it.
-        """
+        """Refuse what cannot be branched, and return the episode's scenario."""
         check_platform()
         self.episode.check()
         if self.episode.engine not in ENGINE_LAWS:
@@ -90,41 +82,21 @@ class WhatIf(BaseModel):
 
 
 def branch_of(entry: EpisodeMeta) -> dict[str, Any] | None:
-    """What differs in an episode: ``at_s``, ``agent``, ``behavior`` or ``action``.
-
-    Returns:
-        The option ``branch``; None for an episode in which nothing was changed.
-    """
+    """What differs in an episode (``at_s``, ``agent``, ``behavior`` or ``action``), if anything."""
     found = entry.options.get("branch")
     return found if isinstance(found, dict) else None
 
 
 def change_of(entry: EpisodeMeta) -> str:
-    """The behaviour or action that differs in an episode, or "factual".
-
-    Examples:
-        >>> change_of(EpisodeMeta(scenario="a", engine="sumo"))
-        'factual'
-    """
+    """The behaviour or action that differs in an episode, or "factual"."""
     branch = branch_of(entry) or {}
     return str(branch.get("behavior") or branch.get("action") or "factual")
 
 
 def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
-    """Make the factual and every counterfactual episode.
+    """Make the factual and every counterfactual episode in a folder.
 
-    Args:
-        config: what is to differ.
-        folder: of the dataset; new, empty, or with the same what-if, which is left as it is.
-        quiet: whether to show no progress.
-
-    Returns:
-        The manifest.
-
-    Raises:
-        InputError: on other systems than Linux, if an option is wrong, if the driver cannot change
-            at that instant, or if the folder holds something else.
-        OSError: if something cannot be written.
+    The folder is new, empty, or has the same what-if, which is left as it is.
     """
     scenario = config.check()
     configuration: dict[str, Any] = {
@@ -138,44 +110,36 @@ def make_what_if(config: WhatIf, folder: Path, quiet: bool = False) -> Manifest:
     if is_dataset(folder) and open_dataset(folder).header.configuration == configuration:
         return open_dataset(folder).manifest  # it is there already
     task = Task(config.episode, config.episode.scenarios[0], config.index)
-    agents = sample_agents(scenario, task.seed)
+    agents, factual = sample_agents(scenario, task.seed), task.meta(scenario)
+    end_s = scenario.steps * scenario.step_s
     with (
         Trunk(scenario, agents, task.seed, config.episode.engine) as trunk,
         new_dataset(folder, configuration) as out,
+        Progress("driving what would have been", 1 + len(config.changes), quiet) as shown,
     ):
-        _write(config, out, task.meta(scenario), scenario, agents, trunk, quiet)
-    write_data_card(folder)
-    return open_dataset(folder).manifest
-
-
-def _write(
-    config: WhatIf, out: EpisodeWriter, factual: EpisodeMeta, scenario: Scenario,
-    agents: Sequence[AgentSpec], trunk: Trunk, quiet: bool,
-) -> None:  # fmt: skip
-    """Drive and write the factual episode and all others, beside each other from the branch on."""
-    trunk.driver(config.agent)  # refuses one who is not in the episode
-    before = trunk.advance(config.at_s)
-    _check_present(config, before[-1])
-    end_s = scenario.steps * scenario.step_s
-    branches = [trunk.branch(end_s)]
-    branches += [trunk.branch(end_s, config.agent, change) for change in config.changes]
-    with Progress("driving what would have been", len(branches), quiet) as shown:
-        for change, branch in zip((None, *config.changes), branches, strict=True):
-            meta, drivers = factual, list(agents)
+        trunk.driver(config.agent)  # refuses one who is not in the episode
+        before = trunk.advance(config.at_s)
+        _check_present(config, before[-1])
+        changes = (None, *config.changes)
+        branches = [
+            trunk.branch(end_s) if change is None else trunk.branch(end_s, config.agent, change)
+            for change in changes
+        ]
+        for change, branch in zip(changes, branches, strict=True):
+            meta, drivers, since_s = factual, list(agents), None
             if change is not None:
-                kind = "action" if isinstance(change, Action) else "behavior"
+                kind, since_s = "action" if isinstance(change, Action) else "behavior", config.at_s
                 what = {"at_s": config.at_s, "agent": config.agent, kind: str(change)}
                 meta = factual.model_copy(update={"options": {**factual.options, "branch": what}})
             if isinstance(change, Behavior):
-                drivers = [
-                    trunk.alternative(one.id, change) if one.id == config.agent else one
-                    for one in agents
-                ]
+                other = trunk.alternative(config.agent, change)
+                drivers = [other if one.id == config.agent else one for one in agents]
             with branch:
                 frames = itertools.chain(before, branch)
-                since_s = None if change is None else config.at_s
                 entry = out.write_episode(meta, frames, drivers, scenario.road.source, since_s)
             shown.advance(entry.agents, entry.agent_steps)
+    write_data_card(folder)
+    return open_dataset(folder).manifest
 
 
 def _check_present(config: WhatIf, frame: Frame) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,17 +29,7 @@ of one collision)."""
 
 
 def same_incident(one: Event, other: Event) -> bool:
-    """Whether two events are the same incident of the same two agents.
-
-    Args:
-        one: an event.
-        other: an event of another continuation.
-
-    Examples:
-        >>> before = Event(EventKind.NEAR_MISS, 20.0, agent=4, other=7)
-        >>> same_incident(before, Event(EventKind.NEAR_MISS, 21.5, agent=7, other=4))
-        True
-    """
+    """Whether events of two continuations are the same incident of the same two agents."""
     return (
         one.kind is other.kind
         and {one.agent, one.other} == {other.agent, other.other}
@@ -56,36 +47,29 @@ def new_incidents(events: Iterable[Event], known: Sequence[Event]) -> list[Event
 
 
 def delays(factual: Tracks, other: Tracks, since_s: float) -> dict[int, float]:
-    """How much later everyone reaches the farthest point that it reaches in both continuations.
+    """How much later everyone reaches the farthest point that it reaches in both continuations, s.
 
     The way is measured along each agent's own path: from where it is at the instant of the branch,
-    or from where it first appears.
-
-    Args:
-        factual: one continuation, from ``since_s`` or earlier on.
-        other: the other one.
-        since_s: the instant of the branch, s.
-
-    Returns:
-        By agent id, s; negative for those who are earlier in the other one. An agent that enters in
-        one of them only is later by at least the time that is left: that much is counted.
+    which is in the factual tracks, or from where it first appears. Delays are by agent id, negative
+    for those who are earlier in the other one. An agent that enters in one of them only is later by
+    at least the time that is left: that much is counted.
     """
     found = {}
     end_s = float(min(factual.time_s[-1], other.time_s[-1]))
     for agent in np.union1d(factual.ids, other.ids).tolist():
-        start = _path(factual, agent, since_s - 1e-3)
+        start = path_of(factual, agent, since_s - 1e-3)
         start = start[np.abs(start[:, 0] - since_s) < 1e-6]
         one, two = (
-            np.concatenate([start, _path(tracks, agent, since_s + 1e-6)])
+            np.concatenate([start, path_of(tracks, agent, since_s + 1e-6)])
             for tracks in (factual, other)
         )
         if len(one) and len(two):
-            ways = [np.cumsum(np.hypot(*np.diff(p[:, 1:], axis=0, prepend=p[:1, 1:]).T))
-                    for p in (one, two)]  # fmt: skip
-            reached_m = min(ways[0][-1], ways[1][-1])
-            when = [
-                _first_s(p[:, 0], way, reached_m) for p, way in zip((one, two), ways, strict=True)
+            ways = [
+                np.cumsum(np.hypot(*np.diff(p[:, 1:], axis=0, prepend=p[:1, 1:]).T))
+                for p in (one, two)
             ]
+            reached_m = min(ways[0][-1], ways[1][-1])
+            when = [_first_s(p[:, 0], w, reached_m) for p, w in zip((one, two), ways, strict=True)]
             found[int(agent)] = when[1] - when[0]
         elif len(one):
             found[int(agent)] = end_s - float(one[0, 0])
@@ -94,7 +78,7 @@ def delays(factual: Tracks, other: Tracks, since_s: float) -> dict[int, float]:
     return found
 
 
-def _path(tracks: Tracks, agent: int, since_s: float) -> FloatArray:
+def path_of(tracks: Tracks, agent: int, since_s: float) -> FloatArray:
     """(k, 3) times and places of an agent from a time on."""
     row = np.flatnonzero(tracks.ids == agent)
     if not row.size:
@@ -113,24 +97,15 @@ def _first_s(time_s: FloatArray, way_m: FloatArray, reached_m: float) -> float:
 
 
 def factual_of(dataset: Dataset, branched: EpisodeEntry | None = None) -> EpisodeEntry:
-    """The episode of a dataset in which nothing was changed.
+    """The episode of a dataset in which nothing was changed: of a branched one, or the only."""
 
-    Args:
-        dataset: as ``what-if`` writes it.
-        branched: a counterfactual episode of it; None for the only factual one.
+    def made(entry: EpisodeEntry) -> tuple[str, str, int | None]:
+        return entry.scenario, entry.engine, entry.seed
 
-    Raises:
-        InputError: if there is no such episode, or more than one.
-    """
     found = [
         entry
         for entry in dataset.manifest.episodes
-        if branch_of(entry) is None
-        and (
-            branched is None
-            or (entry.scenario, entry.engine, entry.seed)
-            == (branched.scenario, branched.engine, branched.seed)
-        )
+        if branch_of(entry) is None and (branched is None or made(entry) == made(branched))
     ]
     if len(found) != 1:
         raise InputError(
@@ -149,9 +124,9 @@ def branches_of(dataset: Dataset) -> list[EpisodeEntry]:
     found = [entry for entry in dataset.manifest.episodes if branch_of(entry) is not None]
     if not found:
         raise InputError(f"{dataset.path}: found no branch, expected a dataset that what-if wrote")
-    asked = dataset.header.configuration.get("what_if")
-    if isinstance(asked, dict):
-        order = [str(w) for key in ("behaviors", "actions") for w in _listed(asked.get(key))]
+    asked: Any = dataset.header.configuration.get("what_if")
+    if asked:
+        order = [*asked["behaviors"], *asked["actions"]]
         found.sort(key=lambda entry: order.index(change_of(entry)))
     return found
 
@@ -176,42 +151,24 @@ def outcomes(dataset: Dataset) -> list[Row]:
     branch = branch_of(branched[0]) or {}
     since_s, agent = float(branch["at_s"]), int(branch["agent"])
     happened = dataset.read(factual).tracks
-    known = _later(happened, since_s)
-    rows = [_counted("factual", known, known, agent, {})]
-    for entry in branched:
-        tracks = dataset.read(entry).tracks
-        late = delays(happened, tracks, since_s)
-        rows.append(_counted(change_of(entry), _later(tracks, since_s), known, agent, late))
+    known = [event for event in happened.events if event.time_s > since_s + 1e-6]
+    rows: list[Row] = []
+    for entry in (factual, *branched):
+        tracks = happened if entry is factual else dataset.read(entry).tracks
+        late = {} if entry is factual else delays(happened, tracks, since_s)
+        events = [event for event in tracks.events if event.time_s > since_s + 1e-6]
+        kinds = Counter(event.kind for event in events)
+        own = Counter(event.kind for event in events if agent in (event.agent, event.other))
+        rows.append({
+            "change": change_of(entry),
+            "collisions": kinds[EventKind.COLLISION],
+            "near_misses": kinds[EventKind.NEAR_MISS],
+            "own_collisions": own[EventKind.COLLISION],
+            "own_near_misses": own[EventKind.NEAR_MISS],
+            "rules_broken": sum(e.kind in RULES and e.agent == agent for e in events),
+            "caused": len(new_incidents(events, known)),
+            "prevented": len(new_incidents(known, events)),
+            "others_delay_s": round(sum(s for one, s in late.items() if one != agent), 2),
+            "own_delay_s": round(late.get(agent, 0.0), 2),
+        })  # fmt: skip
     return rows
-
-
-def _listed(value: object) -> list[object]:
-    return value if isinstance(value, list) else []
-
-
-def _later(tracks: Tracks, since_s: float) -> list[Event]:
-    return [event for event in tracks.events if event.time_s > since_s + 1e-6]
-
-
-def _counted(
-    change: str, events: Sequence[Event], known: Sequence[Event], agent: int,
-    late: dict[int, float],
-) -> Row:  # fmt: skip
-    def count(kind: EventKind, *, own: bool = False) -> int:
-        return sum(
-            event.kind is kind and (not own or agent in (event.agent, event.other))
-            for event in events
-        )
-
-    return {
-        "change": change,
-        "collisions": count(EventKind.COLLISION),
-        "near_misses": count(EventKind.NEAR_MISS),
-        "own_collisions": count(EventKind.COLLISION, own=True),
-        "own_near_misses": count(EventKind.NEAR_MISS, own=True),
-        "rules_broken": sum(e.kind in RULES and e.agent == agent for e in events),
-        "caused": len(new_incidents(events, known)),
-        "prevented": len(new_incidents(known, events)),
-        "others_delay_s": round(sum(s for one, s in late.items() if one != agent), 2),
-        "own_delay_s": round(late.get(agent, 0.0), 2),
-    }

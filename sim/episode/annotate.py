@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-from behaviors.traits import DetectorInputs, ShownTrait, detect
-from sim.episode.detector_inputs import detector_inputs, with_encounters
+import numpy as np
+
+from behaviors.traits import DetectorInputs, RuleEncounter, ShownTrait, detect
+from sim.episode.detector_inputs import detector_inputs
 from sim.episode.incidents import incidents
 from sim.episode.observables import observe
-from sim.frames import Event, FloatArray, IntArray, Tracks
+from sim.frames import Event, EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.safety import Conflicts, conflicts
 
 MIN_FRAMES: Final = 3
 """Fewest frames for annotations: the shortest motion with a change of speed."""
+
+RULES: Final = {
+    EventKind.RED_RUN: False,
+    EventKind.STOP_ROLLED: False,
+    EventKind.NOT_YIELDED: False,
+    EventKind.WRONG_WAY: False,
+    EventKind.STOPPED: True,
+    EventKind.YIELDED: True,
+}
+"""The events in which a rule applied, and whether it was kept."""
 
 MAX_STEP_S: Final = 1.0
 """Longest time between frames for annotations, s; traits last one second and more."""
@@ -61,22 +72,25 @@ def annotate(tracks: Tracks, road: Road, *, recorded: bool = False) -> Annotatio
     events = incidents(tracks, road, observed, inputs, met, recorded=recorded)
     seen = observed.lane, observed.s, observed.leader, observed.gap
     del observed  # a fifth of the memory, which the detectors need
-    inputs = with_encounters(tracks.ids, inputs, events)
-    return Annotations(inputs, events, shown_traits(tracks.ids, inputs), *seen, met)
+    index = {int(agent): i for i, agent in enumerate(tracks.ids)}
+    encounters = tuple(
+        RuleEncounter(index[event.agent], event.time_s, RULES[event.kind])
+        for event in events
+        if event.kind in RULES and event.agent in index
+    )
+    inputs = replace(inputs, encounters=encounters)
+    ids = np.append(tracks.ids, -1)  # index -1: nobody
+    shown = tuple(
+        replace(one, agent=int(ids[one.agent]), other=int(ids[one.other])) for one in detect(inputs)
+    )
+    return Annotations(inputs, events, shown, *seen, met)
 
 
 def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annotations]]:
-    """Annotate a recording, whose frames may have breaks between them.
+    """Each part of a recording between breaks, with what was found in it, in order of time.
 
-    Parts between breaks are annotated separately, because the motion in a break is unknown.
-    Parts whose frames are more than `MAX_STEP_S` apart are not annotated.
-
-    Args:
-        tracks: a recording.
-        road: where it happened.
-
-    Yields:
-        Each part with what was found in it, in order of time.
+    Parts are annotated separately, because the motion in a break is unknown. Parts whose frames are
+    more than `MAX_STEP_S` apart are left out.
     """
     for part in tracks.between_breaks():
         if part.time_s.size >= MIN_FRAMES and part.step_s <= MAX_STEP_S:
@@ -86,38 +100,10 @@ def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annota
 def annotate_recording(
     tracks: Tracks, road: Road
 ) -> tuple[tuple[Event, ...], tuple[ShownTrait, ...]]:
-    """Find the events and shown traits of the `annotated_parts` of a recording.
-
-    Args:
-        tracks: a recording.
-        road: where it happened.
-
-    Returns:
-        Events and shown traits in order of time, as `annotate` has them.
-    """
+    """The events and shown traits of the `annotated_parts` of a recording, in order of time."""
     events: list[Event] = []
     shown: list[ShownTrait] = []
     for _, found in annotated_parts(tracks, road):
         events += found.events
         shown += found.shown_traits
     return tuple(events), tuple(shown)
-
-
-def shown_traits(ids: IntArray, inputs: DetectorInputs) -> tuple[ShownTrait, ...]:
-    """Every trait that was shown, with agent ids in place of indices.
-
-    Args:
-        ids: (N,) ids of the agents.
-        inputs: what the detectors read, with the rules that applied.
-
-    Returns:
-        Shown traits in order of time; their ``agent`` and ``other`` are ids (-1: none).
-    """
-    return tuple(
-        dataclasses.replace(
-            one,
-            agent=int(ids[one.agent]),
-            other=int(ids[one.other]) if one.other >= 0 else -1,
-        )
-        for one in detect(inputs)
-    )

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from behaviors.traits import ShownTrait
-from sim.episode.contacts import Contact
+from behaviors.traits import DetectorInputs, ShownTrait, cutting_in
 from sim.episode.observables import Observables
 from sim.episode.yielding import ROLLING_MPS, could_stop
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, FloatArray, IntArray, Tracks
+from sim.frames import PEDESTRIAN, Event, EventKind, FloatArray, Tracks
+from sim.geometry import GRAZE_M, Outlines, separation
 from sim.road import Road
 
 RECENT_S: Final = 8.0
 """A rule broken at a junction this long before a collision caused it (the time to cross the
 junction)."""
+
+BROKEN_RULES: Final = (
+    (EventKind.RED_RUN, "ran a red light", RECENT_S),
+    (EventKind.STOP_ROLLED, "rolled over a stop line", RECENT_S),
+    (EventKind.WRONG_WAY, "drove the wrong way", 2 * RECENT_S),
+)
+"""Events by which an agent counts as the cause, and for how long, s."""
 
 CUT_IN: Final = "cut in"
 """The cause of a collision after a cut-in."""
@@ -44,43 +51,89 @@ BETWEEN_LANES_M: Final = 0.2
 their lane stay 0.7 m from it)."""
 
 
-def collisions(
-    tracks: Tracks, touches: Sequence[Contact]
-) -> list[tuple[tuple[int, int], IntArray]]:
-    """The pairs that collided, and the columns in which they touch.
+def contacts(tracks: Tracks) -> Iterator[tuple[int, int, int]]:
+    """Pairs of agents whose outlines overlap, pedestrians with each other aside.
 
-    A pair touches by the engine's word or by its outlines. A pedestrian counts as hit only if the
-    engine reports it, because a turning vehicle's outline sweeps over the kerb where pedestrians
-    wait.
+    An outline is a rectangle of an agent's length and width about its centre, turned by its
+    heading.
+
+    Yields:
+        Both agents, the smaller first, and the time, as indices.
+
+    Examples:
+        >>> xy = np.array([[[0.0, 0.0]] * 3, [[9.0, 0.0], [4.0, 0.0], [9.0, 0.0]]])
+        >>> still = np.zeros((2, 3))
+        >>> list(contacts(Tracks.of_dense(
+        ...     ids=np.arange(2), names=("a", "b"), kind=np.zeros(2), length=np.full(2, 5.0),
+        ...     width=np.full(2, 2.0), time_s=np.arange(3.0), xy=xy, heading=still, speed=still,
+        ...     valid=np.ones((2, 3)), signals=np.zeros((0, 3)))))
+        [(0, 1, 1)]
+    """
+    seen, far_m = tracks.rows, float(np.hypot(tracks.length, tracks.width).max(initial=0.0))
+    agent, step, walking = seen.index.agent, seen.index.step, tracks.walking
+    for rows, _, _ in seen.index.time_blocks():
+        # rows of different times are too far apart to meet
+        apart = 2.0 * far_m * (step[rows] - step[rows[:1]])
+        tree = cKDTree(
+            np.column_stack([seen.xy[rows], apart]), balanced_tree=False, compact_nodes=False
+        )
+        pairs = rows[np.sort(tree.query_pairs(far_m, output_type="ndarray"), axis=1)]
+        pairs = pairs[~walking[pairs].all(axis=1)]
+        first, second = (
+            Outlines.of(
+                seen.xy[r], seen.heading[r], tracks.length[agent[r]], tracks.width[agent[r]]
+            )
+            for r in pairs.T
+        )
+        for one, two in pairs[separation(first, second) < -GRAZE_M].tolist():
+            yield int(agent[one]), int(agent[two]), int(step[one])
+
+
+def collisions(
+    tracks: Tracks,
+    road: Road,
+    observed: Observables,
+    inputs: DetectorInputs,
+    events: Sequence[Event],
+    *,
+    recorded: bool,
+) -> list[Event]:
+    """The collisions of an episode or recording, with their causes.
+
+    A pair collides by the engine's word or by its outlines, but recorded outlines are too inexact.
+    A pedestrian counts as hit only if the engine reports it, because a turning vehicle's outline
+    sweeps over the kerb where pedestrians wait.
 
     Args:
-        tracks: an episode or a recording, with the engine's events.
-        touches: overlaps of outlines.
-
-    Returns:
-        Ids of both parties and (k,) columns, in order of the first column.
+        tracks: the trajectories, with the engine's events.
+        road: where it happened.
+        observed: its observables.
+        inputs: what the trait detectors read.
+        events: rules broken, in any order.
+        recorded: whether it is a recording.
     """
-    flags: dict[tuple[int, int], BoolArray] = {}
-    pairs: dict[tuple[int, int], tuple[int, int]] = {}
+    reported: dict[tuple[int, int], tuple[int, int]] = {}
+    touching: dict[tuple[int, int], set[int]] = {}
     for event in tracks.events:
         if event.kind in (EventKind.COLLISION, EventKind.CONTACT) and event.other is not None:
             pair = (min(event.agent, event.other), max(event.agent, event.other))
-            pairs.setdefault(pair, (event.agent, event.other))
-            at = _column(tracks, event.time_s)
-            flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))[at] = True
-    for contact in touches:
-        one, two = contact.agents
+            reported.setdefault(pair, (event.agent, event.other))
+            touching.setdefault(pair, set()).add(_column(tracks, event.time_s))
+    for one, two, column in () if recorded else contacts(tracks):
         pair = (int(tracks.ids[one]), int(tracks.ids[two]))
-        if pair not in flags and PEDESTRIAN in (tracks.kind[one], tracks.kind[two]):
-            continue
-        touch = flags.setdefault(pair, np.zeros(tracks.time_s.size, dtype=bool))
-        touch[contact.begin : contact.end] = True
-    found = []
-    for pair, touch in flags.items():
-        columns = np.flatnonzero(touch)
+        if pair in reported or PEDESTRIAN not in (tracks.kind[one], tracks.kind[two]):
+            touching.setdefault(pair, set()).add(column)
+    if not touching:
+        return []
+    causes, found = _Causes(tracks, road, observed, inputs, events), []
+    for pair, touch in touching.items():
+        columns = np.array(sorted(touch))
         anew = np.flatnonzero(np.diff(columns) > round(APART_S / tracks.step_s)) + 1
-        found += [(pairs.get(pair, pair), part) for part in np.split(columns, anew)]
-    return sorted(found, key=lambda one: (int(one[1][0]), one[0]))
+        for part in np.split(columns, anew):
+            parties = reported.get(pair, pair)
+            event = causes.collision(parties, *tracks.time_s[part[[0, -1]]].tolist())
+            found.append((int(part[0]), parties, event))
+    return [event for _, _, event in sorted(found, key=lambda one: one[:2])]
 
 
 def _column(tracks: Tracks, time_s: float) -> int:
@@ -158,43 +211,27 @@ class _Party:
         return could_stop(float(self.speed[braked]), left_m)
 
 
-@dataclass(frozen=True, slots=True)
-class Crashes:
-    """Finds the causes of an episode's collisions.
+class _Causes:
+    """Finds the causes of an episode's collisions; arguments are as of `collisions`."""
 
-    Attributes:
-        tracks: the episode or recording.
-        road: where it happened.
-        observed: its observables.
-        events: what was found before, in any order.
-        cuts: the cut-ins of the episode.
-        forbidden: (m,) where pedestrians walk though they may not.
-    """
+    def __init__(
+        self,
+        tracks: Tracks,
+        road: Road,
+        observed: Observables,
+        inputs: DetectorInputs,
+        events: Sequence[Event],
+    ) -> None:
+        self._tracks, self._road, self._observed, self._events = tracks, road, observed, events
+        self._cuts, self._forbidden = cutting_in(inputs), inputs.off_crossing | inputs.on_red
 
-    tracks: Tracks
-    road: Road
-    observed: Observables
-    events: Sequence[Event]
-    cuts: Sequence[ShownTrait]
-    forbidden: BoolArray
-
-    def cause(self, pair: tuple[int, int], time_s: float) -> Event:
-        """A collision with its cause: the first of the following that applies.
-
-        A party broke a rule that still applied: red light or stop sign, direction, walking,
-        yielding to a pedestrian, or cutting in. Otherwise `_between_vehicles` decides.
-
-        Args:
-            pair: ids of the parties, in any order.
-            time_s: when they first touch, s.
-
-        Returns:
-            The collision; ``agent`` caused it, ``rule`` says why.
-        """
-        column = _column(self.tracks, time_s)
-        parties = [_Party(self.tracks, self.road, self.observed, id, column) for id in pair]
-        for cut in reversed(self.cuts):
-            cutter, victim = int(self.tracks.ids[cut.agent]), int(self.tracks.ids[cut.other])
+    def collision(self, pair: tuple[int, int], time_s: float, end_s: float) -> Event:
+        """A collision of two ids, whose ``agent`` caused it, and whose ``rule`` says why."""
+        column = _column(self._tracks, time_s)
+        parties = [_Party(self._tracks, self._road, self._observed, id, column) for id in pair]
+        ids = self._tracks.ids
+        for cut in reversed(self._cuts):
+            cutter, victim = int(ids[cut.agent]), int(ids[cut.other])
             if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
                 break
         else:
@@ -202,40 +239,42 @@ class Crashes:
         party, rule = self._cause(parties, time_s, column, cut)
         other = pair[0] if party.id == pair[1] else pair[1]
         headway_s = float(cut.value) if cut is not None and rule == CUT_IN else None
-        return Event(EventKind.COLLISION, time_s, party.id, other, rule, cut_in_headway_s=headway_s)
+        return Event(
+            EventKind.COLLISION, time_s, party.id, other, rule, end_s, cut_in_headway_s=headway_s
+        )
 
     def _cause(
         self, parties: list[_Party], time_s: float, column: int, cut: ShownTrait | None
     ) -> tuple[_Party, str]:
-        """The party that caused a collision, and why; ``cut`` is a cut-in between them."""
+        """The party that caused a collision, and why: the first of the following that applies.
+
+        A party broke a rule that still applied: red light or stop sign, direction, walking,
+        yielding to a pedestrian, or cutting in (``cut``). Otherwise `_between_vehicles` decides.
+        """
         of = {party.id: party for party in parties}
-        for kind, rule, recent_s in (
-            (EventKind.RED_RUN, "ran a red light", RECENT_S),
-            (EventKind.STOP_ROLLED, "rolled over a stop line", RECENT_S),
-            (EventKind.WRONG_WAY, "drove the wrong way", 2 * RECENT_S),
-        ):
-            for event in reversed(self.events):
+        for kind, rule, recent_s in BROKEN_RULES:
+            for event in reversed(self._events):
                 if event.kind is kind and event.agent in of and event.time_s <= time_s + 0.5:
                     party = of[event.agent]
                     if party.connection >= 0 or time_s - event.time_s <= recent_s:
                         return party, rule
         for party, other in (parties, parties[::-1]):
             if party.is_pedestrian:
-                rows = self.tracks.rows.index.rows(party.index, column - 1, column + 1)
-                if self.forbidden[rows].any():
+                rows = self._tracks.rows.index.rows(party.index, column - 1, column + 1)
+                if self._forbidden[rows].any():
                     return party, "walked where or when one may not"
-                if (other.speed[-1 - round(1.0 / self.tracks.step_s) :] < ROLLING_MPS).all():
+                if (other.speed[-1 - round(1.0 / self._tracks.step_s) :] < ROLLING_MPS).all():
                     return party, "walked into a vehicle that stood"
                 return other, "did not yield to a pedestrian"
         if cut is not None:
-            return of[int(self.tracks.ids[cut.agent])], CUT_IN
+            return of[int(self._tracks.ids[cut.agent])], CUT_IN
         return self._between_vehicles(*parties)
 
     def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:
         """The cause that lies in how two vehicles stand to each other."""
         ways = one.connection, two.connection
         meet = min(ways) >= 0 and ways[0] != ways[1]
-        if meet and self.road.first_come(*ways):
+        if meet and self._road.first_come(*ways):
             later = two if two.entered > one.entered else one
             return later, "entered a junction not yet clear"
         if one.between_lanes != two.between_lanes:
@@ -244,13 +283,13 @@ class Crashes:
             if party.could_have_stopped(other):
                 return party, "ran into somebody who stood"
         for party, other in ((one, two), (two, one)):
-            if meet and other.connection in self.road.connections[party.connection].yields_to:
+            if meet and other.connection in self._road.connections[party.connection].yields_to:
                 return party, "took another's priority"
         if one.stands != two.stands:
             return (two if one.stands else one), "ran into somebody who stood"
         is_behind = False  # as it is where one of the two was not seen
         if one.row >= 0 and two.row >= 0:
-            heading, xy = self.tracks.rows.heading[one.row], self.tracks.rows.xy
+            heading, xy = self._tracks.rows.heading[one.row], self._tracks.rows.xy
             facing = np.array([np.cos(heading), np.sin(heading)])
             is_behind = float((xy[two.row] - xy[one.row]) @ facing) < 0
         return (two if is_behind else one), "followed too closely"

@@ -2,61 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
-from typing import Final
-
 import numpy as np
 
-from behaviors.traits import DetectorInputs, RuleEncounter
+from behaviors.traits import DetectorInputs
 from sim.episode.observables import Observables, observe
-from sim.frames import PEDESTRIAN, BoolArray, Event, EventKind, IntArray, Signal, Tracks, says_stop
+from sim.frames import PEDESTRIAN, BoolArray, Signal, Tracks, says_stop
 from sim.road import Road
 from sim.road.lane_coordinates import along
 from sim.road.lane_graph import LaneGraph
-
-RULES: Final = {
-    EventKind.RED_RUN: False,
-    EventKind.STOP_ROLLED: False,
-    EventKind.NOT_YIELDED: False,
-    EventKind.WRONG_WAY: False,
-    EventKind.STOPPED: True,
-    EventKind.YIELDED: True,
-}
-"""The events in which a rule applied, and whether it was kept."""
-
-
-def with_encounters(
-    ids: IntArray, inputs: DetectorInputs, events: Sequence[Event]
-) -> DetectorInputs:
-    """Add the rules that applied to agents.
-
-    Args:
-        ids: (N,) ids of the agents.
-        inputs: what `detector_inputs` gives.
-        events: what `sim.episode.incidents.incidents` found.
-    """
-    index = {int(agent): i for i, agent in enumerate(ids)}
-    encounters = tuple(
-        RuleEncounter(index[e.agent], e.time_s, RULES[e.kind])
-        for e in events
-        if e.kind in RULES and e.agent in index
-    )
-    return dataclasses.replace(inputs, encounters=encounters)
 
 
 def detector_inputs(
     tracks: Tracks, road: Road, observed: Observables | None = None
 ) -> DetectorInputs:
-    """Inputs of the detectors without the rules that applied (`with_encounters` adds them).
+    """Inputs of the detectors without the rules that applied, which `annotate` adds.
 
     Args:
         tracks: an episode or a recording.
         road: where it happened.
         observed: the observables of ``tracks``, if the caller has them.
-
-    Returns:
-        Arrays with the rows of ``tracks``.
     """
     observed = observe(tracks, road) if observed is None else observed
     graph = LaneGraph.of(road)
@@ -99,10 +63,7 @@ def detector_inputs(
 def _jaywalkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
     """(m,) rows of pedestrians on the carriageway off any crossing, and on one entered on red."""
     row_index = tracks.rows.index
-    off, on_red = (
-        np.zeros(tracks.rows.speed.size, dtype=bool),
-        np.zeros(tracks.rows.speed.size, dtype=bool),
-    )
+    off, on_red = np.zeros((2, tracks.rows.speed.size), dtype=bool)
     rows = np.flatnonzero(tracks.walking)
     if not rows.size:
         return off, on_red

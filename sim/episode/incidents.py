@@ -6,15 +6,13 @@ and are given a cause (`sim.episode.collisions`).
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Final
 
 import numpy as np
 
 from behaviors.row_index import RowIndex
-from behaviors.traits import DetectorInputs, cutting_in
-from sim.episode.collisions import Crashes, collisions
-from sim.episode.contacts import contacts
+from behaviors.traits import DetectorInputs
+from sim.episode.collisions import collisions
 from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import Observables, observe
 from sim.episode.yielding import ROLLING_MPS, crossings_passed
@@ -51,7 +49,7 @@ def incidents(
         tracks: the trajectories; of their own events, collisions and removals are used.
         road: where it happened.
         observed: the observables of ``tracks``, if the caller has them.
-        inputs: what `sim.episode.detector_inputs.detector_inputs` gives, if the caller has it.
+        inputs: what the trait detectors read, if the caller has it.
         met: the conflicts of ``tracks``, if the caller has them.
         recorded: whether sizes and positions were measured, not simulated: then two outlines that
             overlap are a measurement error, not a collision.
@@ -61,21 +59,14 @@ def incidents(
         and ``rule`` says why.
     """
     observed = observe(tracks, road) if observed is None else observed
+    inputs = detector_inputs(tracks, road, observed) if inputs is None else inputs
     found = [
         *_lines_passed(tracks, road, observed),
         *crossings_passed(tracks, road, observed),
         *_wrong_way(tracks, observed),
         *near_misses(conflicts(tracks, road) if met is None else met),
     ]
-    collided = collisions(tracks, () if recorded else contacts(tracks))
-    if collided:
-        inputs = detector_inputs(tracks, road, observed) if inputs is None else inputs
-        forbidden = inputs.off_crossing | inputs.on_red
-        crashes = Crashes(tracks, road, observed, found, cutting_in(inputs), forbidden)
-    for pair, columns in collided:
-        collision = crashes.cause(pair, float(tracks.time_s[columns[0]]))
-        end_s = float(tracks.time_s[columns[-1]])
-        found.append(dataclasses.replace(collision, end_s=end_s))
+    found += collisions(tracks, road, observed, inputs, found, recorded=recorded)
     # an engine's events of other kinds are found again by the rules above
     found += [event for event in tracks.events if event.kind is EventKind.REMOVAL]
     return tuple(sorted(found, key=lambda e: (e.time_s, e.agent, e.kind)))
@@ -87,7 +78,8 @@ def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Eve
     for link in road.connections:
         stops[road.lane_index[link.from_lane]] |= link.must_stop
     row_index, distance = tracks.rows.index, observed.stop_distance
-    red = observed.signal == Signal.RED.code
+    red, first = observed.signal == Signal.RED.code, observed.gap > distance
+    stands = tracks.rows.speed < ROLLING_MPS
     grace = round(GRACE_S / tracks.step_s)
     passed = (distance[:-1] >= 0) & (distance[:-1] < 10.0) & ~row_index.begins[1:]
     passed &= (distance[1:] < 0) | (distance[1:] > 30.0)
@@ -98,7 +90,7 @@ def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Eve
         agent, time_s = int(tracks.ids[number]), float(tracks.time_s[column + 1])
         if row_index.over(red, number, max(column - grace, 0), column + 1, False).all():
             found.append(Event(EventKind.RED_RUN, time_s, agent))
-        elif _stood_at_red(tracks, observed, zone):
+        elif (stands[zone] & red[zone] & first[zone]).any():
             found.append(Event(EventKind.STOPPED, time_s, agent, rule="red light"))
         if stops[observed.lane[row]]:
             rolled = tracks.rows.speed[zone].min() > ROLLING_MPS
@@ -117,13 +109,6 @@ def _zones(row_index: RowIndex, distance: FloatArray, last: IntArray) -> list[sl
     return [slice(b, row + 1) for b, row in zip(begins.tolist(), last.tolist(), strict=True)]
 
 
-def _stood_at_red(tracks: Tracks, observed: Observables, zone: slice) -> bool:
-    """Whether the agent stood first in line at a red light before it passed the line."""
-    red = observed.signal[zone] == Signal.RED.code
-    first = observed.gap[zone] > observed.stop_distance[zone]
-    return bool((red & first & (tracks.rows.speed[zone] < ROLLING_MPS)).any())
-
-
 def _wrong_way(tracks: Tracks, observed: Observables) -> list[Event]:
     wrong = (np.abs(observed.lane_heading) > np.pi / 2) & (tracks.rows.speed > ROLLING_MPS)
     found = []
@@ -139,9 +124,6 @@ def near_misses(met: Conflicts) -> list[Event]:
 
     ``agent`` is the one that had to yield; where priority is unknown, the one that came later to
     the shared position.
-
-    Args:
-        met: conflicts, as `sim.safety.conflicts` finds them.
     """
     found = []
     for row in np.flatnonzero(met.near_miss).tolist():

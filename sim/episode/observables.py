@@ -130,21 +130,15 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
 
 def leaders(frame: Frame, road: Road) -> tuple[IntArray, FloatArray]:
     """(n,) row of the vehicle ahead of each in a frame, and gap to it, m, as in `Observables`."""
-    n = len(frame)
-    driving, order, begins = frame.kind != PEDESTRIAN, np.arange(n), np.array([0, n])
-    _, view = _perceive(road, frame.xy, frame.heading, frame.length, driving, order, begins)
+    order, begins = np.arange(len(frame)), np.array([0, len(frame)])
+    _, view = _perceive(road, frame.xy, frame.heading, frame.length, frame.driving, order, begins)
     return view.leader, view.gap
 
 
 def _perceive(
-    road: Road,
-    xy: FloatArray,
-    heading: FloatArray,
-    length: FloatArray,
-    driving: BoolArray,
-    by_time: IntArray,
-    begins: IntArray,
-) -> tuple[LanePosition, lane_search.LaneView]:
+    road: Road, xy: FloatArray, heading: FloatArray, length: FloatArray, driving: BoolArray,
+    by_time: IntArray, begins: IntArray,
+) -> tuple[LanePosition, lane_search.LaneView]:  # fmt: skip
     """The lane that each row is on, and what it sees on its way; arguments as of `_observe`."""
     xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
     place = LaneGraph.of(road).project(xy, heading)
@@ -155,20 +149,12 @@ def _perceive(
     return place, view
 
 
-def crossing_people(
+def _crossing_people(
     road: Road, instant: IntArray, xy: FloatArray, instants: int
 ) -> tuple[BoolArray, BoolArray]:
-    """Crossings with a pedestrian on them, and beside them.
+    """(C, instants) crossings with a pedestrian on them, or within `CROSSING_MARGIN_M` of an end.
 
-    Args:
-        road: where it happens.
-        instant: (p,) instant of each pedestrian seen.
-        xy: (p, 2) where, m.
-        instants: how many instants there are.
-
-    Returns:
-        (C, instants) occupied, and (C, instants) a pedestrian within `CROSSING_MARGIN_M` of an
-        end.
+    The (p,) pedestrians seen are each at one instant and (p, 2) place, m.
     """
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
@@ -183,17 +169,9 @@ def crossing_people(
 
 
 def _observe(
-    road: Road,
-    xy: FloatArray,
-    heading: FloatArray,
-    speed: FloatArray,
-    length: FloatArray,
-    walking: BoolArray,
-    signals: CodeArray,
-    instant: IntArray,
-    by_time: IntArray,
-    begins: IntArray,
-) -> Observables:
+    road: Road, xy: FloatArray, heading: FloatArray, speed: FloatArray, length: FloatArray,
+    walking: BoolArray, signals: CodeArray, instant: IntArray, by_time: IntArray, begins: IntArray,
+) -> Observables:  # fmt: skip
     """Observables of m rows of T instants."""
     graph = LaneGraph.of(road)
     m = speed.size
@@ -212,7 +190,7 @@ def _observe(
     lit = np.flatnonzero((group >= 0) & (group < signals.shape[0]))
     signal[lit] = signals[group[lit], instant[lit]]
 
-    occupied, waiting = crossing_people(road, instant[walking], xy[walking], signals.shape[1])
+    occupied, waiting = _crossing_people(road, instant[walking], xy[walking], signals.shape[1])
     meets = crossing >= 0
     is_occupied, is_waiting = np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
     is_occupied[meets] = occupied[crossing[meets], instant[meets]]

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from behaviors.errors import InputError
-from sim.frames import BoolArray, FloatArray, Frame, IntArray, Tracks
+from sim.frames import MOVING, OF_AGENTS, BoolArray, FloatArray, Frame, IntArray, Tracks
 
 DEFAULT_RADIUS_M: Final = 100.0
 """Distance from an ego within which others count, m (what drivers react to)."""
@@ -58,12 +58,7 @@ class Window:
             raise InputError(f"window.radius_m: found {self.radius_m}, expected metres > 0")
 
     def admits(self, ids: IntArray, xy: FloatArray) -> BoolArray:
-        """(n,) which of some agents count.
-
-        Args:
-            ids: (n,) everybody at one time.
-            xy: (n, 2) where they are, m.
-        """
+        """(n,) which agents count, of everybody at one time at (n, 2) places, m."""
         inside = np.ones(ids.size, dtype=np.bool_)
         if self.region is not None:
             x0, y0, x1, y1 = self.region
@@ -86,21 +81,15 @@ class Window:
         here = set(frame.ids[inside].tolist())
         return dataclasses.replace(
             frame,
-            **{
-                name: getattr(frame, name)[inside]
-                for name in ("ids", "xy", "heading", "speed", "length", "width", "kind")
-            },
+            **{name: getattr(frame, name)[inside] for name in ("ids", *MOVING, *OF_AGENTS)},
             events=tuple(event for event in frame.events if event.agent in here),
         )
 
     def of_tracks(self, tracks: Tracks) -> Tracks:
         """The tracks of the agents that count at the last time; they keep their whole past."""
-        if not tracks.time_s.size:
+        if not tracks.rows.speed.size:
             return tracks
-        seen = tracks.rows
-        at = seen.index.at(-1)
-        if not at.size:
-            return tracks
-        rows = seen.index.agent[at]
-        inside = self.admits(tracks.ids[rows], seen.xy[at])
-        return tracks.part(rows[inside], slice(0, tracks.time_s.size))
+        at = tracks.rows.index.at(-1)
+        rows = tracks.rows.index.agent[at]
+        inside = self.admits(tracks.ids[rows], tracks.rows.xy[at])
+        return tracks.part(rows[inside], slice(None)) if at.size else tracks

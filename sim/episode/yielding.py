@@ -59,10 +59,7 @@ class Walk(NamedTuple):
     def blocks(self, path: float, half: float, column: int) -> bool:
         """Whether the pedestrian is in a vehicle's path, or soon would be, at one time.
 
-        Args:
-            path: where the vehicle drives, as a distance along the crossing, m.
-            half: half the width of the path, m.
-            column: the time.
+        The path is at a distance along the crossing, m, and has a half width, m.
         """
         if not self.begin < column <= self.end:
             return False
@@ -71,13 +68,7 @@ class Walk(NamedTuple):
 
 
 def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Event]:
-    """Events of vehicles that let a pedestrian go first at a crossing, or did not.
-
-    Args:
-        tracks: an episode or a recording.
-        road: where it happened.
-        observed: its observables.
-    """
+    """Events of vehicles that let a pedestrian go first at a crossing, or did not."""
     walking, row_index = tracks.walking, tracks.rows.index
     walkers = np.flatnonzero(walking)
     if not walkers.size:
@@ -93,7 +84,9 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
         walks = _walks(tracks, crossing, walkers)
         if not walks:
             continue
-        near = driving[_near(crossing, xy, longest / 2)]
+        line, reach = crossing.centerline, crossing.width_m + longest / 2
+        near = (xy >= line.min(axis=0) - reach) & (xy <= line.max(axis=0) + reach)
+        near = driving[near.all(axis=1)]
         facing = tracks.rows.heading[near]
         forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
         front = tracks.rows.xy[near] + 0.5 * tracks.length[row_index.agent[near], None] * forward
@@ -107,17 +100,9 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
             path = float(u[np.searchsorted(near, run.start)])
             verdict = _verdict(tracks, road, observed, walks, run.start, path, links)
             if verdict is not None:
-                kind, other = verdict
                 agent, time_s = tracks.agent_and_time(run.start)
-                found.append(Event(kind, time_s, agent, other))
+                found.append(Event(verdict[0], time_s, agent, verdict[1]))
     return found
-
-
-def _near(crossing: Crossing, xy: FloatArray, beyond_m: float) -> IntArray:
-    """(k,) indices of the places in a crossing's bounding box, widened by ``beyond_m``."""
-    reach = crossing.width_m + beyond_m
-    low, high = crossing.centerline.min(axis=0) - reach, crossing.centerline.max(axis=0) + reach
-    return np.flatnonzero(((xy >= low) & (xy <= high)).all(axis=1))
 
 
 def _walks(tracks: Tracks, crossing: Crossing, walkers: IntArray) -> list[Walk]:
@@ -143,14 +128,9 @@ def _walks(tracks: Tracks, crossing: Crossing, walkers: IntArray) -> list[Walk]:
 
 
 def _verdict(
-    tracks: Tracks,
-    road: Road,
-    observed: Observables,
-    walks: Sequence[Walk],
-    row: int,
-    path: float,
+    tracks: Tracks, road: Road, observed: Observables, walks: Sequence[Walk], row: int, path: float,
     links: IntArray,
-) -> tuple[EventKind, int] | None:
+) -> tuple[EventKind, int] | None:  # fmt: skip
     """Whether a vehicle that enters a crossing let a pedestrian go first.
 
     An encounter needs three things. The pedestrian is in the vehicle's way, or would have been, had

@@ -16,10 +16,18 @@ from typing import Final
 import numpy as np
 
 from behaviors.display import counted
+from behaviors.errors import InputError
 from sim.frames import FloatArray, IntArray, Signal
 
 MARGIN_M: Final = 10.0
 """White round a picture, m."""
+
+MAX_COORDINATE_M: Final = 1e9
+"""Largest absolute coordinate of a map (beyond any UTM coordinate)."""
+
+MAX_LENGTH_M, MAX_WIDTH_M = 1e7, 1000.0
+"""Longest that all lanes and crossings of a map may be together, m (a city's streets are some
+thousand km), and the widest lane, m."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,12 +258,11 @@ class Road:
                 color = edge_colors.get(lane.edge, color)
             lines.append((lane.centerline, 0.85 * lane.width_m, color))
         lines += [(crossing.centerline, crossing.width_m, "#e8c468") for crossing in self.crossings]
-        parts = [
-            f'<polyline fill="none" stroke="{color}" stroke-width="{width_m:.2f}" points="'
-            + " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
-            + '"/>'
-            for line, width_m, color in lines
-        ]
+        parts = []
+        for line, width_m, color in lines:
+            points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
+            style = f'fill="none" stroke="{color}" stroke-width="{width_m:.2f}"'
+            parts.append(f'<polyline {style} points="{points}"/>')
         head = (
             '<svg xmlns="http://www.w3.org/2000/svg" width="1000" '
             f'viewBox="{x0 - MARGIN_M:.1f} {-y1 - MARGIN_M:.1f} {wide:.1f} {high:.1f}" '
@@ -287,6 +294,40 @@ class Road:
         lanes = tuple(replace(one, centerline=change(one.centerline)) for one in self.lanes)
         crossings = tuple(replace(one, centerline=change(one.centerline)) for one in self.crossings)
         return replace(self, lanes=lanes, crossings=crossings)
+
+    def checked(self) -> Road:
+        """The road itself, read from a file.
+
+        Raises:
+            InputError: if its numbers or references make no road; names the file.
+        """
+
+        def require(holds: bool, where: str, expected: str) -> None:
+            if not holds:
+                raise InputError(f"{self.source}: {where}: found others, expected {expected}")
+
+        lines = [lane.centerline for lane in self.lanes]
+        lines += [crossing.centerline for crossing in self.crossings]
+        require(all(len(line) >= 2 for line in lines), "lines", "2 points or more")
+        near = all((np.abs(line) <= MAX_COORDINATE_M).all() for line in lines)
+        require(near, "points", f"metres, up to {MAX_COORDINATE_M:g}")
+        size_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
+        require(0 < size_m <= MAX_LENGTH_M, f"{size_m:.3g} m of lanes", f"up to {MAX_LENGTH_M:g}")
+        require(len(self.lane_index) == len(self.lanes), "lanes", "each id once")
+        for lane in self.lanes:
+            usual = 0 <= lane.width_m <= MAX_WIDTH_M and not lane.speed_limit_mps < 0
+            require(usual, f"lane {lane.id!r:.60}", f"a width up to {MAX_WIDTH_M:g} m and a limit")
+        for way in self.connections:
+            named = {way.from_lane, *way.via, way.to_lane}
+            require(named <= self.lane_index.keys(), "connections", "lanes of the road")
+        groups = [group for plan in self.signal_plans for group in plan.groups]
+        once = len({*groups}) == len(groups) and {*groups} <= {*range(len(self.signal_groups))}
+        require(once, "signal_plans", "each group once")
+        for plan in self.signal_plans:
+            fits = len(plan.duration_s) == len(plan.states) and min(plan.duration_s) >= 0
+            fits &= 0 < sum(plan.duration_s) < np.inf and abs(plan.offset_s) < np.inf
+            require(fits, "signal_plans", "seconds of each phase")
+        return self
 
     @cached_property
     def lane_index(self) -> dict[str, int]:

@@ -18,7 +18,6 @@ from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.input_files import broken_as_one_line, opened, read_bytes, read_once
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
-from sim.road.checks import checked
 
 SUFFIX: Final = ".road.json"
 """How the names of roads end that datasets keep."""
@@ -122,7 +121,7 @@ def read_stored(path: Path, name: str | None = None) -> Road:
             knows=MapKnowledge(**stored["knows"]),
             left_hand=stored.get("left_hand", False),
         )
-        return checked(road)
+        return road.checked()
 
 
 def _values(part: dict[str, Any]) -> dict[str, Any]:

@@ -94,7 +94,30 @@ class LaneGraph:
     @functools.lru_cache(maxsize=32)
     def of(road: Road) -> LaneGraph:
         """The lane graph of a road, built on first use and kept."""
-        return _build(road)
+        lanes = road.lanes
+        pieces = [_pieces(lane.centerline) for lane in lanes]
+        end = np.cumsum([each.length.size for each in pieces])
+        start, direction, length, at = (np.concatenate(part) for part in zip(*pieces, strict=True))
+        left, right = (_beside(road, step) for step in (1, -1))
+        rules = road.knows.limits_rule
+        return LaneGraph(
+            length=np.array([each.length.sum() for each in pieces]),
+            limit=np.array([lane.speed_limit_mps if rules else np.nan for lane in lanes]),
+            width=np.array([lane.width_m for lane in lanes]),
+            internal=np.array([lane.internal for lane in lanes]),
+            drivable=np.array([not lane.walking for lane in lanes]),
+            left=left,
+            right=right,
+            segment_start=start,
+            segment_direction=direction,
+            segment_heading=np.arctan2(direction[:, 1], direction[:, 0]),
+            segment_length=length,
+            segment_at=at,
+            segment_first=np.append(0, end[:-1]),
+            segment_last=end - 1,
+            **_following(road),
+            **_crossed(road),
+        )
 
     def position(
         self, lane: IntArray, s: FloatArray, offset: FloatArray | None = None
@@ -171,31 +194,6 @@ class LaneGraph:
         return LanePosition(lane=lane, s=self.segment_at[best] + along, offset=across)
 
 
-def _build(road: Road) -> LaneGraph:
-    lanes = road.lanes
-    pieces = [_pieces(lane.centerline) for lane in lanes]
-    end = np.cumsum([each.length.size for each in pieces])
-    start, direction, length, at = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    rules = road.knows.limits_rule
-    return LaneGraph(
-        length=np.array([each.length.sum() for each in pieces]),
-        limit=np.array([lane.speed_limit_mps if rules else np.nan for lane in lanes]),
-        width=np.array([lane.width_m for lane in lanes]),
-        internal=np.array([lane.internal for lane in lanes]),
-        drivable=np.array([not lane.walking for lane in lanes]),
-        segment_start=start,
-        segment_direction=direction,
-        segment_heading=np.arctan2(direction[:, 1], direction[:, 0]),
-        segment_length=length,
-        segment_at=at,
-        segment_first=np.append(0, end[:-1]),
-        segment_last=end - 1,
-        **_beside(road),
-        **_following(road),
-        **_crossed(road),
-    )
-
-
 def _pieces(line: FloatArray) -> Pieces:
     """The straight pieces of a centre line; a stub for one of no length keeps the arrays whole."""
     found = pieces_of(line)
@@ -204,16 +202,12 @@ def _pieces(line: FloatArray) -> Pieces:
     return Pieces(line[:1], np.array([[1.0, 0.0]]), np.array([1e-9]), np.zeros(1))
 
 
-def _beside(road: Road) -> dict[str, Any]:
-    """The lanes next to each lane."""
-    n = len(road.lanes)
-    left, right = np.full(n, -1), np.full(n, -1)
-    by_place = {(lane.edge, lane.index): i for i, lane in enumerate(road.lanes) if not lane.walking}
-    for i, lane in enumerate(road.lanes):
-        if not lane.walking and not lane.internal:
-            left[i] = by_place.get((lane.edge, lane.index + 1), -1)
-            right[i] = by_place.get((lane.edge, lane.index - 1), -1)
-    return {"left": left, "right": right}
+def _beside(road: Road, step: int) -> IntArray:
+    """(L,) the lane next to each, some steps to the left; none inside junctions."""
+    driven = {(lane.edge, lane.index): i for i, lane in enumerate(road.lanes) if not lane.walking}
+    places = [(lane.edge, lane.index + step) for lane in road.lanes]
+    alone = [lane.walking or lane.internal for lane in road.lanes]
+    return np.where(alone, -1, [driven.get(place, -1) for place in places])
 
 
 def _following(road: Road) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from sim.checked_arrays import frozen
 from sim.frames import FloatArray, Signal
 from sim.input_files import broken_as_one_line, read_bytes, read_once
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
-from sim.road.checks import checked
 from sim.xml_tree import refuse_declarations
 
 _DIRECTIONS: Final = {
@@ -48,11 +47,7 @@ _OFFSET: Final = re.compile(
 
 
 def net_offset(path: Path) -> tuple[float, float]:
-    """Offset that was added to the coordinates of a SUMO net, m; 0 by default.
-
-    Args:
-        path: a net, or any other map.
-    """
+    """Offset that was added to the coordinates of a SUMO net, m; 0 for other maps."""
     found = _OFFSET.search(read_bytes(path, MAX_NET_BYTES)[:HEAD_BYTES])
     try:
         return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
@@ -61,12 +56,7 @@ def net_offset(path: Path) -> tuple[float, float]:
 
 
 def signal_code(letter: str) -> int:
-    """The code into ``SIGNALS`` of one letter of a SUMO signal state.
-
-    Examples:
-        >>> signal_code("G"), signal_code("r")
-        (2, 0)
-    """
+    """The code into ``SIGNALS`` of one letter of a SUMO signal state."""
     return _STATES[letter].code
 
 
@@ -111,7 +101,7 @@ def read_road(path: Path, name: str | None = None) -> Road:
             signal_plans=plans,
             left_hand=_LEFT_HAND.search(data[:HEAD_BYTES]) is not None,
         )
-        return checked(road)
+        return road.checked()
 
 
 def _by_id(parts: Iterable[Any]) -> list[Any]:

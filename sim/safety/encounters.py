@@ -14,7 +14,7 @@ import numpy as np
 
 from behaviors.row_index import RowIndex
 from sim.compiled import in_place
-from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
+from sim.frames import BREAK_S, BREAK_STEPS, BoolArray, FloatArray, IntArray, Tracks
 from sim.geometry import Outlines
 from sim.safety.kernels import SLABS, least_shift, on_axes, reaches
 from sim.safety.measures import Bodies
@@ -29,9 +29,6 @@ CELL_M: Final = 5.0
 
 ROUNDING_M: Final = 1e-6
 """Boxes around motions are this much larger, m."""
-
-BREAK_S: Final = 1.0
-"""Motion is unknown between frames farther apart than this and than three usual steps."""
 
 TURN_WINDOW_S: Final = 0.5
 """How fast a body turns is measured from this long before to this long after, s."""
@@ -60,7 +57,7 @@ class Driven:
         agent, time_s = rows.index.agent, tracks.time_s[rows.index.step]
         usual_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 1.0
         begins = rows.index.begins.copy()
-        begins[1:] |= np.diff(time_s) > max(BREAK_S, 3.0 * usual_s)
+        begins[1:] |= np.diff(time_s) > max(BREAK_S, BREAK_STEPS * usual_s)
         run, here = np.cumsum(begins), np.arange(begins.size)
         first, last = np.searchsorted(run, run), np.searchsorted(run, run, side="right") - 1
         after, before = np.minimum(here + 1, last), np.maximum(here - 1, first)
@@ -68,13 +65,13 @@ class Driven:
         late, early = np.minimum(here + wide, last), np.maximum(here - wide, first)
         piece_s, heading, speed = time_s[after] - time_s, rows.heading, rows.speed
         faster = _rate(speed[after] - speed[before], time_s[after] - time_s[before])
-        sizes = tracks.length[agent], tracks.width[agent]
+        length, width = tracks.length[agent], tracks.width[agent]
         return cls(
             index=rows.index,
-            bodies=Bodies(rows.xy, heading, speed, faster, *sizes),
+            bodies=Bodies(rows.xy, heading, speed, faster, length, width),
             time_s=time_s,
             turning=_rate(wrapped(heading[late] - heading[early]), time_s[late] - time_s[early]),
-            walking=(tracks.kind == PEDESTRIAN)[agent],
+            walking=tracks.walking,
             piece_s=piece_s,
             piece_mps=_rate(rows.xy[after] - rows.xy, piece_s[:, None]),
             piece_heading=heading + 0.5 * wrapped(heading[after] - heading),
@@ -159,9 +156,9 @@ def _find_shared(
                         continue
                     if other[11] > me[13] or other[13] < me[11] or (walking[i] and walking[j]):
                         continue
-                    if column > max(cells[i, 0], cells[j, 0]) or row > max(
-                        cells[i, 1], cells[j, 1]
-                    ):
+                    if column > max(cells[i, 0], cells[j, 0]):
+                        continue
+                    if row > max(cells[i, 1], cells[j, 1]):
                         continue
                     low, high, at = _shift_of(other, me, slab)
                     low, high = low + since_s, high + since_s

@@ -30,14 +30,7 @@ from sim.frames import (
 )
 from sim.geometry import GRAZE_M, Outlines, separation
 from sim.road import Road
-from sim.safety.encounters import (
-    SAME_WAY_RAD,
-    Driven,
-    Shared,
-    areas_ahead,
-    shared_places,
-    wrapped,
-)
+from sim.safety.encounters import SAME_WAY_RAD, Driven, Shared, areas_ahead, shared_places, wrapped
 from sim.safety.measures import Bodies, is_near_miss, pair_measures
 from sim.safety.priority import priorities
 

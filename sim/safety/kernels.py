@@ -120,12 +120,7 @@ def meeting_accelerated(
     """
     stands, stands_2 = braking_time(*motion), braking_time(*motion_2)
     begin = 0.0
-    for phase in range(3):
-        end = np.inf
-        if phase == 0:
-            end = min(stands, stands_2)
-        elif phase == 1:
-            end = max(stands, stands_2)
+    for end in (min(stands, stands_2), max(stands, stands_2), np.inf):
         if end <= begin:
             continue
         a, b, c = way(motion[0], motion[1], stands, begin)

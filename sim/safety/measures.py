@@ -92,15 +92,8 @@ class PairMeasures(NamedTuple):
 def pair_measures(first: Bodies, second: Bodies) -> PairMeasures:
     """Measures of n pairs: the first body of each row with the second one.
 
-    Exact for bodies that do not turn: the separating axis theorem, solved for time.
-
-    Args:
-        first: n bodies.
-        second: n others.
-
-    Returns:
-        (n,) arrays. Where a number of either body is not finite, they are nan; a missing
-        acceleration makes ``mttc_s`` nan only.
+    Exact for bodies that do not turn: the separating axis theorem, solved for time. Where a number
+    of either body is not finite, they are nan; a missing acceleration makes ``mttc_s`` nan only.
 
     Raises:
         InputError: if the shapes differ.

@@ -93,15 +93,17 @@ def priorities(
             return -1 if since_s[0] == since_s[1] else int(since_s[0] > since_s[1])
         return -1 if yields[0] == yields[1] else yields.index(False)
 
-    found = np.full(len(first), -1)
-    for n, pair in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+    def has_priority(pair: tuple[int, int]) -> int:
+        """Index of the one that has priority, 0 or 1; -1 if unknown."""
         walking = driven.walking[list(pair)]
         if not walking.any():
-            before = vehicle_first(pair)
-        else:
-            walker = int(walking.argmax())
-            known = crossing[pair[walker]] >= 0
-            before = (walker if walker_first(pair[walker]) else 1 - walker) if known else -1
-        if before >= 0:
-            found[n] = tracks.ids[driven.index.agent[pair[before]]]
-    return found
+            return vehicle_first(pair)
+        walker = int(walking.argmax())
+        if crossing[pair[walker]] < 0:
+            return -1
+        return walker if walker_first(pair[walker]) else 1 - walker
+
+    pairs = list(zip(first.tolist(), second.tolist(), strict=True))
+    before = [(pair, has_priority(pair)) for pair in pairs]
+    ids = tracks.ids[driven.index.agent]
+    return np.array([ids[pair[one]] if one >= 0 else -1 for pair, one in before], dtype=np.int64)

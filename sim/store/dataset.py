@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import html
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, reduce
+from functools import cache, cached_property, lru_cache, reduce
 from pathlib import Path
 from typing import Any, Final, get_args
 
 import pyarrow as pa
 import pyarrow.compute as pc
+from pydantic import ValidationError
 
 from behaviors.display import counted
 from behaviors.errors import InputError
@@ -25,16 +27,18 @@ from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.traits import ShownTrait
 from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
+from sim.invalid_fields import first_wrong_field
 from sim.road import Road
 from sim.road.files import read_road_file
 from sim.safety import Conflicts
 from sim.scenario import AgentSpec
-from sim.store.catalogue import EPISODES, entries_of, read_catalogue, read_header, words_of
-from sim.store.parquet import read_rows
+from sim.store.catalogue import DRAWN, EPISODES, WORDS, words_of
+from sim.store.parquet import check_columns, metadata_of, opened, read_rows
 from sim.store.schema import (
     CATALOGUE,
     TABLES,
     EpisodeEntry,
+    Header,
     Manifest,
     Split,
     TableName,
@@ -88,18 +92,34 @@ class Dataset:
 
     def __init__(self, path: str | Path) -> None:
         """Open the dataset of a folder or URL; see `open_dataset`."""
-        self._place = place_of(path)
-        self.path = self._place.path
-        self.header, self._count = read_header(self._place)
+        self._place = place = place_of(path)
+        self.path = place.path
+        self._catalogue = place.path / EPISODES
+        if place.size(EPISODES) is None:
+            if not place.remote and not place.path.is_dir():
+                what = "a file" if place.path.exists() else "nothing there"
+                raise InputError(
+                    f"{place.url}: found {what}, expected a dataset (import makes one)"
+                )
+            again = "if the dataset is unfinished, run the same generate again"
+            raise InputError(f"{self._catalogue}: found no file; {again}")
+        with opened(place, EPISODES) as parquet:
+            self.header = metadata_of(self._catalogue, parquet.metadata, Header)
+            self._count = int(parquet.metadata.num_rows)
 
     @cached_property
     def catalogue(self) -> pa.Table:
         """The catalogue as an Arrow table of the columns ``sim.store.schema.CATALOGUE``.
 
+        Repeated words are in memory once.
+
         Raises:
             InputError: if it is broken.
         """
-        return read_catalogue(self._place)
+        with opened(self._place, EPISODES, read_dictionary=WORDS) as parquet:
+            found = parquet.metadata.schema.to_arrow_schema()  # of which no column is a dictionary
+            check_columns(self._catalogue, found, CATALOGUE)
+            return parquet.read(use_threads=False).unify_dictionaries().combine_chunks()
 
     @cached_property
     def manifest(self) -> Manifest:
@@ -152,8 +172,22 @@ class Dataset:
         return self._entries(self._fitting(split, scenario, behavior, mix, flow))
 
     def _entries(self, rows: pa.Table) -> tuple[EpisodeEntry, ...]:
-        """Rows of the catalogue as entries."""
-        return entries_of(rows, self.path / EPISODES)
+        """Rows of the catalogue as entries, whose JSON is parsed once where it is the same."""
+        names = [name for name in EpisodeEntry.model_fields if name in CATALOGUE.names]
+        parsed = cache(json.loads)
+        found: list[EpisodeEntry] = []
+        try:
+            for row in rows.to_pylist():
+                fields = {name: row[name] for name in names}
+                fields |= {name: parsed(row[name]) for name in ("options", "made_with")}
+                fields["drawn"] = {str(word): row[word] for word in DRAWN if row[word]}
+                found.append(EpisodeEntry(**fields))
+        except (ValueError, RecursionError) as error:
+            reason = "found options that are not JSON"
+            if isinstance(error, ValidationError):
+                reason = first_wrong_field(error)
+            raise InputError(f"{self._catalogue}: row {len(found)}: {reason}") from None
+        return tuple(found)
 
     def _fitting(
         self,

@@ -384,7 +384,7 @@ class Header(_Strict):
         files: size and checksum of every shard's tables and every road, by name.
     """
 
-    schema_version: Literal[3]
+    schema_version: Annotated[int, Field(ge=SCHEMA_VERSION, le=SCHEMA_VERSION)]
     configuration: dict[str, JsonValue]
     files: dict[str, FileEntry] = {}
 

@@ -235,7 +235,7 @@ def read_tables(
     state = _codes(signals, "state", SIGNALS)
     checks: tuple[tuple[TableName, Any, str], ...] = (
         ("frames", time_s.size == entry.frames, f"{entry.frames} times"),
-        ("frames", (np.diff(time_s) > 0).all(), "each time after the one before"),
+        ("frames", (np.diff(time_s) > 0).all(), "times that increase"),
         ("agents", (np.diff(ids) > 0).all(), "agents by id"),
         ("steps", agent.size == entry.agent_steps, f"{entry.agent_steps} rows"),
         ("steps", np.array_equal(ids[seen][row], agent), "rows by agent, each of a known one"),
@@ -253,12 +253,15 @@ def read_tables(
     traits = tables["traits"]
     traits = traits.set_column(6, "other", pc.fill_null(traits["other"], -1))
     try:
-        specs = tuple(_agent_spec(one, classes) for one in agents.to_pylist())
+        of_word = {str(behavior): behavior for behavior in classes}
+        specs = tuple(_agent_spec(one, of_word) for one in agents.to_pylist())
         events = tuple(_objects(Event, tables["events"], "kind", EventKind))
         shown = tuple(_objects(ShownTrait, traits, "trait", Trait))
-    except (TypeError, ValueError) as error:  # of words and numbers that there are none of
+    except (KeyError, TypeError, ValueError) as error:
         file = shard_file("agents", entry.scenario, entry.split, entry.index)
-        raise InputError(f"{place.path / file}: found other rows of {entry.id}: {error}") from None
+        raise InputError(
+            f"{place.path / file}: found an unknown word or number in {entry.id}: {error}"
+        ) from None
     behavior = _codes(agents, "behavior", classes)[seen]
     names = agents.column("name").to_pylist()
     index = RowIndex.of_rows(row, step.astype(np.int64), seen.size, time_s.size)
@@ -321,7 +324,7 @@ def _all_signals(
     return np.take_along_axis(signals, np.maximum.accumulate(last, axis=1), axis=1)
 
 
-def _agent_spec(row: dict[str, Any], classes: tuple[Behavior, ...]) -> AgentSpec:
+def _agent_spec(row: dict[str, Any], behaviors: dict[str, Behavior]) -> AgentSpec:
     """The agent that a row describes."""
     numbers = {name: row[name] for name in PROFILE_FIELDS}
     profile = None
@@ -329,7 +332,7 @@ def _agent_spec(row: dict[str, Any], classes: tuple[Behavior, ...]) -> AgentSpec
         if row[PERCEPTION_FIELDS[0]] is None:  # older datasets do not have these columns
             numbers |= dict.fromkeys(PERCEPTION_FIELDS, 0.0)
         profile = Profile(**numbers)
-    behavior = None if row["behavior"] is None else classes[classes.index(row["behavior"])]
+    behavior = None if row["behavior"] is None else behaviors[row["behavior"]]
     return AgentSpec(
         id=row["agent"],
         kind=AgentKind(row["kind"]),

@@ -81,7 +81,7 @@ class _OpenShard:
     def __init__(self, place: Place, first: EpisodeEntry) -> None:
         self.entries: list[EpisodeEntry] = []
         self.roads: dict[str, FileEntry] = {}
-        self._place, self._first = place, first
+        self._place, self._rows = place, dict.fromkeys(TABLES, 0)
         home = None if place.remote else place.path
         self._folder = Path(tempfile.mkdtemp(prefix=f"{PARTIAL_PREFIX}shard-", dir=home))
         self._writers = {
@@ -92,10 +92,15 @@ class _OpenShard:
             )
             for table in sorted(TABLES, key=lambda table: table == "agents")
         }
-        self._rows = dict.fromkeys(TABLES, 0)
 
-    def add(self, entry: EpisodeEntry, tables: Mapping[TableName, pa.Table]) -> None:
+    def add(
+        self,
+        entry: EpisodeEntry,
+        tables: Mapping[TableName, pa.Table],
+        road: Mapping[str, FileEntry],
+    ) -> None:
         """Write an episode."""
+        self.roads |= road
         for table, rows in tables.items():
             if rows.num_rows:
                 self._writers[table].write_table(rows, row_group_size=rows.num_rows)
@@ -104,23 +109,19 @@ class _OpenShard:
 
     def close(self, configuration: Mapping[str, JsonValue]) -> dict[str, FileEntry]:
         """Move the files to their places, that of agents last; returns them and the roads."""
-        files = dict(sorted(self.roads.items()))
-        places = {}
+        files, first = dict(sorted(self.roads.items())), self.entries[0]
+        names = {t: shard_file(t, first.scenario, first.split, first.index) for t in self._writers}
         for table, writer in self._writers.items():
             if table == "agents":
-                shard = Shard(
-                    configuration=dict(configuration), entries=tuple(self.entries), files=files
-                )
+                said = dict(configuration)
+                shard = Shard(configuration=said, entries=tuple(self.entries), files=files)
                 writer.add_key_value_metadata({METADATA_KEY: shard.model_dump_json()})
             writer.close()
-            file, first = self._folder / table, self._first
-            with file.open("rb") as content:
-                sha256 = hashlib.file_digest(content, "sha256").hexdigest()
-            name = shard_file(table, first.scenario, first.split, first.index)
-            files[name] = FileEntry(sha256=sha256, size=file.stat().st_size, rows=self._rows[table])
-            places[file] = name
-        for file, name in places.items():
-            self._place.put(file, name)
+            sha256 = Place(str(self._folder)).checksum(table)
+            size = (self._folder / table).stat().st_size
+            files[names[table]] = FileEntry(sha256=sha256, size=size, rows=self._rows[table])
+        for table, name in names.items():
+            self._place.put(self._folder / table, name)
         self.remove()
         return files
 
@@ -189,7 +190,6 @@ class EpisodeWriter:
         Raises:
             InputError: if a frame has an unknown agent, a value that is not finite, or a time that
                 does not increase, or there are too many rows.
-            OSError: if something cannot be written.
         """
         try:
             tracks = rounded(Tracks.from_frames(_checked(frames)))
@@ -235,18 +235,13 @@ class EpisodeWriter:
             road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
             styles: by name, of drivers with a known style and an unknown behaviour.
 
-        Returns:
-            The catalogue's entry of the episode.
-
         Raises:
-            InputError: if a number is not finite where it is valid.
-            OSError: if something cannot be written.
+            InputError: if a number is not finite.
         """
-        n = tracks.ids.size
+        n, index = tracks.ids.size, tracks.rows.index
         codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
-        index, first = tracks.rows.index, np.zeros(n, dtype=np.int64)
-        present = np.diff(index.first) > 0
-        first[present] = index.step[index.first[:-1][present]]
+        seen, first_s = np.diff(index.first) > 0, np.full(n, tracks.time_s[:1].sum())
+        first_s[seen] = tracks.time_s[index.step[index.first[:-1][seen]]]
         agents = [
             AgentSpec(
                 id=int(tracks.ids[i]),
@@ -254,7 +249,7 @@ class EpisodeWriter:
                 behavior=None if codes[i] < 0 else tracks.classes[codes[i]],
                 profile=None,
                 route=(),
-                depart_s=float(tracks.time_s[first[i]]) if tracks.time_s.size else 0.0,
+                depart_s=float(first_s[i]),
                 length_m=float(tracks.length[i]),
                 width_m=float(tracks.width[i]),
                 style_label=styles.get(tracks.names[i]) if codes[i] < 0 else None,
@@ -290,12 +285,8 @@ class EpisodeWriter:
             known: columns of the steps that come from the road; those left out are null.
             met: its conflicts; None to look for them.
 
-        Returns:
-            The catalogue's entry of the episode.
-
         Raises:
             InputError: if a number is not finite.
-            OSError: if something cannot be written.
         """
         kept = {} if road is None else self._keep_road(road)
         sha256 = next((file.sha256 for file in kept.values()), None)
@@ -315,11 +306,11 @@ class EpisodeWriter:
         tables = encode(tracks, exact, known, agents, shown, met, entry.id)
         of = entry.scenario, entry.split
         if of in self._open and self._open[of].entries[0].shard != entry.shard:
-            self.files |= self._open.pop(of).close(self._configuration)
+            self.files |= self._open[of].close(self._configuration)
+            del self._open[of]
         if of not in self._open:
             self._open[of] = _OpenShard(self._place, entry)
-        self._open[of].roads |= kept
-        self._open[of].add(entry, tables)
+        self._open[of].add(entry, tables, kept)
         self.entries.append(entry)
         return entry
 

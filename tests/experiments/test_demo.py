@@ -47,7 +47,7 @@ def test_the_model_is_left_and_loads(run):
 def test_the_page_is_self_contained_and_links_to_replays(run):
     page = (run / "report.html").read_text()
     assert not re.search(r"(src|href)\s*=\s*[\"'](https?:)?//", page)
-    for word in (*METHODS, *PREDICTORS, *SCENARIOS, "macro-F1", *findings(read_source(run).rows)):
+    for word in (*METHODS, *PREDICTORS, *SCENARIOS, "macro-F1", *findings(read_source(run))):
         assert word in page
     links = re.findall(r'href="(replays/[0-9a-f]{16}\.html)#([^"]+)"', page)
     assert len(links) > 2 * len(SCENARIOS)

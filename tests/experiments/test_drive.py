@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 
 from behaviors.labels import BEHAVIORS, Behavior
-from experiments.drive.crowds import CROWDS, HOMOGENEOUS, MIXED, STANDARD
-from experiments.drive.episode import METRICS, drive, score
+from experiments.drive.episode import (
+    CROWDS,
+    HOMOGENEOUS,
+    METRICS,
+    MIXED,
+    STANDARD,
+    drive,
+    score,
+)
 from experiments.drive.policies import POLICIES
 from experiments.drive.run import LicenceTest, figure_rows, mean_row, run_test
 from scenarios import SCENARIOS
@@ -124,11 +131,3 @@ def test_the_command_writes_rows_and_refuses_unknown_words(tmp_path: Path, capsy
     for word in (("--scenario", "stright_road"), ("--crowd", "timmid"), ("--policy", "plannr")):
         assert call("drive", *word) == 2
         assert word[1] in capsys.readouterr().err
-
-
-# --- the planner --------------------------------------------------------------------------------
-
-
-def told(*behaviors: Behavior | None) -> np.ndarray:
-    unknown = np.full(len(BEHAVIORS), 1.0 / len(BEHAVIORS))
-    return np.array([unknown if b is None else np.eye(len(BEHAVIORS))[b.code] for b in behaviors])

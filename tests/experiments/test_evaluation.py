@@ -16,7 +16,7 @@ from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
-from experiments.score.answers import joined_answers, score_answers
+from experiments.score.answers import score_answers
 from experiments.score.tables import LABELS
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import call
@@ -113,7 +113,7 @@ def test_known_answers_give_known_figures() -> None:
         ["timid", "timid", "impatient", None],
         ["conservative", "conservative", "aggressive", "aggressive"],
     )
-    rows = score_answers(joined_answers([table]), {})
+    rows = score_answers(table.to_pandas(), {})
     found = {row["metric"]: row for row in rows if "behavior" not in row}
     value = {metric: row["value"] for metric, row in found.items()}
     assert value["weighted_accuracy"] == pytest.approx(2 / 3)

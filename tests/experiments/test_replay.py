@@ -111,7 +111,7 @@ def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_pa
         predictor="constant-velocity",
     )  # fmt: skip
     assert scene.unit == "px"
-    assert scene.name == "pixels"
+    assert scene.entry.name == "pixels"
     assert scene.forecasts
     said = " ".join(scene.notes)
     assert "no road is known" in said

@@ -163,7 +163,8 @@ def test_ghosts_stand_where_the_factual_episode_differs() -> None:
     changed = moving({1: [10, 10, 5, 5, 5, 5], 2: [5.0] * 6}, since=3)
     ghosts = find_ghosts(factual, changed)
     assert ghosts.length.tolist() == [4.0, 4.0]  # of 1, who falls back, and of 3, who is not there
-    first = ghosts.at(0)
-    assert ghosts.ghost[first].tolist() == [0, 1]
-    assert ghosts.xy[first].tolist() == [[30.0, 0.0], [3.0, 0.0]]
-    assert ghosts.at(3).size == 2
+    places = ghosts.rows
+    first = places.index.at(0)
+    assert places.index.agent[first].tolist() == [0, 1]
+    assert places.xy[first].tolist() == [[30.0, 0.0], [3.0, 0.0]]
+    assert places.index.agent[places.index.at(3)].size == 2

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sim.episode.contacts import Contact, contacts
+from sim.episode.collisions import contacts
 from sim.frames import Tracks
 
 
@@ -40,7 +40,7 @@ def scene(xy, heading=None, **changes):
 )
 def test_two_boxes(xy, heading, touch):
     steps = scene([[(0.0, 0.0)] * 2, [xy] * 2], [[0.0] * 2, [heading] * 2])
-    assert contacts(steps) == ((Contact((0, 1), 0, 2),) if touch else ())
+    assert list(contacts(steps)) == ([(0, 1, 0), (0, 1, 1)] if touch else [])
 
 
 @pytest.mark.parametrize("far_m", [0.0, 5000.0])
@@ -49,12 +49,12 @@ def test_as_many_as_by_looking_at_every_pair(far_m):
     n, t = 30, 8
     xy, heading = rng.uniform(0, 40, (n, t, 2)), rng.uniform(-3, 3, (n, t))
     xy[::2] += far_m  # two crowds a city apart
-    found = {(*c.agents, k) for c in contacts(scene(xy, heading)) for k in range(c.begin, c.end)}
+    found = set(contacts(scene(xy, heading)))
     alone = {
         (i, j, k)
         for i in range(n)
         for j in range(i + 1, n)
         for k in range(t)
-        if contacts(scene(xy[[i, j]][:, [k, k]], heading[[i, j]][:, [k, k]]))
+        if list(contacts(scene(xy[[i, j]][:, [k, k]], heading[[i, j]][:, [k, k]])))
     }
     assert found == alone

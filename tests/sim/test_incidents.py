@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from scenarios.networks.build import SHIPPED, net_of
-from sim.episode.annotate import shown_traits
-from sim.episode.detector_inputs import detector_inputs, with_encounters
+from sim.episode.annotate import annotate
 from sim.episode.incidents import incidents
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.road.net import read_road
@@ -228,9 +227,7 @@ def test_hitting_a_pedestrian_on_a_zebra_or_a_jaywalker(straight):
 def test_events_make_rule_traits_and_ids_are_agents(four_way):
     x = lane_xy(four_way, "north_in_1")[0, 0]
     tracks = tracks_of(four_way, [line((x, 80.0), (0.0, -10.0))], signal=Signal.RED)
-    events = incidents(tracks, four_way)
-    inputs = with_encounters(tracks.ids, detector_inputs(tracks, four_way), events)
-    found = shown_traits(tracks.ids, inputs)
+    found = annotate(tracks, four_way).shown_traits
     assert [e.agent for e in found if e.trait == "not following rules"] == [0]
 
 

@@ -28,7 +28,7 @@ from sim.frames import FloatArray
 from sim.geometry import LEAST_PIECE_M, distances_along, meeting, pieces_of, points_at
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 from sim.road.cells import boxes_of, near_pairs
-from sim.road.checks import checked
+from sim.road.lane_graph import CELL_M
 from sim.xml_tree import whole_number
 
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
@@ -40,9 +40,6 @@ COMPARED_POINTS: Final = 24
 
 END_M: Final = 1.0
 """Lines that meet this close to an end of one of them follow each other, m."""
-
-CELL_M: Final = 30.0
-"""Width of the cells in which lines that meet are searched, m."""
 
 CROSSING_RAD: Final = math.radians(12.0)
 """Centre lines that meet at a larger angle cross, so that their lanes are part of a junction (lanes
@@ -179,7 +176,7 @@ def road_of_lanelets(
         left_hand=left_hand,
         doubts=(f"{len(broken)} lanelets are left out, first {broken[0]}",) if broken else (),
     )
-    return checked(road)
+    return road.checked()
 
 
 def _lanes(lanelets: Lanelets, left_hand: bool) -> Iterator[Lane]:
@@ -333,5 +330,4 @@ def _crossing_ids(lanelets: list[Lanelet]) -> set[int]:
 
 def _thinned(line: FloatArray) -> FloatArray:
     """A line with at most some `COMPARED_POINTS` of its points, both ends among them."""
-    step = max(len(line) // COMPARED_POINTS, 1)
-    return line if step == 1 else np.concatenate([line[:-1:step], line[-1:]])
+    return np.concatenate([line[: -1 : max(len(line) // COMPARED_POINTS, 1)], line[-1:]])

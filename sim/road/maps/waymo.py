@@ -20,8 +20,7 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray
-from sim.road import Crossing, Road
-from sim.road.checks import MAX_COORDINATE_M
+from sim.road import MAX_COORDINATE_M, Crossing, Road
 from sim.road.maps.lanelets import Lanelet, Lanelets, road_of_lanelets
 
 WIDTH_M: Final = 3.5
