@@ -86,7 +86,7 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
                 yield found
             else:
                 raise InputError(found if what == "error" else f"{file}: found a broken {found}")
-    except (EOFError, ConnectionError):
+    except (EOFError, OSError):  # the child is gone, maybe in the middle of an answer
         number = -process.wait()
         ended = signal.Signals(number).name if number > 0 else f"exit code {-number}"
         raise InputError(f"{file}: reading broke off ({ended}), {wanted}") from None

@@ -42,7 +42,7 @@ LEGEND: Final = (
     "parties. severe: a near miss whose collision would change a velocity by 5 m/s.\n"
     "[low, high]: 95 % interval over episodes, from three on. --json and --out have rates per hour."
 )
-"""What the table for people says below it."""
+"""Text below the table for people."""
 
 _BASES: Final = ("drivers", "km", "hours", "headway", "follows", "close")
 """Sums that are no counts of what happened."""

@@ -7,14 +7,14 @@ import os
 from pathlib import Path
 from typing import Any, Final
 
-from numpy.typing import NDArray
+import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, read_behaviors, tables_of
 from graphrqi.classify import CLASSIFIERS
 from graphrqi.classify.contract import part_of
 from graphrqi.methods import METHODS, Model
-from graphrqi.networks.weights import load_weights, save_weights
+from graphrqi.networks.weights import Arrays, restored, save_weights
 from graphrqi.places.adaptation import Adaptation
 from graphrqi.places.other_traffic import FEATURES, OtherTraffic
 from graphrqi.spectrum import SOLVERS
@@ -31,12 +31,6 @@ KIND: Final = "classifier"
 
 _CLASSIFIER, _OTHER = "classifier", "other"
 """Parts of the arrays: the classifier's, and those of the networks for other traffic."""
-
-_ABOUT: Final[dict[str, type | tuple[type, ...]]] = {
-    "method": str, "solver": str, "classes": list, "features": list, "shares": list, "card": dict,
-    "network_features": (list, type(None)), "adaptation": (dict, type(None)),
-}  # fmt: skip
-"""Fields of a file's header, and their types."""
 
 
 def check_model_folder(folder: Path) -> None:
@@ -96,22 +90,11 @@ def load_model(name_or_folder: str | Path) -> Model:
         >>> load_model("graphrqi-plus").method.name
         'graphrqi-plus'
     """
-    path = _model_folder(name_or_folder) / FILE
-    about, arrays = load_weights(path, KIND)
-    try:
-        return _restored(about, arrays)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (LookupError, RuntimeError, TypeError, ValueError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"{path}: found {reason}, expected a trained model") from None
+    return restored(_model_folder(name_or_folder) / FILE, KIND, _restored)
 
 
-def _restored(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Model:
-    """A model from its header and arrays; an error without the file's name where it is none."""
-    for name, kind in _ABOUT.items():
-        if not isinstance(about.get(name, ...), kind):
-            raise InputError(f"{name}: found {about.get(name)!r:.60}, expected another type")
+def _restored(about: dict[str, Any], arrays: Arrays) -> Model:
+    """A model from its header and arrays."""
     classes = (*BEHAVIORS, *read_behaviors(about.get("behaviors")))
     if about["classes"] != [str(behavior) for behavior in classes]:
         raise InputError(f"classes: found {about['classes']}, expected {[*map(str, classes)]}")
@@ -130,7 +113,8 @@ def _restored(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Model:
     if about["network_features"] is not None:
         other = OtherTraffic.restored(part_of(arrays, _OTHER))
     if about["adaptation"] is not None:
-        adaptation = Adaptation(**about["adaptation"])
+        scale, offset = (np.array(about["adaptation"][name]) for name in ("scale", "offset"))
+        adaptation = Adaptation(float(scale), offset.reshape(len(BEHAVIORS)))
     return Model(
         method, solver, classifier, tuple(shares), about["card"], other, adaptation, classes
     )

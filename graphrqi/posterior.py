@@ -11,7 +11,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style
 from behaviors.row_index import find_sorted
-from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.arrays import BoolArray, FloatArray, IntArray, read_only
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,11 +40,9 @@ def aggressive_share(
 
 
 def of_the_six(probability: FloatArray, classes: Sequence[Behavior]) -> FloatArray:
-    """(n, 6) probabilities of the six; one of one's own counts for that which it is like.
+    """(n, 6) probabilities of the six, from those (n, k) of the classes.
 
-    Args:
-        probability: (n, k) of the classes.
-        classes: the six, then those of one's own.
+    A class of one's own counts for the one that it is like.
     """
     if len(classes) == len(BEHAVIORS):
         return probability
@@ -117,9 +115,7 @@ class Posterior:
         if not 0.0 <= self.domain <= 1.0:
             raise InputError(f"Posterior.domain: found {self.domain}, expected 0 to 1")
         for name, array in (("ids", ids), ("probability", probability), ("unknown", unknown)):
-            view = array.view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
+            object.__setattr__(self, name, read_only(array))
 
     @property
     def most_likely(self) -> IntArray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import runpy
+import sys
 from pathlib import Path
 from typing import Final
 
 from behaviors.registry import Registry
 from scenarios.entry import ScenarioEntry
-from scenarios.environments import ENVIRONMENTS, register_environments
+from scenarios.environments import ENVIRONMENTS
 
 SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(
     "scenario",
@@ -40,11 +42,13 @@ def get_scenario(name: str) -> ScenarioEntry:
     """
     from scenarios.own.scenario_file import is_path, scenario_at
 
-    if not is_path(name):
-        return SCENARIOS[name]
-    return scenario_at(Path(name), SCENARIOS)
+    return scenario_at(Path(name), SCENARIOS) if is_path(name) else SCENARIOS[name]
 
 
-register_environments()
+def run_as_command(name: str) -> None:
+    """Run a key of ``SCENARIOS`` as ``graphrqi run NAME`` does, with this process's options."""
+    sys.argv[1:1] = ["run", name]
+    runpy.run_module("experiments.cli", run_name="__main__", alter_sys=True)
+
 
 __all__ = ["ENVIRONMENTS", "SCENARIOS", "ScenarioEntry", "get_scenario"]

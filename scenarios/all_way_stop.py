@@ -1,6 +1,6 @@
 """``python -m scenarios.all_way_stop`` runs this scenario headless."""
 
-from scenarios.entry import run_as_command
+from scenarios import run_as_command
 
 if __name__ == "__main__":
     run_as_command("all_way_stop")

@@ -1,8 +1,4 @@
-"""A city to drive in: a grid of blocks with signals, and vehicles that turn at random in it.
-
-`city` has a flow, as every scenario has. `city_scenario` has a number of vehicles instead, because
-what a city costs is asked per vehicle; all of them enter in the first seconds.
-"""
+"""A city to drive in: a grid of blocks with signals, and vehicles that turn at random in it."""
 
 from __future__ import annotations
 
@@ -12,12 +8,11 @@ from typing import Final, Unpack
 
 import numpy as np
 
-from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
 from scenarios.networks.build import SHIPPED_BLOCKS, grid_net
 from sim.road import Road
 from sim.road.net import read_road
-from sim.scenario import MAX_PER_HOUR, AgentSpec, RouteFlow, Scenario, sample_agents
+from sim.scenario import AgentSpec, RouteFlow, Scenario, sample_agents
 
 ROUTE_EDGES: Final = 30
 """Edges of a route, where the city does not end before (4.5 km, ten minutes)."""
@@ -31,8 +26,6 @@ JUNCTION_FLOWS: Final[Mapping[str, float]] = {"light": 30.0, "medium": 60.0, "de
 JUNCTION_ROUTES: Final = 20
 """Different routes of `city` per junction, at most `MOST_CITY_ROUTES` (every street is the first of
 one)."""
-
-_PER_HOUR: Final = 0.8 * MAX_PER_HOUR
 
 
 def city(
@@ -52,9 +45,6 @@ def city(
         blocks: junctions along each side; all but 3 need netgenerate.
         population: see `scenarios.demand.PopulationOptions`.
 
-    Returns:
-        The scenario.
-
     Raises:
         InputError: if an option is out of range, or netgenerate is needed and missing.
 
@@ -66,54 +56,19 @@ def city(
     junctions = blocks**2
     per_hour = parse_flow(flow, {name: each * junctions for name, each in JUNCTION_FLOWS.items()})
     road = read_road(grid_net(blocks), f"grid_{blocks}")
-    routes = random_routes(road, min(JUNCTION_ROUTES * junctions, MOST_CITY_ROUTES), 0)
+    routes = _random_routes(road, min(JUNCTION_ROUTES * junctions, MOST_CITY_ROUTES))
     flows = tuple(RouteFlow(route, per_hour / len(routes)) for route in routes)
     return Scenario("city", road, flows, **parse_population(population))
-
-
-def city_scenario(blocks: int, vehicles: int, seed: int, duration_s: float = 60.0) -> Scenario:
-    """A grid of blocks with random routes.
-
-    Args:
-        blocks: junctions along each side of the grid.
-        vehicles: how many are to drive at a time.
-        seed: of the routes.
-        duration_s: length of an episode, s.
-
-    Returns:
-        The scenario; `city_agents` draws its vehicles.
-
-    Raises:
-        InputError: if a number is out of range, or netgenerate is needed and missing.
-
-    Examples:
-        >>> scenario = city_scenario(3, 20, seed=0)
-        >>> len(scenario.road.signal_plans), len(city_agents(scenario, 20, seed=0))
-        (9, 20)
-    """
-    if vehicles < 1:
-        raise InputError(f"vehicles: found {vehicles}, expected at least 1")
-    road = read_road(grid_net(blocks), f"grid_{blocks}")
-    routes = random_routes(road, min(vehicles, MOST_CITY_ROUTES), seed)
-    flows = tuple(RouteFlow(route, _PER_HOUR / len(routes)) for route in routes)
-    return Scenario("city", road, flows, duration_s=duration_s)
 
 
 def city_agents(
     scenario: Scenario, vehicles: int, seed: int, within_s: float = 30.0
 ) -> tuple[AgentSpec, ...]:
-    """The vehicles of a city, which all enter in the first seconds.
+    """A number of vehicles of a city, in order of departure, which all enter within some seconds.
 
-    Args:
-        scenario: of `city_scenario`.
-        vehicles: how many.
-        seed: of the drivers and their departures.
-        within_s: they enter within this time, s.
-
-    Returns:
-        Agents in order of departure.
+    What a city costs is asked per vehicle, so they do not depend on the flow.
     """
-    long_s = 1.3 * 3600.0 * vehicles / _PER_HOUR + 10.0  # enough of them, however they are drawn
+    long_s = 1.3 * 3600.0 * vehicles / scenario.per_hour(walking=False) + 10.0
     drawn = sample_agents(dataclasses.replace(scenario, duration_s=long_s), seed)[:vehicles]
     departs_s = np.sort(np.random.default_rng((seed, 1)).uniform(0.0, within_s, len(drawn)))
     return tuple(
@@ -122,23 +77,14 @@ def city_agents(
     )
 
 
-def random_routes(road: Road, count: int, seed: int) -> list[tuple[str, ...]]:
-    """Routes that turn at random, and leave the road only where nothing else is left.
-
-    Args:
-        road: where.
-        count: how many.
-        seed: the same seed draws the same routes.
-
-    Returns:
-        Edges of each route, `ROUTE_EDGES` at most.
-    """
+def _random_routes(road: Road, count: int) -> list[tuple[str, ...]]:
+    """Routes that turn at random, and leave the road only where nothing else is left."""
     edge = {lane.id: lane.edge for lane in road.lanes}
     found: dict[str, set[str]] = {}
     for link in road.connections:
         found.setdefault(edge[link.from_lane], set()).add(edge[link.to_lane])
     onward = {start: sorted(ways) for start, ways in found.items()}
-    starts, rng = sorted(onward), np.random.default_rng((seed, 0))
+    starts, rng = sorted(onward), np.random.default_rng((0, 0))
     routes = []
     for _ in range(count):
         route = [starts[int(rng.integers(len(starts)))]]
@@ -151,6 +97,6 @@ def random_routes(road: Road, count: int, seed: int) -> list[tuple[str, ...]]:
 
 
 if __name__ == "__main__":
-    from scenarios.entry import run_as_command
+    from scenarios import run_as_command
 
     run_as_command("city")

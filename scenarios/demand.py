@@ -11,10 +11,12 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.populations import Population, read_population
 from scenarios.networks.build import net_of
-from scenarios.networks.geometries import Geometry
+from scenarios.networks.geometries import Sources
 from sim.frames import AgentKind
 from sim.road.net import read_road
 from sim.scenario import RouteFlow, Scenario
+
+K = TypeVar("K", bound=str)
 
 
 class PopulationOptions(TypedDict, total=False):
@@ -43,30 +45,15 @@ class PopulationOptions(TypedDict, total=False):
 
 
 def make_scenario(
-    name: str, geometry: Geometry, flows: Sequence[RouteFlow], options: PopulationOptions
+    name: str, sources: Sources, flows: Sequence[RouteFlow], options: PopulationOptions
 ) -> Scenario:
-    """A scenario on a road of a given geometry.
-
-    Args:
-        name: of the scenario and of its road.
-        geometry: of the road; netconvert builds nets that are not shipped.
-        flows: the demand.
-        options: the population.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
-    """
-    road = read_road(net_of(geometry), name)
+    """A scenario on the road of some sources; netconvert builds nets that are not shipped."""
+    road = read_road(net_of(sources), name)
     return Scenario(name, road, tuple(flows), **parse_population(options))
 
 
 def parse_population(options: PopulationOptions) -> dict[str, Any]:
-    """The population as `Scenario` takes it, from options as a user writes them.
-
-    Raises:
-        InputError: if a share is unknown or out of range, or the population's file is broken; the
-            message names it.
-    """
+    """The population as `Scenario` takes it, from options as a user writes them."""
     population, own = options.get("population"), read_behaviors(options.get("behaviors"))
     return {
         **options,
@@ -78,15 +65,12 @@ def parse_population(options: PopulationOptions) -> dict[str, Any]:
 
 
 def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flow") -> float:
-    """Vehicles per hour.
+    """Vehicles per hour over all entries of a road together.
 
     Args:
         flow: a level's name or a number, possibly written as text.
         levels: vehicles per hour of each named level.
         field: what messages call it.
-
-    Returns:
-        Vehicles per hour over all entries of the road together.
 
     Raises:
         InputError: if it is neither a level nor a number >= 0.
@@ -97,12 +81,12 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
     """
     if isinstance(flow, str) and flow in levels:
         return levels[flow]
-    expected = " or ".join([*levels, "a number per hour >= 0"])
     try:
         value = math.nan if isinstance(flow, bool) else float(flow)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{field}: found {flow!r:.80}, expected {expected}") from None
-    if not math.isfinite(value) or value < 0:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        expected = " or ".join([*levels, "a number per hour >= 0"])
         raise InputError(f"{field}: found {flow!r:.80}, expected {expected}")
     return value
 
@@ -132,11 +116,11 @@ def parse_mix(
         >>> [round(share, 2) for share in parse_mix("aggressive=.3,timid=.7").values()]
         [0.1, 0.1, 0.1, 0.7]
     """
+    known = (*BEHAVIORS, *own)
     if mix is None:
-        known = (*BEHAVIORS, *own)
         return dict.fromkeys(known, 1.0 / len(known))
     styles = {str(s): [b for b in BEHAVIORS if b.style is s] for s in Style}
-    return _shares("mix", mix, [*BEHAVIORS, *own], styles)
+    return _shares("mix", mix, known, styles)
 
 
 def parse_kinds(
@@ -158,29 +142,24 @@ def parse_kinds(
         {<AgentKind.CAR: 'car'>: 0.9, <AgentKind.BUS: 'bus'>: 0.1}
     """
     vehicles = [kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN]
-    return {AgentKind.CAR: 1.0} if kinds is None else _shares("kinds", kinds, vehicles)
-
-
-K = TypeVar("K", bound=str)
+    return {AgentKind.CAR: 1.0} if kinds is None else _shares("kinds", kinds, vehicles, {})
 
 
 def _shares(
     field: str,
     given: str | Mapping[K, float] | Mapping[str, float],
     members: Sequence[K],
-    groups: Mapping[str, Sequence[K]] | None = None,
+    groups: Mapping[str, Sequence[K]],
 ) -> dict[K, float]:
     """Shares by member; the name of a group gives each of its members an equal part."""
     if not isinstance(given, (str, Mapping)):
         raise InputError(f"{field}: found {given!r:.80}, expected shares by name")
-    names = {**{str(member): [member] for member in members}, **(groups or {})}
-    pairs = _split(field, given) if isinstance(given, str) else [*given.items()]
+    names = {**{str(member): [member] for member in members}, **groups}
     shares: dict[K, float] = {}
-    for name, value in pairs:
+    for name, value in _split(field, given) if isinstance(given, str) else given.items():
         if str(name) not in names:
-            raise InputError(
-                f"{field}: found {str(name)!r:.80}, expected one of {', '.join(names)}"
-            )
+            expected = ", ".join(names)
+            raise InputError(f"{field}: found {str(name)!r:.80}, expected one of {expected}")
         named = names[str(name)]
         for member in named:
             if member in shares:
@@ -188,9 +167,9 @@ def _shares(
         try:
             share = float(value)
         except (TypeError, ValueError):
-            raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0") from None
-        if not math.isfinite(share) or share < 0:
-            raise InputError(f"{field}: found {name}={share:g}, expected a share >= 0")
+            share = math.nan
+        if not 0 <= share < math.inf:
+            raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0")
         shares.update(dict.fromkeys(named, share / len(named)))
     total = sum(shares.values())
     if abs(total - 1.0) > 1e-6:
@@ -199,6 +178,7 @@ def _shares(
 
 
 def _split(field: str, text: str) -> list[tuple[str, str]]:
+    """The pairs of name and share in a text."""
     pairs = []
     for part in text.split(","):
         name, equals, value = part.partition("=")

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
-import runpy
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -34,12 +32,18 @@ class ScenarioEntry:
 
     @property
     def options(self) -> Mapping[str, Any]:
-        """The default of each option that it takes."""
+        """The default of each option that it takes; those of the population are `Scenario`'s."""
+        from scenarios.demand import PopulationOptions
+
         fixed = self.function.keywords if isinstance(self.function, functools.partial) else ()
         found: dict[str, Any] = {}
         for name, parameter in inspect.signature(self.function).parameters.items():
             if parameter.kind is inspect.Parameter.VAR_KEYWORD:
-                found |= _population_options()
+                for one in dataclasses.fields(Scenario):
+                    if one.name in PopulationOptions.__annotations__:
+                        found[one.name] = (
+                            None if one.default is dataclasses.MISSING else one.default
+                        )
             elif name not in fixed:
                 found[name] = parameter.default
         return found
@@ -58,32 +62,9 @@ class ScenarioEntry:
         return dataclasses.replace(self.function(**options), name=self.name)
 
 
-def run_as_command(name: str) -> None:
-    """Run a scenario as ``graphrqi run NAME`` does, with the options of this process.
-
-    Args:
-        name: a key of ``SCENARIOS``.
-    """
-    sys.argv[1:1] = ["run", name]
-    runpy.run_module("experiments.cli", run_name="__main__", alter_sys=True)
-
-
-def _population_options() -> dict[str, Any]:
-    """The options of every scenario, with the defaults of `Scenario`."""
-    from scenarios.demand import PopulationOptions
-
-    return {
-        one.name: None if one.default is dataclasses.MISSING else one.default
-        for one in dataclasses.fields(Scenario)
-        if one.name in PopulationOptions.__annotations__
-    }
-
-
 def _fits(value: object, default: object) -> bool:
     """Whether a value has the type of the default, where that is a truth value or a number."""
-    if isinstance(default, bool):
-        return isinstance(value, bool)
-    if isinstance(default, int | float):
-        number = int if isinstance(default, int) else int | float
-        return isinstance(value, number) and not isinstance(value, bool)
-    return True
+    if isinstance(default, bool) or not isinstance(default, int | float):
+        return isinstance(value, bool) or not isinstance(default, bool)
+    number = int if isinstance(default, int) else int | float
+    return isinstance(value, number) and not isinstance(value, bool)

@@ -6,7 +6,7 @@ import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.geometries import ARM_M, ARMS, LIMIT_MPS, FourWayGeometry
+from scenarios.networks.geometries import ARM_M, ARMS, LIMIT_MPS, four_way_sources
 from sim.scenario import RouteFlow, Scenario
 
 SIGNALISED_FLOWS: Final[dict[str, float]] = {"light": 600.0, "medium": 1200.0, "dense": 1800.0}
@@ -46,9 +46,6 @@ def four_way_intersection(
         limit_mps: speed limit, m/s.
         population: see `scenarios.demand.PopulationOptions`.
 
-    Returns:
-        The scenario.
-
     Raises:
         InputError: if an option is out of range; the message names it.
 
@@ -59,12 +56,8 @@ def four_way_intersection(
         ()
     """
     signalised = control == "traffic_light"
-    geometry = FourWayGeometry(
-        control=control,
-        lanes=(2 if signalised else 1) if lanes is None else lanes,
-        arm_m=arm_m,
-        limit_mps=limit_mps,
-    )
+    lanes = (2 if signalised else 1) if lanes is None else lanes
+    sources = four_way_sources(control, lanes, arm_m, limit_mps)
     vehicles = parse_flow(flow, SIGNALISED_FLOWS if signalised else OTHER_FLOWS) / len(ARMS)
     walkers = parse_flow(pedestrians_per_h, {}, "pedestrians_per_h") / (len(ARMS) * len(TURNS))
     arms = list(ARMS)
@@ -74,7 +67,7 @@ def four_way_intersection(
             route = (f"{arm}_in", f"{arms[(i - places) % len(arms)]}_out")
             flows.append(RouteFlow(route, vehicles * share))
             flows.append(RouteFlow(route, walkers, walking=True))
-    return make_scenario("four_way_intersection", geometry, flows, population)
+    return make_scenario("four_way_intersection", sources, flows, population)
 
 
 priority_intersection: Final = functools.partial(four_way_intersection, control="priority")
@@ -87,6 +80,6 @@ right_before_left: Final = functools.partial(four_way_intersection, control="rig
 """Those who come from the right go first."""
 
 if __name__ == "__main__":
-    from scenarios.entry import run_as_command
+    from scenarios import run_as_command
 
     run_as_command("four_way_intersection")

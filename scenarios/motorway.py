@@ -6,14 +6,10 @@ import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.geometries import MOTORWAY_LIMIT_MPS, MotorwayGeometry
+from scenarios.networks.geometries import MOTORWAY_LIMIT_MPS, motorway_sources
 from sim.scenario import RouteFlow, Scenario
 
-MOTORWAY_FLOWS_PER_LANE: Final[dict[str, float]] = {
-    "light": 500.0,
-    "medium": 1000.0,
-    "dense": 1500.0,
-}
+MOTORWAY_FLOWS_PER_LANE: Final = {"light": 500.0, "medium": 1000.0, "dense": 1500.0}
 """Vehicles per hour and lane of each named flow (free, interacting, three quarters of the
 capacity)."""
 
@@ -40,9 +36,6 @@ def motorway(
         limit_mps: speed limit, m/s.
         population: see `scenarios.demand.PopulationOptions`.
 
-    Returns:
-        The scenario.
-
     Raises:
         InputError: if an option is out of range; the message names it.
 
@@ -50,7 +43,7 @@ def motorway(
         >>> [flow.route for flow in motorway(ramps=True).flows][1]
         ('before', 'between', 'off')
     """
-    geometry = MotorwayGeometry(lanes, ramps, length_m, limit_mps)
+    sources = motorway_sources(lanes, ramps, length_m, limit_mps)
     levels = {name: lanes * value for name, value in MOTORWAY_FLOWS_PER_LANE.items()}
     vehicles = parse_flow(flow, levels)
     share = RAMP_SHARE if ramps else 0.0
@@ -61,13 +54,13 @@ def motorway(
         ("on", "between", "off"): share * share,
     }
     flows = [RouteFlow(route, vehicles * part) for route, part in shares.items() if part > 0]
-    return make_scenario("motorway", geometry, flows, population)
+    return make_scenario("motorway", sources, flows, population)
 
 
 motorway_ramps: Final = functools.partial(motorway, ramps=True)
 """A motorway with an on-ramp and an off-ramp: merging, weaving, leaving."""
 
 if __name__ == "__main__":
-    from scenarios.entry import run_as_command
+    from scenarios import run_as_command
 
     run_as_command("motorway")

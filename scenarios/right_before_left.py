@@ -1,6 +1,6 @@
 """``python -m scenarios.right_before_left`` runs this scenario headless."""
 
-from scenarios.entry import run_as_command
+from scenarios import run_as_command
 
 if __name__ == "__main__":
     run_as_command("right_before_left")

@@ -7,7 +7,7 @@ from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
 from scenarios.four_way_intersection import TURNS
-from scenarios.networks.geometries import ARMS, LIMIT_MPS, RoundaboutGeometry
+from scenarios.networks.geometries import ARMS, LIMIT_MPS, roundabout_sources
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS: Final[dict[str, float]] = {"light": 400.0, "medium": 800.0, "dense": 1200.0}
@@ -34,9 +34,6 @@ def roundabout(
         limit_mps: speed limit of the arms, m/s.
         population: see `scenarios.demand.PopulationOptions`.
 
-    Returns:
-        The scenario.
-
     Raises:
         InputError: if an option is out of range; the message names it.
 
@@ -44,22 +41,18 @@ def roundabout(
         >>> roundabout().flows[1].route
         ('east_in', 'east_north', 'north_west', 'west_out')
     """
-    geometry = RoundaboutGeometry(lanes, radius_m, arm_m, limit_mps)
+    sources = roundabout_sources(lanes, radius_m, arm_m, limit_mps)
     vehicles = parse_flow(flow, FLOWS) / len(ARMS)
-    flows = []
-    for arm in ARMS:
-        for places, share in TURNS.items():
-            flows.append(RouteFlow(way_round(arm, len(ARMS) - places), vehicles * share))
-    return make_scenario("roundabout", geometry, flows, population)
+    flows = [
+        RouteFlow(_way_round(arm, len(ARMS) - places), vehicles * share)
+        for arm in ARMS
+        for places, share in TURNS.items()
+    ]
+    return make_scenario("roundabout", sources, flows, population)
 
 
-def way_round(arm: str, places: int) -> tuple[str, ...]:
-    """The edges from an arm to the n-th next one, counter-clockwise.
-
-    Args:
-        arm: where it begins.
-        places: 1 for the first exit.
-    """
+def _way_round(arm: str, places: int) -> tuple[str, ...]:
+    """The edges from an arm to the n-th next one, counter-clockwise; 1 for the first exit."""
     arms = list(ARMS)
     begin = arms.index(arm)
     passed = [arms[(begin + k) % len(arms)] for k in range(places + 1)]
@@ -68,6 +61,6 @@ def way_round(arm: str, places: int) -> tuple[str, ...]:
 
 
 if __name__ == "__main__":
-    from scenarios.entry import run_as_command
+    from scenarios import run_as_command
 
     run_as_command("roundabout")

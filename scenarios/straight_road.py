@@ -6,7 +6,7 @@ import functools
 from typing import Final, Unpack
 
 from scenarios.demand import PopulationOptions, make_scenario, parse_flow
-from scenarios.networks.geometries import LIMIT_MPS, TWO_WAY_LENGTH_M, StraightGeometry
+from scenarios.networks.geometries import LIMIT_MPS, TWO_WAY_LENGTH_M, straight_sources
 from sim.scenario import RouteFlow, Scenario
 
 FLOWS_PER_LANE: Final[dict[str, float]] = {"light": 300.0, "medium": 700.0, "dense": 1000.0}
@@ -59,9 +59,6 @@ def straight_road(
         limit_mps: speed limit, m/s.
         population: see `scenarios.demand.PopulationOptions`.
 
-    Returns:
-        The scenario.
-
     Raises:
         InputError: if an option is out of range; the message names it.
 
@@ -69,13 +66,8 @@ def straight_road(
         >>> straight_road(flow="light", lanes=2).road.name
         'straight_road'
     """
-    geometry = StraightGeometry(
-        lanes=lanes,
-        two_way=two_way,
-        crossing=crossing,
-        length_m=(TWO_WAY_LENGTH_M if two_way else 800.0) if length_m is None else length_m,
-        limit_mps=limit_mps,
-    )
+    length_m = (TWO_WAY_LENGTH_M if two_way else 800.0) if length_m is None else length_m
+    sources = straight_sources(lanes, two_way, crossing, length_m, limit_mps)
     per_lane = TWO_WAY_FLOWS_PER_LANE if two_way else FLOWS_PER_LANE
     routes = [("east_in", "east_out"), ("west_in", "west_out")][: 2 if two_way else 1]
     levels = {name: lanes * len(routes) * value for name, value in per_lane.items()}
@@ -84,13 +76,13 @@ def straight_road(
     walkers = parse_flow(pedestrians_per_h, {}, "pedestrians_per_h") / len(walks)
     flows = [RouteFlow(route, vehicles) for route in routes]
     flows += [RouteFlow(route, walkers, walking=True) for route in walks]
-    return make_scenario("straight_road", geometry, flows, population)
+    return make_scenario("straight_road", sources, flows, population)
 
 
 two_way_road: Final = functools.partial(straight_road, two_way=True, lanes=1, crossing=False)
 """One lane each way, where overtaking means the oncoming lane."""
 
 if __name__ == "__main__":
-    from scenarios.entry import run_as_command
+    from scenarios import run_as_command
 
     run_as_command("straight_road")

@@ -1,6 +1,6 @@
 """``python -m scenarios.two_way_road`` runs this scenario headless."""
 
-from scenarios.entry import run_as_command
+from scenarios import run_as_command
 
 if __name__ == "__main__":
     run_as_command("two_way_road")

@@ -248,17 +248,21 @@ def _rows(
 ) -> list[Row]:  # fmt: skip
     """Rows of a method's answers in each scenario after each observation.
 
-    The rival answers about the same drivers, whose whole tracks are scored.
+    The majority class is that of the scored drivers, if it is not given. The rival answers about
+    the same drivers, whose whole tracks are scored.
     """
     rows: list[Row] = []
+    names = pd.Index([*map(str, BEHAVIORS)])
     for (scenario, window_s), some in answers.groupby(["scenario", "window_s"]):
         whole = window_s == WHOLE
+        usual = np.bincount(names.get_indexer(pd.Index(some["truth"]))).argmax()
         keys: dict[str, Cell] = {
             "protocol": protocol, "scenario": scenario, "method": method,
             "window_s": None if whole else window_s,
             "variation": ", ".join(filter(None, ("whole track" if whole else "", variation))),
         }  # fmt: skip
-        rows += score_answers(some, keys, majority, breakdown=False)
+        given = int(usual) if majority is None else majority
+        rows += score_answers(some, keys, given, breakdown=False)
     if rival is not None:
         asked = answers["driver"][answers["window_s"] == WHOLE]
         same = data.all_tracks.where(np.isin(drivers(data.all_tracks), asked))

@@ -27,7 +27,7 @@ from sim.frames import FloatArray, Tracks
 from sim.safety import CONFLICT_KINDS, ConflictKind, Conflicts, conflicts
 from sim.scenario import Scenario, sample_agents
 from sim.sumo.engine import run_with
-from sim.sumo.settings import SumoSettings
+from sim.sumo.vehicle_types import SumoSettings
 from sim.xml_tree import read_tree
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection", "motorway_ramps")

@@ -17,7 +17,7 @@ from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario
-from scenarios.city import city_agents, city_scenario
+from scenarios.city import city, city_agents
 from sim.engines import get_engine
 from sim.frames import FloatArray
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -34,6 +34,9 @@ FLOW_PER_H: Final = 2700.0
 
 ROAD_FILLS_S: Final = 60.0
 """The straight road fills first, s; a third of the time, if that is less."""
+
+CITY_FLOW_PER_H: Final = 80_000.0
+"""Vehicles per hour of which those of a city are drawn."""
 
 CITY_FILLS_S, CITY_MEASURED_S = 35.0, 10.0
 """Time until the vehicles of a city have entered, and the time measured after it, s."""
@@ -114,7 +117,8 @@ def measure_cities(
         warming = get_scenario("four_way_intersection")(duration_s=15.0)  # loads every kernel
         _go_through(warming, sample_agents(warming, 0), engine, 5.0)
         for side, many in sizes:
-            scenario = city_scenario(side, many, 0, CITY_FILLS_S + CITY_MEASURED_S)
+            duration_s = CITY_FILLS_S + CITY_MEASURED_S
+            scenario = city(flow=CITY_FLOW_PER_H, blocks=side, duration_s=duration_s)
             agents = city_agents(scenario, many, 0)
             seen, spent_ms = _go_through(scenario, agents, engine, CITY_FILLS_S)
             yield list(_stage_rows(_keys(engine, seen, scenario), spent_ms, scenario.step_s))

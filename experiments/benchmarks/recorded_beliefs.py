@@ -23,7 +23,7 @@ from experiments.score.rows import Cell, Row, tidy_row
 from experiments.training.recordings import RecordedPlace, read_sources
 from graphrqi.model_files import load_model
 from graphrqi.posterior import aggressive_share
-from graphrqi.predict.recorded.gaps import inferred_leaders
+from graphrqi.predict.recorded.features import inferred_leaders
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 

@@ -36,12 +36,13 @@ from experiments.training.recordings import (
     scored,
     steady_motion,
 )
-from graphrqi.predict.extrapolation import keep_filtered_motion, keep_velocity
-from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.extrapolation import constant_velocity, kalman
+from graphrqi.predict.networks import TIME_S
 from graphrqi.predict.prediction import STEP_S, Prediction
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import RecordedNetwork
 from graphrqi.predict.recorded.predictor import predict_recorded
+from graphrqi.predict.scene.scene import Unmapped
 from sim.frames import FloatArray, Tracks
 from sim.road import Road
 
@@ -102,8 +103,8 @@ def _dataset_rows(
 ) -> Iterator[Row]:
     """Rows of one dataset: every predictor, with and without noise."""
     predictors: dict[str, _Predictor] = {
-        "constant-velocity": lambda history, road: keep_velocity(history, _STEPS),
-        "kalman": lambda history, road: keep_filtered_motion(history, _STEPS),
+        "constant-velocity": lambda history, road: constant_velocity(Unmapped(history, _STEPS)),
+        "kalman": lambda history, road: kalman(Unmapped(history, _STEPS)),
         "base": _base,
         SHIPPED: lambda history, road: predict_recorded(history, _STEPS, road=road),
     }

@@ -23,8 +23,7 @@ from behaviors.errors import lookup
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-from graphrqi.spectrum.contract import Pairs, Problem, Solver, check_arguments, eigensolver
-from graphrqi.spectrum.spectrum import End
+from graphrqi.spectrum.contract import End, Pairs, Problem, Solver, check_arguments, eigensolver
 from sim.frames import FloatArray
 
 LAYOUTS: Final = ("road", "crossing")

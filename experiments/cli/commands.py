@@ -146,24 +146,15 @@ def _say_size(out: Path) -> None:
 
 @_command(SIMULATE, "road", "road town.osm --out town")
 def road(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE",
-            help="SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.",
-        ),
-    ],
+    file: Annotated[Path, typer.Argument(
+        metavar="FILE",
+        help="SUMO net, OpenStreetMap, OpenDRIVE, Lanelet2, CommonRoad or Argoverse 2 map.")],
     out: Path | None = option(
         "Write NAME.net.xml, the picture NAME.svg, and the scenario NAME.toml.",
         metavar="NAME", callback=in_a_folder),
-    left_hand: Annotated[
-        bool | None,
-        typer.Option(
-            "--left-hand/--right-hand",
-            help="On which side traffic drives, of OpenStreetMap.",
-            show_default="as the map says",
-        ),
-    ] = None,
+    left_hand: bool | None = option(
+        "On which side traffic drives, of OpenStreetMap.", "--left-hand/--right-hand",
+        show_default="as the map says"),
     json: Json = None,
 ) -> None:  # fmt: skip
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
@@ -679,10 +670,8 @@ def replay(
 
 @_command(LOOK, "report", "report runs/demo")
 def report(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(metavar="RUN...", help="Files of rows, or folders of runs or models."),
-    ],
+    runs: Annotated[list[Path], typer.Argument(
+        metavar="RUN...", help="Files of rows, or folders of runs or models.")],
     out: Path | None = file_option(
         "The page (default: beside the rows or in the folder; comparison.html of several)."),
     figures: str | None = option(
@@ -712,13 +701,12 @@ app.add_typer(bench, name="bench", rich_help_panel=LOOK)
 @app.callback()
 def about(
     context: typer.Context,
-    version: Annotated[
-        bool, typer.Option("--version", help="Say the version, and those of the simulators.")
-    ] = False,
-    verbose: Annotated[
-        bool,
-        typer.Option("--verbose", "-v", help="Say on stderr what is read and how long it took."),
-    ] = False,
+    version: bool = option(
+        "Say the version, and those of the simulators.", "--version", default=False
+    ),
+    verbose: bool = option(
+        "Say on stderr what is read and how long it took.", "--verbose", "-v", default=False
+    ),
     quiet: Quiet = False,
 ) -> None:
     """Label, classify and predict drivers in simulated and recorded traffic."""

@@ -124,11 +124,9 @@ TrafficKind = Annotated[
 Quiet = Annotated[bool, shared("Show no progress.", "--quiet", "-q")]
 ScenarioName = Annotated[
     str | None,
-    typer.Argument(
-        help="Name of a scenario (see graphrqi list), its TOML file, or a map.",
-        autocompletion=names_of("scenario"),
-    ),
-]
+    typer.Argument(help="Name of a scenario (see graphrqi list), its TOML file, or a map.",
+                   autocompletion=names_of("scenario")),
+]  # fmt: skip
 TableFile = Annotated[
     Path | None,
     file_option("File for the answers themselves: .parquet or .csv.", "--out",

@@ -1,4 +1,4 @@
-"""What a program says on stderr: notices of the package's logger, and one line where it ends early.
+"""Messages on stderr: notices of the package's logger, and one line where a program ends early.
 
 Only what every program needs is imported here, so that help appears at once.
 """

@@ -49,7 +49,7 @@ def standard(agent: AgentSpec) -> AgentSpec:
 
 @dataclass(frozen=True, slots=True)
 class Crowd:
-    """Who the other drivers are.
+    """The other drivers.
 
     Attributes:
         mix: share of each behaviour, as the environments take it.
@@ -92,18 +92,18 @@ BEHIND: Final = (ConflictKind.FOLLOWING, ConflictKind.MERGING)
 """The conflicts in which one of the two is ahead of the other."""
 
 WEIGHTS: Final[dict[str, float]] = {"progress": 5.0, "calm": 5.0, "lawful": 4.0, "comfort": 2.0}
-"""What the score weighs (nuPlan's weights of progress, time to collision, speed limit and comfort;
-here rules broken stand for the limit)."""
+"""Weights of the score: nuPlan's of progress, time to collision, speed limit and comfort. Rules
+broken stand for the limit here."""
 
 METRICS: Final = (
     "score", "collisions", "collisions_caused", "near_misses", "near_misses_ahead",
     "near_misses_behind", "near_misses_crossing", "rules_broken", "off_road",
     "uncomfortable_share", "rms_jerk_mps3", "progress", "arrived", "minutes",
 )  # fmt: skip
-"""What is measured of an episode; all are counts or shares but for the jerk and the minutes.
+"""Measures of an episode; all are counts or shares but for the jerk and the minutes.
 
 Near misses are with somebody whom the vehicle follows ("ahead"), who follows it ("behind"), or who
-comes from elsewhere ("crossing").
+comes from the side ("crossing").
 """
 
 _GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
@@ -112,7 +112,7 @@ ROADS: Final[dict[str, dict[str, Any]]] = {
     **{row["scenario_name"]: row for row in ENVIRONMENTS.values() if row is not _GRID},
     "city": {**_GRID, "scenario_name": "city"},
 }
-"""What `TrafficEnv` makes the environment of each scenario of."""
+"""Arguments of `TrafficEnv` for each scenario."""
 
 
 class _Among(TrafficEnv):
@@ -150,7 +150,7 @@ class _Among(TrafficEnv):
         """Do nothing: near misses are counted afterwards, in what was driven."""
 
     def observe(self, ego: Ego) -> Observation:
-        """What the policy observes; nothing for one that does not look."""
+        """The policy's observation; nothing for one that does not look."""
         return super().observe(ego) if self.looks else {}
 
 
@@ -159,8 +159,8 @@ def drive(
 ) -> dict[str, float]:
     """The `METRICS` of an episode; with one seed, traffic departs alike in all crowds.
 
-    The scenario is a key of `ROADS`, crowd and policy are as `crowd_of` and `get_policy` take them,
-    the seed is the traffic's, and the configuration the environment's.
+    The scenario is a key of `ROADS`; crowd and policy are as `crowd_of` and `get_policy` take them.
+    The seed is the traffic's, and the configuration the environment's.
     """
     make, changes = get_policy(policy)
     others = crowd_of(crowd, [*(config.get("behaviors") or ())])

@@ -1,12 +1,12 @@
 """Drives one vehicle among others by rolling out what they are believed to do.
 
-Each manoeuvre (keep the lane, or move to one beside, at one of a few wished speeds) is rolled out
-jointly with everybody else, who follow, change lanes and mind signals as they are believed to drive
-and react to it. The manoeuvre that gets farthest at least risk is begun, and half a second later
-all are compared again. Risk is how soon one would collide with somebody ahead, behind or across if
-both kept their speeds (time to collision), summed over the next seconds; and what comes without a
-reason in the traffic, as often as those around are believed to do it: a leader that stops, a
-neighbour that cuts in.
+Each manoeuvre keeps the lane or moves to one beside, at one of a few wished speeds. It is rolled
+out jointly with everybody else, who react to it as they are believed to drive. The manoeuvre that
+gets farthest at least risk is begun, and half a second later all are compared again.
+
+Risk is how soon one would collide with somebody if both kept their speeds (time to collision),
+summed over the next seconds. A leader that stops without a reason and a neighbour that cuts in are
+risks, too, as often as those around are believed to do it.
 
 References:
     Hayward (1972), "Near-miss determination through use of a scale of danger", HRR 384 (time to
@@ -54,13 +54,13 @@ MARGIN_M: Final = 0.3
 """An agent that passes this near to the side is in the way, m."""
 
 RISK_WEIGHT, OVERLAP_WEIGHT, CHANGE_WEIGHT, SURPRISE_WEIGHT = 1.5, 20.0, 0.05, 1.0
-"""Costs of a second with a time to collision of zero, of a second of overlap, of a lane change and
-of an expected near miss; the unit is the distance that the limit allows (chosen on other seeds than
-are reported)."""
+"""Costs of a second with no time to collision, of a second of overlap, of a lane change and of an
+expected near miss. Their unit is the distance that the limit allows (chosen on other seeds than are
+reported)."""
 
 CUT_IN_GAP_M: Final = (2.0, 15.0)
-"""A driver may cut in front of a vehicle that is this far behind it, least and most, m (cutting in
-closer is a collision, and farther away it disturbs nobody)."""
+"""A driver may cut in front of a vehicle that is this far behind it, least and most, m (closer is a
+collision, and farther disturbs no driver)."""
 
 CUT_IN_SIDE_M: Final = (1.5, 5.0)
 """Distance between the two to the side, least and most, m: they drive on neighbouring lanes."""
@@ -82,7 +82,7 @@ ACT_S: Final = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What the vehicle does until the next decision.
+    """A manoeuvre until the next decision.
 
     Attributes:
         accel: m/s2.
@@ -168,9 +168,8 @@ def risks(
     """How dangerous a joint future is for the agent ``me``.
 
     Given are places (m, H, 2) of the agents of some rows (m,), `EVERY` steps apart, m, the present,
-    and beliefs (m, 6) about how they drive. Returned are nearness of collision summed over steps,
-    the number of steps with an overlap, and near misses to be expected from stops and cut-ins
-    without a reason, 1/s summed over steps.
+    and beliefs (m, 6) about how they drive. Returned are sums over steps: nearness of collision,
+    steps with an overlap, and near misses expected from stops and cut-ins without a reason, 1/s.
     """
     span = EVERY * STEP_S
     before = np.concatenate([scene.xy[rows][:, None], xy[:, :-1]], axis=1)

@@ -1,10 +1,11 @@
-"""Who drives the ego vehicle: our policies by name, or ``module:function`` of the user's own.
+"""Drivers of the ego vehicle: our policies by name, or ``module:function`` of the user's own.
 
 A policy is made for one environment, before its first episode: ``make(env)`` returns a function
 that takes an observation and returns an action. The attribute ``config`` of ``make``, if it has
 one, changes the environment's configuration: ``{"action": {"type": "ContinuousAction"}}``. A
 trained network is loaded inside ``make``, by the library that wrote it: no file of a policy is
-opened here.
+opened here. Beside what gymnasium gives, the environment has ``scenario``, ``time``, ``ego_id``,
+the ``truth`` by id, and ``on_frame``, which is called with every frame.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ MOST_ACCEL_MPS2: Final = 8.0
 """The planned vehicle's accelerator and brake reach this, m/s2."""
 
 EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
-"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap (as
-hard as dry asphalt allows, so that the plan and not the brake avoids near misses)."""
+"""The emergency brake counts on this deceleration, brakes within this time and leaves this gap. It
+is as hard as dry asphalt allows, so the plan and not the brake avoids near misses."""
 
 
 def do_nothing(env: Any) -> Act:

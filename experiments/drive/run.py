@@ -25,7 +25,7 @@ STRAYS: Final = ("roundabout", "city")
 
 @dataclass(frozen=True, slots=True)
 class LicenceTest:
-    """Who is tested where, among whom and how often.
+    """A test: policies, scenarios, crowds and the number of episodes.
 
     Attributes:
         policies: names, or "module:function" of one's own.
@@ -97,8 +97,8 @@ def run_test(test: LicenceTest, jobs: int | None, quiet: bool) -> Iterator[list[
 def mean_row(keys: Mapping[str, Cell], metric: str, values: FloatArray) -> Row:
     """The mean of (scenarios, seeds) values with its interval over seeds.
 
-    The scenarios are those that are there, no sample of others; seeds are drawn anew within each.
-    With fewer than `LEAST_EPISODES` seeds there is no interval.
+    The scenarios are those that are there, not a sample; seeds are resampled within each.
+    Fewer than `LEAST_EPISODES` seeds give no interval.
     """
     scenarios, seeds = values.shape
     low = high = None
@@ -114,9 +114,9 @@ def figure_rows(
 ) -> list[Row]:
     """Rows of every crowd and policy from a (scenarios, seeds, crowds, policies, metrics) table.
 
-    They are the mean of each of the `METRICS`, and the ``rank`` by score in the crowd. Paired by
-    seed: by how much clones flatter a policy (``score_minus_diverse``), and what a planner gains by
-    what it knows (``score_minus_blind``, ``near_misses_minus_blind``).
+    They are the mean of each of the `METRICS`, and the ``rank`` by score in the crowd. Two
+    differences are paired by seed. ``score_minus_diverse`` says by how much clones flatter a
+    policy; ``score_minus_blind`` and ``near_misses_minus_blind`` what a planner gains by knowledge.
     """
     found: list[Row] = []
     scores, near = (table[..., METRICS.index(metric)] for metric in ("score", "near_misses"))

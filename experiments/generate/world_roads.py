@@ -16,8 +16,14 @@ import numpy as np
 
 from behaviors.elementwise import log_uniform
 from scenarios.four_way_intersection import TURNS
-from scenarios.networks.build import FOLDER, NET, SHIPPED
-from scenarios.networks.geometries import ARMS, LANE_WIDTH_M, RAMP_SLOPE, TWO_WAY_LENGTH_M
+from scenarios.networks.build import FOLDER, NET
+from scenarios.networks.geometries import (
+    ARMS,
+    LANE_WIDTH_M,
+    LIMIT_MPS,
+    RAMP_SLOPE,
+    TWO_WAY_LENGTH_M,
+)
 from sim.scenario import RouteFlow
 
 FAMILIES: Final = {"straight": 0.45, "junction": 0.25, "ramp": 0.2, "two-way": 0.1}
@@ -233,11 +239,10 @@ def ramp_net(lanes: int, limit_mps: float, length_m: float) -> str:
 
 def _limited_net(name: str, limit_mps: float) -> str:
     """The text of a shipped net with another speed limit; turns stay as slow as they are."""
-    old = SHIPPED[name].limit_mps
 
     def limited(found: re.Match[str]) -> str:
         speed = float(found[2])
-        new = limit_mps if abs(speed - old) < 0.006 else min(speed, limit_mps)
+        new = limit_mps if abs(speed - LIMIT_MPS) < 0.006 else min(speed, limit_mps)
         return f"{found[1]}{new:.2f}{found[3]}"
 
     text = (FOLDER / name / NET).read_text(encoding="utf-8")

@@ -26,7 +26,7 @@ from sim.formats.common.motion import motion
 from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M
 from sim.frames import AgentKind, FloatArray, Tracks
 from sim.scenario import KIND_LIMITS, AgentSpec
-from sim.sumo.settings import LAWS, SumoSettings
+from sim.sumo.vehicle_types import LAWS, SumoSettings
 
 DURATION_S: Final = 120.0
 """Length of a world's episode, s."""

@@ -1,4 +1,4 @@
-"""What a replay shows beside positions: beliefs, futures, the traffic graph, and ghosts."""
+"""Layers of a replay beside positions: beliefs, futures, the traffic graph, and ghosts."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def read_beliefs(path: Path, episode: str, tracks: Tracks) -> Beliefs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forecast:
-    """What was predicted at one instant.
+    """Predictions of one instant.
 
     Attributes:
         time_s: the present, s.

@@ -37,10 +37,10 @@ SCRIPTS: Final = (
 """In the order in which they are joined."""
 
 UNITS: Final = {"x": 0.01, "y": 0.01, "heading": 0.0015, "speed": 0.05, "future": 0.1}
-"""What places (m or pixels), headings (rad), speeds and places of futures are rounded to."""
+"""Steps to which places (m or pixels), headings (rad), speeds and futures are rounded."""
 
 MODES: Final = ("true", "predicted", "confidence", "speed", "w")
-"""What agents can be coloured by."""
+"""Colourings of agents."""
 
 RAMP_STOPS: Final = 17
 
@@ -98,7 +98,7 @@ def _json(value: object) -> str:
 
 
 def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
-    """What the page's script reads."""
+    """All that the page's script reads."""
     tracks = scene.tracks
     begin_s = float(tracks.time_s[0])
     arrays: dict[str, NDArray[Any]] = {"time": (tracks.time_s - begin_s).astype("f4")}

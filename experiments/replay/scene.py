@@ -190,7 +190,7 @@ def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...
 
 
 def _notes(episode: Episode, road: Road | None, unit: str, stride: int) -> list[str]:
-    """What a reader should know of the data."""
+    """Notes on the data for a reader."""
     known = episode.entry.options.get("notes")
     notes = [str(note) for note in known] if isinstance(known, list) else []
     if road is None:

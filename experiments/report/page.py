@@ -68,8 +68,8 @@ def write_report(
 
     The page loads nothing. By default it is ``report.html`` in the folder, beside a file by its
     name, or ``comparison.html`` for several. Pictures are written beside it, too, as ``svg`` or
-    ``pdf``. Of a run with its data and model, as ``make demo`` leaves it, the page has worst cases,
-    which link to replays beside it.
+    ``pdf``. A run with its data and model, as ``make demo`` leaves it, gets worst cases, which
+    link to replays beside the page.
     """
     ending = None if figures is None else lookup(FORMATS, figures, "format of figures")
     path, many = paths[0], len(paths) > 1

@@ -99,7 +99,7 @@ def tables_of(rows: pd.DataFrame, across: Sequence[str] = ()) -> Iterator[Table]
 
 
 def is_everyone(rows: pd.DataFrame) -> pd.Series[bool]:
-    """Which rows are of all drivers, not of those of one behaviour."""
+    """Whether rows are of all drivers, not of those of one behaviour."""
     if "behavior" not in rows:
         return pd.Series(data=True, index=rows.index)
     return rows["behavior"].isna() | (rows["behavior"] == "all")

@@ -234,7 +234,7 @@ LEGEND: Final = (
     "balanced: mean over behaviours; ECE: calibration error; domain: 0 like the training traffic, "
     "1 unlike it; [low, high]: 95 % interval, from three episodes on."
 )
-"""What the columns of that table are."""
+"""Text below that table: its columns."""
 
 WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
 """Metrics that the table for people gives with their intervals (all would not fit)."""

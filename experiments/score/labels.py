@@ -69,9 +69,9 @@ def labels_schema(model: Model) -> pa.Schema:
 def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pd.DataFrame:
     """Posteriors of every driver at every frame of an episode, with the columns ``LABELS``.
 
-    The traffic's kind is what the episode's entry says unless it is named. What is known of the
-    drivers only fills the columns ``truth`` and ``true_style``. Every driver is unknown in a
-    recording that is not a plausible scene.
+    The traffic's kind is what the episode's entry says unless it is named. True labels only fill
+    the columns ``truth`` and ``true_style``. Every driver is unknown in a recording that is not a
+    plausible scene.
     """
     tracks, entry = measured(episode), episode.entry
     stops = range(1, tracks.time_s.size + 1)

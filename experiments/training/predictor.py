@@ -24,7 +24,7 @@ from experiments.score.predictions import (
 )
 from graphrqi.model_files import load_model
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
-from graphrqi.predict.networks.futures import KNOT_S, KNOTS, Futures, PredictorInputs
+from graphrqi.predict.networks import KNOT_S, KNOTS, Futures, PredictorInputs
 from graphrqi.predict.rollout.driver_table import DriverTable, load_table, save_table
 from graphrqi.predict.rollout.following import shuffled_posterior
 from graphrqi.predict.scene.scene import LEARNED_S, make_scene

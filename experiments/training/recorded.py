@@ -30,9 +30,8 @@ from experiments.training.recordings import (
     scored,
     steady_motion,
 )
-from graphrqi.predict.networks.futures import TIME_S
-from graphrqi.predict.recorded.features import features_of
-from graphrqi.predict.recorded.gaps import plausible
+from graphrqi.predict.networks import TIME_S
+from graphrqi.predict.recorded.features import features_of, plausible
 from graphrqi.predict.recorded.lanes_ahead import LanesAhead, lanes_ahead
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import SHIPPED, RecordedNetwork

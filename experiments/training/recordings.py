@@ -18,8 +18,8 @@ import numpy as np
 
 from behaviors.errors import InputError
 from experiments.score.predictions import HISTORY_S, future
-from graphrqi.predict.networks.futures import TIME_S
-from graphrqi.predict.recorded.gaps import inferred_leaders
+from graphrqi.predict.networks import TIME_S
+from graphrqi.predict.recorded.features import inferred_leaders
 from sim.formats import get_reader, recognise, recording_files
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
@@ -107,7 +107,7 @@ def _read(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
     """The recordings of a file or folder."""
     try:
         form = recognise(folder)
-        files = recording_files(folder, form)[0]
+        files = recording_files(folder, form)
     except InputError as error:
         sys.stderr.write(f"graphrqi: left out: {error}\n")
         return

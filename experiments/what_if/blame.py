@@ -2,8 +2,8 @@
 
 For each incident of an episode, the episode is branched some seconds before it, once for every
 driver who was near, and that driver goes on carefully. If the incident does not happen, that driver
-alone could have prevented it. Traffic is chaotic, so a second branch tells luck from care: in it,
-the driver keeps the own behaviour but is drawn anew (placebo).
+alone could have prevented it. Traffic is chaotic, so a second branch separates luck from care:
+in it, the driver keeps the own behaviour with other numbers (placebo).
 
 References:
     Pearl (2009), Causality, chapter 9: "but for" causes. Halpern and Pearl (2005), British Journal

@@ -220,16 +220,10 @@ def _error(law: Law, logs: FloatArray, stretches: Sequence[Stretch]) -> float:
 def simulated(
     law: Law, logs: FloatArray, stretch: Stretch, beside: FloatArray | None = None
 ) -> FloatArray:
-    """Drive from where a recorded driver began, behind its recorded leader.
+    """(M, T) places, m, from where a recorded driver began, behind its recorded leader.
 
-    Args:
-        law: the law.
-        logs: (M, 5) logarithms of M drivers' numbers.
-        stretch: the leader's motion and the first position and speed.
-        beside: (M,) residual acceleration at first, m/s2.
-
-    Returns:
-        (M, T) places of the front bumpers, m.
+    M drivers have logarithms (M, 5) of their numbers, and at first a residual acceleration (M,),
+    m/s2.
     """
     from graphrqi.calibrate.kernels import drive
 
@@ -243,14 +237,9 @@ def simulated(
 
 
 def second_half_errors(law: Law, stretches: Sequence[Stretch]) -> FloatArray:
-    """Errors of each driver's gaps in its second half, predicted from its first half.
+    """(N,) errors of each driver's gaps in its second half, predicted from its first half, m.
 
-    Args:
-        law: the law.
-        stretches: one of each driver, behind a leader.
-
-    Returns:
-        (N,) root mean square errors of the gaps in the second halves, m.
+    They are root mean squares over one stretch of each driver, behind a leader.
     """
     both = []
     for stretch in stretches:  # the moment in the middle belongs to both halves
@@ -267,17 +256,10 @@ def second_half_errors(law: Law, stretches: Sequence[Stretch]) -> FloatArray:
 def forecast(
     law: Law, logs: FloatArray, spread: FloatArray, past: Stretch, ahead: Stretch
 ) -> FloatArray:
-    """Where a driver will be behind a leader whose motion is known.
+    """(T,) where a driver will be behind a leader whose motion is known, m.
 
-    Args:
-        law: the law.
-        logs: (5,) logarithms of the driver's numbers.
-        spread: (5, 5) their posterior covariance.
-        past: the driver until now.
-        ahead: the future; only the driver's first row is used.
-
-    Returns:
-        (T,) medians over `DRAWS` from the posterior, m.
+    They are medians over `DRAWS` from the posterior of the numbers. Only the first row of the
+    driver's future is used.
     """
     from graphrqi.calibrate.kernels import mean_beside
 

@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.predict.recorded.gaps import inferred_leaders
+from graphrqi.predict.recorded.features import inferred_leaders
 from sim.episode.observables import observe
 from sim.frames import KINDS, AgentKind, Tracks
 from sim.road import Road
@@ -67,12 +67,9 @@ class Stretch:
 
     @classmethod
     def of(cls, time_s: FloatArray, place: FloatArray, leader: FloatArray) -> Stretch:
-        """Resample and smooth what was measured.
+        """Resample and smooth positions of a front bumper and of the leader's rear bumper, m.
 
-        Args:
-            time_s: (n,) increasing, s.
-            place: (n,) measured position of the front bumper, m.
-            leader: (n,) the leader's rear bumper, m; +inf without one.
+        The leader's are +inf without one. Times increase, s.
 
         Examples:
             >>> t = np.arange(0.0, 10.0, 0.2)

@@ -12,8 +12,8 @@ CLASSIFIERS: Final[Registry[Callable[..., Classifier]]] = Registry(
     "classifier",
     "graphrqi.classifiers",
     {
-        "boosted": "graphrqi.classify.boosted:Boosted",
-        "forest": "graphrqi.classify.forest:Forest",
+        "boosted": "graphrqi.classify.trees:Boosted",
+        "forest": "graphrqi.classify.trees:Forest",
         "lasso": "graphrqi.classify.baselines:Lasso",
         "logistic": "graphrqi.classify.baselines:Logistic",
         "lstm": "graphrqi.classify.networks:LstmClassifier",

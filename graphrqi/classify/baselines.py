@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.arrays import CodeArray, FloatArray
-from graphrqi.classify.contract import NEVER, Classifier, HeldOut, saved, softmax
-from graphrqi.classify.standardisation import Standardisation
+from graphrqi.arrays import CodeArray, FloatArray, softmax
+from graphrqi.classify.contract import NEVER, Classifier, HeldOut, Standardisation, saved
 
 CHUNK: Final = 4096
 """Rows whose kernel matrix is in memory at once, about 100 MB."""
@@ -33,11 +32,7 @@ held-out data is chosen, or the middle one without such data."""
 
 
 class Logistic(Classifier):
-    """Multinomial logistic regression.
-
-    Args:
-        num_classes: C.
-    """
+    """Multinomial logistic regression."""
 
     tempers = False
 

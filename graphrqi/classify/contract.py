@@ -1,4 +1,4 @@
-"""Classifiers: feature vectors in, calibrated probabilities out; and the check of saved arrays.
+"""Classifiers: feature vectors in, calibrated probabilities out; standardisation; saved arrays.
 
 References:
     Guo, Pleiss, Sun, Weinberger (2017), On Calibration of Modern Neural Networks, ICML.
@@ -7,13 +7,14 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.arrays import BoolArray, CodeArray, FloatArray
+from graphrqi.arrays import BoolArray, CodeArray, FloatArray, softmax
 
 HeldOut = tuple[FloatArray, CodeArray] | None
 """Feature vectors and classes of episodes that are not trained on, if there are any."""
@@ -115,17 +116,6 @@ class Classifier:
         self._temperature = found
 
 
-def softmax(scores: FloatArray) -> FloatArray:
-    """(n, C) probabilities in proportion to the exponentials of scores (n, C).
-
-    Examples:
-        >>> softmax(np.array([[0.0, np.log(3.0)]]))
-        array([[0.25, 0.75]])
-    """
-    raised = np.exp(scores - scores.max(axis=1, keepdims=True))
-    return np.asarray(raised / raised.sum(axis=1, keepdims=True))
-
-
 def saved(
     arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...] | None = None
 ) -> NDArray[Any]:
@@ -153,10 +143,55 @@ def saved(
 
 
 def part_of(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:
-    """The arrays of one part, whose names begin with the part's name and a point, without these.
+    """The arrays of one part, whose names begin with the part's name and a point, without these."""
+    return {k.removeprefix(f"{name}."): v for k, v in arrays.items() if k.startswith(f"{name}.")}
+
+
+CLIP: Final = 8.0
+"""Standardised features are clipped here, so that a single wrong position does not decide the
+class."""
+
+AT_ONCE: Final = 16
+"""Features whose deviation is found at once: the squares of all would take gigabytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standardisation:
+    """Mean (F,) and deviation (F,), 1 where a feature does not vary, of the training data.
 
     Examples:
-        >>> part_of({"gate.bias": np.zeros(2), "low": np.ones(1)}, "gate")
-        {'bias': array([0., 0.])}
+        >>> s = Standardisation.of(np.array([[0.0, 5.0], [2.0, 5.0]]))
+        >>> s.apply(np.array([[3.0, 5.0]]))
+        array([[2., 0.]])
     """
-    return {k.removeprefix(f"{name}."): v for k, v in arrays.items() if k.startswith(f"{name}.")}
+
+    mean: FloatArray
+    scale: FloatArray
+
+    @classmethod
+    def of(cls, features: NDArray[np.floating]) -> Standardisation:
+        """The standardisation of training vectors (n, F), of single or double precision."""
+        mean, spread = np.empty((2, features.shape[1]))
+        for first in range(0, mean.size, AT_ONCE):
+            columns = slice(first, first + AT_ONCE)
+            mean[columns] = features[:, columns].mean(axis=0, dtype=np.float64)
+            spread[columns] = features[:, columns].std(axis=0, dtype=np.float64)
+        return cls(mean, np.where(spread > 1e-6, spread, 1.0))
+
+    def apply(self, features: FloatArray) -> FloatArray:
+        """(n, F) standardised and clipped vectors."""
+        values = np.asarray(features - self.mean)
+        values /= self.scale  # in place: crowds have arrays of 100 MB
+        return np.clip(values, -CLIP, CLIP, out=values)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays to save."""
+        return {"mean": self.mean, "scale": self.scale}
+
+    @classmethod
+    def restored(cls, arrays: dict[str, NDArray[Any]], num_features: int) -> Standardisation:
+        """From what `arrays` gave; InputError if a feature has no mean or positive deviation."""
+        mean, scale = (saved(arrays, name, (num_features,)) for name in ("mean", "scale"))
+        if not (scale > 0.0).all():
+            raise InputError(f"scale: found {scale.min():g}, expected positive numbers")
+        return cls(mean, scale)

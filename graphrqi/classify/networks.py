@@ -10,7 +10,7 @@ References:
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import torch
@@ -19,11 +19,13 @@ from torch import Tensor, nn
 
 from behaviors.errors import InputError
 from graphrqi.arrays import CodeArray, FloatArray
-from graphrqi.classify.contract import Classifier, HeldOut, part_of, saved
-from graphrqi.classify.standardisation import Standardisation
+from graphrqi.classify.contract import Classifier, HeldOut, Standardisation, part_of, saved
 from graphrqi.networks.portable_torch import Descent, one_thread
 
 Loss = Literal["squared-error", "cross-entropy"]
+
+WEIGHT_DECAY: Final = 1e-3
+"""AdamW's."""
 
 
 class Mlp(Classifier):
@@ -36,7 +38,6 @@ class Mlp(Classifier):
         epochs: passes over the training data.
         dropout: share of hidden units silenced while training.
         learning_rate: peak of a one-cycle schedule (Smith 2018) for AdamW.
-        weight_decay: AdamW's.
         batch: samples per step.
     """
 
@@ -48,7 +49,6 @@ class Mlp(Classifier):
         epochs: int = 20,
         dropout: float = 0.2,
         learning_rate: float = 3e-3,
-        weight_decay: float = 1e-3,
         batch: int = 512,
     ) -> None:
         if loss not in ("squared-error", "cross-entropy"):
@@ -56,7 +56,7 @@ class Mlp(Classifier):
         super().__init__(num_classes)
         self._hidden, self._loss = tuple(hidden), loss
         self._epochs, self._batch, self._dropout = epochs, batch, dropout
-        self._learning_rate, self._weight_decay = learning_rate, weight_decay
+        self._learning_rate = learning_rate
         self._inputs = Standardisation(np.zeros(0), np.ones(0))
         self._network: nn.Module = nn.Sequential()
 
@@ -88,7 +88,7 @@ class Mlp(Classifier):
         x, y = self._tensor(features), torch.from_numpy(codes.astype(np.int64))
         network = self._made(x.shape[1])
         steps = self._epochs * max(1, -(-len(x) // self._batch))
-        descent = Descent(network, steps, self._learning_rate, self._weight_decay)
+        descent = Descent(network, steps, self._learning_rate, WEIGHT_DECAY)
         best, best_loss = None, float("inf")
         for _ in range(self._epochs):
             network.train()

@@ -26,7 +26,7 @@ def sum_of_leaves(
     reachable: NDArray[np.uint32],
     out: NDArray[np.float64],
 ) -> None:
-    """Add up the leaves that each sample falls into; see `graphrqi.classify.boosted`.
+    """Add up the leaves that each sample falls into; see `graphrqi.classify.trees`.
 
     ``features`` is (K * F, 64), batch by batch of samples. ``leaf`` is indexed by the hash of a
     leaf's bit. ``reachable`` (64,) is overwritten. ``out`` (K, C, 64) must be zero.

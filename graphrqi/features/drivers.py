@@ -12,19 +12,21 @@ import numpy as np
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features import following_law
-from graphrqi.features.moment import Quantities
 from graphrqi.features.motion import Motion, RawMotion
 from graphrqi.features.observer import Observation, Observer, RunningSums
-from graphrqi.features.raw_quantities import PLAIN, RAW, RawMoment
-from graphrqi.features.scene import FreeFlowSpeed, PlaceSpeeds, UsualValues
-from graphrqi.features.smooth_motion import Courses, SmoothMotion
-from graphrqi.features.smoothed_quantities import (
+from graphrqi.features.quantities import (
     COMPARED,
     LEAST_DEVIATION,
     LEAST_LEFT_OVER_M,
+    PLAIN,
+    RAW,
     SMOOTHED,
+    Quantities,
+    RawMoment,
     SmoothedMoment,
 )
+from graphrqi.features.scene import FreeFlowSpeed, PlaceSpeeds, UsualValues
+from graphrqi.features.smooth_motion import Courses, SmoothMotion
 from graphrqi.features.spectral import INVARIANT_NAMES, SPECTRAL, GraphSpectrum, spectral_means
 from graphrqi.features.statistics import Block, describe, describe_names, spread
 from graphrqi.graph import TrafficGraph, find_nearest

@@ -15,7 +15,6 @@ References:
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Final
 
 import numpy as np
@@ -41,13 +40,7 @@ _RIDGE: Final = 1e-6
 
 
 def embedded(adjacency: FloatArray, dimensions: int = NUM_DIMENSIONS) -> FloatArray:
-    """(n, k) generalised eigenvectors of symmetric weights (n, n), at most so many.
-
-    Examples:
-        >>> path = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-        >>> abs(embedded(path, 1)).round(2).ravel()
-        array([0.71, 0.  , 0.71])
-    """
+    """(n, k) generalised eigenvectors of symmetric weights (n, n), at most so many."""
     if not len(adjacency):
         return np.zeros((0, 0))
     degree = np.diag(adjacency.sum(axis=1) + _RIDGE)
@@ -127,4 +120,4 @@ class EmbeddingObserver(Observer):
         rows = np.zeros((present.ids.size, NUM_DIMENSIONS))
         into, source = align(self._ids, present.ids)
         rows[into] = self._embedding[source]
-        return dataclasses.replace(present, instant=rows)
+        return present._replace(instant=rows)

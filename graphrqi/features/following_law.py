@@ -48,15 +48,10 @@ LAW_NAMES: Final[tuple[str, ...]] = (
 
 
 def products(speed: FloatArray, leader_speed: FloatArray, gap: FloatArray) -> FloatArray:
-    """One moment's products of regressors and gap.
+    """(n, COLUMNS) one moment's products of regressors and gap.
 
-    Args:
-        speed: (n,) m/s.
-        leader_speed: (n,) m/s; NaN without a leader.
-        gap: (n,) m; NaN without a leader.
-
-    Returns:
-        (n, COLUMNS); those of a driver count while it is following.
+    Speeds are (n,) m/s, gaps m; both of the leader are NaN without one. They count while a driver
+    is following.
     """
     x = 0.5 * (speed * speed - leader_speed * leader_speed)
     out = np.ones((speed.size, COLUMNS))
@@ -75,47 +70,21 @@ def implied_headway(
     standstill_m: float,
     braking_mps2: float,
 ) -> FloatArray:
-    """The time headway for which the law's safe speed equals the driver's present speed.
+    """(n,) the time headway, s, for which the law's safe speed equals the present speed.
 
     No driver exceeds its safe speed, so a driver's own headway is at most this at every moment,
-    whether it is held up or not.
-
-    Args:
-        speed: (n,) m/s.
-        leader_speed: (n,) m/s; NaN without a leader.
-        gap: (n,) m; NaN without a leader.
-        standstill_m: assumed gap, m.
-        braking_mps2: assumed braking, m/s2.
-
-    Returns:
-        (n,) s; speeds below ``LEAST_MPS`` count as ``LEAST_MPS``.
-
-    Examples:
-        >>> ten = np.array([10.0])
-        >>> implied_headway(ten, ten, np.array([17.0]), standstill_m=2.0, braking_mps2=3.0)
-        array([1.5])
+    whether it is held up or not. Speeds below ``LEAST_MPS`` count as ``LEAST_MPS``.
     """
     left_m = gap - standstill_m - (speed * speed - leader_speed * leader_speed) / (2 * braking_mps2)
     return np.asarray(left_m / np.maximum(speed, LEAST_MPS))
 
 
 def infer(sums: FloatArray) -> FloatArray:
-    """Posterior of each driver's parameters.
+    """(n, 7) posterior of each driver's parameters, in columns named by ``LAW_NAMES``.
 
     A second of following counts as one observation, since successive frames are nearly equal.
-
-    Args:
-        sums: (n, COLUMNS) products, each times its duration in seconds.
-
-    Returns:
-        (n, 7) columns named by ``LAW_NAMES``: posterior means, posterior standard deviations, and
-        the root mean square residual of the law, m. Without evidence they are the prior's.
-
-    Examples:
-        >>> v = np.linspace(5.0, 15.0, 50)
-        >>> sums = products(v, v, 2.0 + 1.2 * v).sum(axis=0)
-        >>> infer(sums[None])[0, :2].round(1)
-        array([2. , 1.2])
+    ``sums`` (n, COLUMNS) are the products, each times its duration in seconds. Without evidence the
+    prior is left.
     """
     weight, prior = GAP_NOISE_M**-2, PRIOR_SD**-2
     a, b, c, d, e, f = weight * sums[:, :6].T + np.diag(prior)[np.triu_indices(3)][:, None]

@@ -64,15 +64,9 @@ class Interaction:
 
 
 def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Interaction:
-    """Find every driver's leader, follower and neighbours along the graph's edges.
+    """Every driver's leader, follower and neighbours along the graph's edges.
 
-    Args:
-        motion: of the n vertices, in the order of the graph.
-        drives: (n,) whether each vertex drives; the others are pedestrians.
-        graph: its edges join vertices that may interact.
-
-    Returns:
-        Interaction of each vertex.
+    The n vertices are in the order of the graph; those that do not drive are pedestrians.
     """
     row, other = graph.pairs
     n, facing = drives.size, motion.direction.take(row, axis=0)
@@ -120,22 +114,10 @@ def _nearest(
 def differences(
     graph: TrafficGraph, signal: FloatArray, drives: BoolArray, scales: int = 2
 ) -> FloatArray:
-    """Difference of a signal from its neighbourhood, at several scales.
+    """(n, scales) difference of a signal from its neighbourhood: column j is P^j s - P^(j+1) s.
 
-    Args:
-        graph: of n vertices.
-        signal: (n,) values; NaN where unknown.
-        drives: (n,) vertices that count as neighbours (drivers, not pedestrians).
-        scales: number of scales.
-
-    Returns:
-        (n, scales) column j is P^j s - P^(j+1) s; NaN where the signal is unknown, and without
-        neighbours.
-
-    Examples:
-        >>> path = TrafficGraph.from_edges([1, 2, 3], [(1, 2), (2, 3)])
-        >>> differences(path, np.array([1.0, 2.0, 6.0]), np.ones(3, bool), scales=1).ravel()
-        array([-1. , -1.5,  4. ])
+    Only vertices that drive count as neighbours. It is NaN where the signal is, and without
+    neighbours.
     """
     counts = drives & ~np.isnan(signal)
     level = np.where(counts, signal, 0.0)
@@ -152,7 +134,7 @@ def differences(
 
 
 def neighbor_speed(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> FloatArray:
-    """(n,) mean speed of the neighbours that drive the same way, m/s; NaN without one."""
+    """(n,) mean speed of neighbours that drive the same way, m/s; NaN without one."""
     row, other = graph.pairs
     same_way = drives[other] & (along(motion.direction[row], motion.direction[other]) > SAME_WAY)
     row, other = row[same_way], other[same_way]

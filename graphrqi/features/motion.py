@@ -57,14 +57,7 @@ class Motion:
 
 
 def align(old_ids: IntArray, new_ids: IntArray) -> tuple[IntArray, IntArray]:
-    """Positions of the ids that two sorted id arrays share.
-
-    Args:
-        old_ids: (m,) ascending.
-        new_ids: (n,) ascending.
-
-    Returns:
-        Indices into ``new_ids`` and into ``old_ids`` of those in both.
+    """Where two ascending id arrays share ids: positions in the new one, and in the old one.
 
     Examples:
         >>> align(np.array([2, 5, 9]), np.array([5, 7, 9]))
@@ -104,17 +97,7 @@ class RawMotion:
         self._seen_s: FloatArray = np.empty(0)
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> Motion:
-        """Take the next positions.
-
-        Args:
-            time_s: later than at the call before.
-            ids: (n,) ascending agent ids.
-            xy: (n, 2) m.
-            drives: (n,) whether each drives.
-
-        Returns:
-            Motion of exactly these agents.
-        """
+        """Take the next positions (n, 2), m, of ascending ids; motion of exactly these agents."""
         rows = self._remember(time_s, ids, xy)
         times = np.array(self._times)
 

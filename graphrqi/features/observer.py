@@ -6,7 +6,7 @@ and recordings go through the same observer, so training and streaming cannot di
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.features.motion import FORGET_S, align, merge
 
 
-@dataclass(frozen=True, slots=True)
-class Observation:
+class Observation(NamedTuple):
     """The evidence of an observer on the drivers present now.
 
     Attributes:
@@ -32,7 +31,7 @@ class Observation:
 
     def where(self, chosen: BoolArray) -> Observation:
         """The drivers for which ``chosen`` (n,) holds."""
-        return Observation(*(getattr(self, f.name)[chosen] for f in fields(self)))
+        return Observation._make(column[chosen] for column in self)
 
 
 class Observer:
@@ -85,9 +84,6 @@ class RunningSums:
     """Sums over time for each driver, kept while it is present and ``FORGET_S`` longer.
 
     A driver's sums stay in one row of a larger array while others come and go.
-
-    Args:
-        width: columns of the sums.
     """
 
     def __init__(self, width: int) -> None:

@@ -36,12 +36,7 @@ LEAST_PLACE_S: Final = 2.0
 
 
 class FadingSums:
-    """Sums over time that forget exponentially.
-
-    Args:
-        shape: of the sums.
-        memory_s: time constant, s.
-    """
+    """Sums over time that forget exponentially."""
 
     def __init__(self, shape: tuple[int, ...], memory_s: float = MEMORY_S) -> None:
         self.values, self._memory_s = np.zeros(shape), memory_s
@@ -72,16 +67,7 @@ class FreeFlowSpeed:
         self._sums = FadingSums((2,))
 
     def update(self, time_s: float, speed: FloatArray, free: BoolArray) -> float:
-        """Add one moment to the mean.
-
-        Args:
-            time_s: later than at the call before.
-            speed: (n,) m/s.
-            free: (n,) whether each driver's road is free.
-
-        Returns:
-            The free-flow speed, m/s; NaN until enough free driving was observed.
-        """
+        """Add one moment's speeds, m/s, of drivers whose road is free; see `mean_mps`."""
         step_s = self._sums.fade(time_s)
         self._sums.values += step_s * np.array([free.sum(), speed[free].sum()])
         return self.mean_mps
@@ -94,10 +80,9 @@ class FreeFlowSpeed:
 
 
 class UsualValues:
-    """Running mean and standard deviation over all drivers of some quantities.
+    """Running mean and standard deviation over all drivers of Q quantities.
 
-    Args:
-        least_deviation: (Q,) the smallest standard deviation of each.
+    Their standard deviations count as no smaller than given ones (Q,).
 
     Examples:
         >>> usual = UsualValues(np.array([0.1]))
@@ -113,12 +98,7 @@ class UsualValues:
         self._sums = FadingSums((3, least_deviation.size))
 
     def update(self, time_s: float, values: FloatArray, holds: BoolArray) -> FloatArray:
-        """Add one moment, and compare each value with the averages.
-
-        Args:
-            time_s: later than at the call before.
-            values: (Q, n); NaN where unknown.
-            holds: (Q, n) whether a value counts.
+        """Add one moment's values (Q, n) that hold (Q, n), and compare each with the averages.
 
         Returns:
             (Q, n) distances from the mean in standard deviations, clipped at 4; NaN until enough
@@ -161,16 +141,10 @@ class PlaceSpeeds:
     def update(
         self, time_s: float, xy: FloatArray, velocity: FloatArray, counts: BoolArray
     ) -> FloatArray:
-        """Add one moment, and give the mean speed at each position.
+        """(n,) mean speed at each position before this moment, m/s; then the moment is added.
 
-        Args:
-            time_s: later than at the call before.
-            xy: (n, 2) m.
-            velocity: (n, 2) m/s.
-            counts: (n,) whether each adds to the means.
-
-        Returns:
-            (n,) m/s before this moment was added; NaN where the cell was observed too briefly.
+        It is NaN where the cell was observed too briefly. Only vehicles that count add to the
+        means.
         """
         step_s = self._sums.fade(time_s)
         at = _entries(xy, velocity)

@@ -63,16 +63,10 @@ LEAST_SHARE: Final = 0.8
 
 
 def parabolas(trail: FloatArray, times: FloatArray, straight: BoolArray) -> FloatArray:
-    """Fit parabolas to positions by least squares.
+    """(n, 3, 2) least-squares parabolas of positions (n, T, 2), NaN where unknown, at times (T,).
 
-    Args:
-        trail: (n, T, 2) positions, m; NaN where unknown.
-        times: (T,) ascending, s.
-        straight: (n,) which get a straight line instead.
-
-    Returns:
-        (n, 3, 2) coefficients of ascending powers of time; NaN where positions do not determine
-        them, and for the square of straight lines.
+    They are coefficients of ascending powers of time. They are NaN where positions do not determine
+    them, and for the square of those that get a straight line instead.
 
     Examples:
         >>> times = np.array([-1.0, 0.0, 1.0, 2.0])
@@ -235,16 +229,6 @@ class Courses:
 
     A parabola is a steady course: a constant acceleration along the road, a constant curvature
     across it.
-
-    Examples:
-        A car that sways by 20 cm while it drives east:
-
-        >>> courses = Courses()
-        >>> for step in range(12):
-        ...     xy = np.array([[4.0 * step, 0.2 * (-1.0) ** (step // 2)]])
-        ...     across, along = courses.update(0.4 * step, np.array([7]), xy)
-        >>> across.round(2), along.round(2)
-        (array([0.23]), array([0.]))
     """
 
     def __init__(self) -> None:
@@ -253,16 +237,9 @@ class Courses:
         self._trail: FloatArray = np.empty((0, 0, 2))
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Add one moment.
+        """(n,) root mean squares across and along the courses that end here, m.
 
-        Args:
-            time_s: later than at the call before.
-            ids: (n,) ascending agent ids.
-            xy: (n, 2) smoothed positions, m.
-
-        Returns:
-            (n,) root mean squares across and along the course of those that moved, m; NaN where an
-            agent was not seen at every moment of it.
+        They are NaN for agents that did not move, or were not seen at every moment.
         """
         drop = sum(time < time_s - COURSE_S - 1e-6 for time in self._times)
         self._times = [*self._times[drop:], time_s]

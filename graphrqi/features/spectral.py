@@ -11,7 +11,6 @@ Eigenvalues are scaled by the largest one, so that neither number nor order of t
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Final
 
@@ -55,18 +54,9 @@ _SAME_EIGENVALUE: Final = 1e-6
 
 
 def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
-    """How many leading pairs form whole eigenspaces.
+    """How many leading pairs of descending eigenvalues form whole eigenspaces.
 
-    Args:
-        eigenvalues: (k,) descending.
-        complete: whether these are all of the graph's eigenvalues.
-
-    Returns:
-        A count; the last eigenspace is left out where pairs of it may be missing.
-
-    Examples:
-        >>> whole_eigenspaces(np.array([5.0, 3.0, 3.0]), complete=False)
-        1
+    The last eigenspace is left out where pairs of it may be missing.
     """
     if complete or eigenvalues.size == 0:
         return int(eigenvalues.size)
@@ -75,18 +65,12 @@ def whole_eigenspaces(eigenvalues: FloatArray, complete: bool) -> int:
 
 
 def invariant(eigenvalues: FloatArray, eigenvectors: FloatArray, degrees: FloatArray) -> FloatArray:
-    """Spectral features that do not depend on the choice of eigenvectors, the order or the size.
+    """(d, F) spectral features that do not depend on the choice of eigenvectors.
 
-    Args:
-        eigenvalues: (k,) largest eigenvalues of the Laplacian, descending.
-        eigenvectors: (d, k) orthonormal columns.
-        degrees: (d,) weighted degree of each vertex.
-
-    Returns:
-        (d, F) columns named by ``INVARIANT_NAMES``: the degree, the degree over the mean one, the
-        energy of the vertex in the leading spaces, sqrt(d) times its amplitude in the first
-        space (so that a graph twice as large gives the same numbers), and
-        sum_k exp(-t (1 - lambda_k / lambda_1)) u_ik^2 for several t, times d / k.
+    Columns are named by ``INVARIANT_NAMES``. They are the degree, the degree over the mean one, and
+    the energy of the vertex in the leading spaces. The amplitude in the first space is multiplied
+    by sqrt(d), so that a graph twice as large gives the same numbers. The filters are sum_k exp(-t
+    (1 - lambda_k / lambda_1)) u_ik^2 for several t, times d / k.
     """
     d, k = eigenvectors.shape
     out = np.zeros((d, len(INVARIANT_NAMES)))
@@ -108,11 +92,7 @@ def invariant(eigenvalues: FloatArray, eigenvectors: FloatArray, degrees: FloatA
 
 
 class GraphSpectrum:
-    """The accumulated graph and its largest eigenpairs; each solution starts from the last one.
-
-    Args:
-        solver: a key of ``SOLVERS``.
-    """
+    """The accumulated graph and its largest eigenpairs; each solution starts from the last one."""
 
     def __init__(self, solver: str) -> None:
         self._solve: Callable[..., Spectrum] = SOLVERS[solver]
@@ -151,11 +131,7 @@ def spectral_means(sums: FloatArray) -> FloatArray:
 
 
 class EigenvectorObserver(Observer):
-    """The features of the paper: rows of the matrix of the largest eigenvectors, now.
-
-    Args:
-        solver: a key of ``SOLVERS``.
-    """
+    """The features of the paper: rows of the matrix of the largest eigenvectors, now."""
 
     feature_names = tuple(f"u_{k + 1}" for k in range(NUM_PAIRS))
 
@@ -177,15 +153,11 @@ class EigenvectorObserver(Observer):
         vectors = np.zeros((rows.size, NUM_PAIRS))  # stay zero where there are fewer pairs
         known = spectrum.eigenvectors[rows, :NUM_PAIRS]
         vectors[:, : known.shape[1]] = known
-        return dataclasses.replace(present, instant=vectors)
+        return present._replace(instant=vectors)
 
 
 class SpectrumObserver(Observer):
-    """Invariant spectral features of each driver, averaged over the time observed.
-
-    Args:
-        solver: a key of ``SOLVERS``.
-    """
+    """Invariant spectral features of each driver, averaged over the time observed."""
 
     feature_names = tuple(f"spectrum_{name}" for name in INVARIANT_NAMES)
 

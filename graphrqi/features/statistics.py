@@ -50,20 +50,8 @@ def spread(
 ) -> None:
     """Add a moment's duration to the nodes of every block whose condition holds.
 
-    Args:
-        values: (B, n) one row per block; NaN where unknown.
-        counts: (B, n) whether its condition holds.
-        blocks: the B blocks.
-        step_s: the duration, s.
-        rows: (n,) each agent's row in ``sums``.
-        sums: (m, S) durations of all agents on the blocks' nodes.
-
-    Examples:
-        >>> sums = np.zeros((1, 2))
-        >>> block = Block("gap", (0.0, 1.0))
-        >>> spread(np.array([[0.25]]), np.array([[True]]), (block,), 2.0, np.array([0]), sums)
-        >>> sums
-        array([[1.5, 0.5]])
+    Values and conditions are (B, n), one row per block. Agents' durations are in ``rows`` (n,) of
+    ``sums`` (m, S), on the blocks' nodes.
     """
     from graphrqi.features.kernels import spread_on_nodes
 
@@ -84,33 +72,17 @@ def _scale(blocks: tuple[Block, ...]) -> tuple[FloatArray, FloatArray, IntArray]
     return np.concatenate(scales), np.concatenate(limits), starts
 
 
-def describe(
-    sums: FloatArray, blocks: tuple[Block, ...], out: FloatArray | None = None
-) -> FloatArray:
-    """Turn sums of moments into features.
+def describe(sums: FloatArray, blocks: tuple[Block, ...]) -> FloatArray:
+    """(n, 7 B) features of durations (n, S) on the nodes of all blocks, s.
 
-    Args:
-        sums: (n, S) durations on the nodes of all blocks, s.
-        blocks: in the order of the columns.
-        out: (n, at least 7 B) receives the features if given.
-
-    Returns:
-        (n, 7 B) block by block the quantiles ``LEVELS`` and the mean of its distribution, and
-        log(1 + its total in tenths of a second). The weight of a node is spread evenly half-way to
-        its neighbours. Quantiles and mean of an unobserved block are ``UNKNOWN`` below its lowest
-        node.
-
-    Examples:
-        >>> b = Block("gap", (0.0, 1.0))
-        >>> describe(np.array([[3.0, 1.0], [0.0, 0.0]]), (b,)).round(2)
-        array([[ 0.03,  0.17,  0.33,  0.5 ,  0.9 ,  0.25,  3.71],
-               [-1.  , -1.  , -1.  , -1.  , -1.  , -1.  ,  0.  ]])
+    They are block by block the quantiles ``LEVELS`` and the mean of its distribution, and log(1 +
+    its total in tenths of a second). The weight of a node is spread evenly half-way to its
+    neighbours. Quantiles and mean of an unobserved block are ``UNKNOWN`` below its lowest node.
     """
     from graphrqi.features.kernels import summarise
 
     nodes, limits, starts = _scale(blocks)
-    if out is None:
-        out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
+    out = np.empty((len(sums), len(blocks) * (len(LEVELS) + 2)))
     summarise(
         np.ascontiguousarray(sums), nodes, limits, starts, np.array(LEVELS), LEAST_S, UNKNOWN,
         np.empty(nodes.size), out,

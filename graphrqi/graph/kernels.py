@@ -17,19 +17,11 @@ DIRECTION = np.array([math.cos(1.0), math.sin(1.0)])
 
 
 def nearest_neighbors(ids: IntArray, xy: FloatArray, k: int) -> Ints:
-    """The nearest others of every vehicle, by distance, then by id.
+    """(n, k) places of the nearest others of every vehicle, by distance, then by id.
 
-    Vehicles are sorted along one direction. The search goes both ways from each. It ends where the
-    distance along that direction alone exceeds that of the k-th found. The result is exact. The
-    search is slow only if most traffic is square to the direction.
-
-    Args:
-        ids: (n,) different ids.
-        xy: (n, 2) positions, m.
-        k: how many, at most n - 1.
-
-    Returns:
-        (n, k) positions of the neighbours in ``ids``, nearest first.
+    Vehicles are sorted along one direction. The search goes both ways from each, until the distance
+    along that direction alone exceeds that of the k-th found. The result is exact. The search is
+    slow only if most traffic is square to the direction.
     """
     found = np.empty((ids.size, k), np.int32)
     if k > 0:

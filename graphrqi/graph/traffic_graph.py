@@ -42,11 +42,7 @@ def find_nearest(ids: NDArray[np.int64], xy: NDArray[np.float64], k: int) -> NDA
 
 def _checked(ids: ArrayLike, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Ids (n,) and positions (n, 2); `InputError` for repeated ids, gaps or wrong shapes."""
-    new_ids = checked_ids(ids)
-    ordered = np.sort(new_ids)
-    twice = ordered[:-1][ordered[1:] == ordered[:-1]]
-    if twice.size:
-        raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
+    new_ids = _different(checked_ids(ids))
     try:
         positions = np.asarray(xy, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -63,6 +59,15 @@ def _checked(ids: ArrayLike, xy: ArrayLike) -> tuple[NDArray[np.int64], NDArray[
             f"expected finite metres below {MAX_COORDINATE_M:g}"
         )
     return new_ids, positions
+
+
+def _different(ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The same ids; `InputError` if one is there twice."""
+    ordered = np.sort(ids)
+    twice = ordered[:-1][ordered[1:] == ordered[:-1]]
+    if twice.size:
+        raise InputError(f"ids: found {twice[0]} twice, expected each vehicle once")
+    return ids
 
 
 def checked_ids(ids: ArrayLike, what: str = "ids") -> NDArray[np.int64]:
@@ -151,13 +156,8 @@ class TrafficGraph:
             InputError: for an id that is given twice, unknown or no whole number, an edge from
                 a vehicle to itself, or a wrong shape.
         """
-        row_ids = checked_ids(ids)
-        d = row_ids.size
+        row_ids = _different(checked_ids(ids))
         order = np.argsort(row_ids, kind="stable")
-        ordered = row_ids[order]
-        twice = np.flatnonzero(ordered[1:] == ordered[:-1])
-        if twice.size:
-            raise InputError(f"ids: found {ordered[twice[0]]} twice, expected each vehicle once")
         shape = np.shape(edges)
         if np.size(edges) and (len(shape) != 2 or shape[1] != 2):
             raise InputError(f"edges: found shape {shape}, expected (m, 2)")
@@ -170,9 +170,9 @@ class TrafficGraph:
             raise InputError(
                 f"edges: found {pairs[itself[0], 0]} joined to itself, expected two vehicles"
             )
-        rows = order[np.searchsorted(ordered, pairs)] if len(pairs) else pairs
+        rows = order[np.searchsorted(row_ids, pairs, sorter=order)] if len(pairs) else pairs
         line, column = np.concatenate([rows, rows[:, ::-1]]).T
-        return cls(row_ids, *_laplacian(line, column, d))
+        return cls(row_ids, *_laplacian(line, column, row_ids.size))
 
     @classmethod
     def empty(

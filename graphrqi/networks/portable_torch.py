@@ -54,13 +54,7 @@ def adamw(
 class Descent:
     """Steps of AdamW, whose rate rises and falls in one cycle (Smith 2018).
 
-    Args:
-        module: the network.
-        steps: number of steps.
-        learning_rate: its peak.
-        weight_decay: AdamW's.
-        rising: share of steps with a rising rate.
-        longest: largest gradient norm.
+    ``rising`` is the share of steps with a rising rate, ``longest`` the largest gradient norm.
     """
 
     def __init__(

@@ -6,9 +6,9 @@ Nothing in such a file is executed when it is read.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ MAX_BYTES: Final = 2**30
 """Largest file that is read (1 GiB; shipped ones have some megabytes)."""
 
 Arrays = Mapping[str, NDArray[Any]]
+T = TypeVar("T")
 
 
 def save_weights(path: Path, kind: str, about: Mapping[str, Any], arrays: Arrays) -> None:
@@ -77,7 +78,7 @@ def load_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArr
         version, found = about["schema_version"], about["kind"]
     except (SafetensorError, OSError, LookupError, TypeError, ValueError) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"{path}: found {reason}, expected weights of a {kind}") from None
+        raise InputError(f"{path}: found {reason}, expected weights of the kind {kind!r}") from None
     if found != kind:
         raise InputError(f"{path}: kind: found {found!r}, expected {kind!r}")
     if version != SCHEMA_VERSION:
@@ -88,3 +89,15 @@ def load_weights(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArr
         if array.dtype.kind == "f" and np.isnan(array).any():
             raise InputError(f"{path}: {name}: found gaps, expected numbers")
     return about, arrays
+
+
+def restored(path: Path, kind: str, read: Callable[[dict[str, Any], Arrays], T]) -> T:
+    """What ``read`` makes of a file's JSON values and arrays; its errors are those of the file."""
+    about, arrays = load_weights(path, kind)
+    try:
+        return read(about, arrays)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(f"{path}: found {reason}, expected weights of the kind {kind!r}") from None

@@ -17,10 +17,9 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
-from graphrqi.arrays import BoolArray, FloatArray
-from graphrqi.classify.contract import FLOOR, softmax
+from graphrqi.arrays import BoolArray, FloatArray, softmax
+from graphrqi.classify.contract import FLOOR
 
 OFFSET_SD: Final = 1.0
 """Prior standard deviation of the offsets, in logarithms of odds."""
@@ -44,19 +43,6 @@ class Adaptation:
 
     scale: float
     offset: FloatArray
-
-    def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            InputError: if the scale is not positive, or there is not one finite offset a behaviour.
-        """
-        offset = np.asarray(self.offset, dtype=np.float64)
-        if not (np.isfinite(self.scale) and self.scale > 0.0):
-            raise InputError(f"scale: found {self.scale}, expected a positive number")
-        if offset.shape != (len(BEHAVIORS),) or not np.isfinite(offset).all():
-            raise InputError(f"offset: found {offset.tolist()}, expected 6 finite numbers")
-        object.__setattr__(self, "offset", offset)
 
     def applied(self, probability: FloatArray) -> FloatArray:
         """(n, 6) probabilities at the site, from the model's (n, 6)."""

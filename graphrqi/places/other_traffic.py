@@ -23,9 +23,15 @@ from graphrqi.arrays import FloatArray, SingleArray
 from graphrqi.classify.contract import part_of, saved
 from graphrqi.features.drivers import LEFT_OVER, SCENE_NAMES, UNKNOWN_SCENE, DriverObserver
 from graphrqi.features.observer import Observation
-from graphrqi.features.smoothed_quantities import LEAST_LEFT_OVER_M
-from graphrqi.places.drivers import PlaceDrivers, beside_others, level_shown, log_odds_of, restyled
-from graphrqi.places.network import PlaceNetwork
+from graphrqi.features.quantities import LEAST_LEFT_OVER_M
+from graphrqi.places.network import (
+    PlaceDrivers,
+    PlaceNetwork,
+    beside_others,
+    level_shown,
+    log_odds_of,
+    restyled,
+)
 from graphrqi.posterior import AGGRESSIVE, aggressive_share
 
 Traffic = Literal["simulated", "recorded", "other"]
@@ -138,7 +144,7 @@ class OtherTraffic:
         time_s: float,
         place: KnownPlace,
     ) -> FloatArray:
-        """Probabilities of all drivers of one scene, each compared with the others.
+        """(n, 6) probabilities of all drivers of one scene, each compared with the others.
 
         Args:
             features: (n, F) of smoothed motion.
@@ -146,9 +152,6 @@ class OtherTraffic:
             seen: the drivers and their time observed.
             time_s: not decreasing.
             place: the site's drivers; these are added.
-
-        Returns:
-            (n, 6) probabilities.
         """
         if not len(features):
             return np.zeros((0, len(BEHAVIORS)))
@@ -161,7 +164,8 @@ class OtherTraffic:
             beside = self._beside_others(described, features, seen, time_s, place)
             style = (1.0 - compared) * aggressive_share(found) + compared * beside
             found = restyled(found, style, AGGRESSIVE)
-        watched = _ramp(float(np.expm1(scene[0, _IN_SCENE["seconds"]])), GLIMPSED_S, WATCHED_S)
+        watched_s = np.expm1(scene[0, _IN_SCENE["seconds"]])
+        watched = np.clip((watched_s - GLIMPSED_S) / (WATCHED_S - GLIMPSED_S), 0.0, 1.0)
         known = watched * (1.0 - self._novelty(scene[0], traffic))
         return np.asarray(known * found + (1.0 - known) / len(BEHAVIORS))
 
@@ -203,11 +207,7 @@ class OtherTraffic:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, NDArray[Any]]) -> OtherTraffic:
-        """The networks from their saved arrays.
-
-        Raises:
-            InputError: if the arrays are not those of `arrays`.
-        """
+        """The networks from their saved arrays; `InputError` if they are not those of `arrays`."""
         low, high = (saved(dict(arrays), name, (len(SCENE_NAMES),)) for name in ("low", "high"))
         if not (low <= high).all():
             raise InputError("low, high: found ends in the wrong order, expected low <= high")
@@ -242,12 +242,8 @@ def _share_following(scene: FloatArray) -> float:
     log_headway = float(scene[0, _IN_SCENE["mean headway"]])
     if log_headway == UNKNOWN_SCENE:
         return 1.0
-    return _ramp(log_headway, float(np.log(BESIDE_S)), float(np.log(BEHIND_S)))
-
-
-def _ramp(value: float, none: float, whole: float) -> float:
-    """0 up to one value, 1 from another one on, and a straight line in between."""
-    return min(max((value - none) / (whole - none), 0.0), 1.0)
+    beside, behind = np.log(BESIDE_S), np.log(BEHIND_S)
+    return float(np.clip((log_headway - beside) / (behind - beside), 0.0, 1.0))
 
 
 def _compared(features: FloatArray, names: Sequence[str]) -> FloatArray:

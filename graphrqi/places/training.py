@@ -19,10 +19,9 @@ from torch import Tensor, nn
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.arrays import CodeArray, FloatArray, IntArray
-from graphrqi.classify.standardisation import Standardisation
+from graphrqi.classify.contract import Standardisation
 from graphrqi.features.drivers import SCENE_NAMES
 from graphrqi.networks.portable_torch import Descent, one_thread, root
-from graphrqi.places.drivers import weights_of
 from graphrqi.places.network import (
     CLIP,
     LAYERS,
@@ -30,6 +29,7 @@ from graphrqi.places.network import (
     LOG_DRIVERS,
     Member,
     PlaceNetwork,
+    weights_of,
 )
 from graphrqi.places.other_traffic import OtherTraffic, scene_of
 from graphrqi.posterior import AGGRESSIVE
@@ -82,11 +82,7 @@ RANGE: Final = 0.002
 class Examples:
     """Sites at all moments that were sampled.
 
-    Args:
-        samples: of drivers that are each seen since they appeared; several moments of each.
-
-    Raises:
-        InputError: if no sample is labelled.
+    The samples are of drivers that are each seen since they appeared; several moments of each.
     """
 
     def __init__(self, samples: Samples) -> None:
@@ -119,11 +115,7 @@ class Examples:
         return place[0] + np.flatnonzero(known & ~older)
 
     def drawn(self, rng: np.random.Generator, at_once: int) -> Iterator[tuple[IntArray, IntArray]]:
-        """One moment of every site, several sites at a time.
-
-        Args:
-            rng: source of the order, the moments and the drivers that are left out.
-            at_once: number of sites.
+        """One moment of every site, several sites at a time, in random order.
 
         Yields:
             Rows (n,) of drivers, and the number of the site of each, from 0 on without gaps.
@@ -179,22 +171,11 @@ class _Network(nn.Module):
 
 
 def train_place_network(
-    training: Samples,
-    seed: int = 0,
-    options: NetworkOptions | None = None,
+    training: Samples, seed: int = 0, options: NetworkOptions | None = None
 ) -> PlaceNetwork:
-    """Train a network.
+    """Train a network on samples at several moments of each driver.
 
-    Args:
-        training: samples at several moments of each driver; unlabelled drivers are only context.
-        seed: of the randomness.
-        options: of the network; None for the defaults.
-
-    Returns:
-        The network.
-
-    Raises:
-        InputError: if no driver has a behaviour.
+    Unlabelled drivers are only context; `InputError` if none is labelled.
     """
     options = options or NetworkOptions()
     examples = Examples(training)

@@ -124,12 +124,14 @@ def predict(
         InputError: if the predictor is unknown or lacks its map, the horizon is too short, or the
             history is empty or not finite.
     """
+    from graphrqi.predict.prediction import STEP_S
     from graphrqi.predict.scene.scene import (
         LEARNED_S,
         Unmapped,
         check_history,
         check_horizon,
         make_scene,
+        present_agents,
         since_break,
     )
 
@@ -144,7 +146,9 @@ def predict(
 
         function = with_weights(weights)
     if road is None:
-        scene: Scene | Unmapped = Unmapped.of(since_break(history), horizon_s)
+        scene: Scene | Unmapped = Unmapped(
+            present_agents(since_break(history)), round(horizon_s / STEP_S)
+        )
     else:
         scene = make_scene(history, road, max(horizon_s, LEARNED_S))
     return function(scene, posterior).until(horizon_s)

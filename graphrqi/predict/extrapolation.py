@@ -6,31 +6,34 @@ import numpy as np
 
 from graphrqi.arrays import FloatArray
 from graphrqi.posterior import Posterior
-from graphrqi.predict.prediction import STEP_S, Prediction
+from graphrqi.predict.prediction import Prediction, coming_times
 from graphrqi.predict.recorded.motion import tracked
-from graphrqi.predict.scene.agent_states import present_acceleration
-from graphrqi.predict.scene.scene import Scene, Unmapped
+from graphrqi.predict.scene.scene import Scene, Unmapped, present_acceleration
 from sim.frames import PEDESTRIAN, Tracks
 
 
-def keep_velocity(history: Tracks, steps: int) -> Prediction:
+def constant_velocity(scene: Scene | Unmapped, posterior: Posterior | None = None) -> Prediction:
     """Every agent keeps its recorded speed and heading."""
-    return _straight_on(history, history.speed[:, -1][:, None] * _times(steps))
+    history = scene.history
+    return _straight_on(history, history.speed[:, -1][:, None] * coming_times(scene.steps))
 
 
-def keep_acceleration(history: Tracks, steps: int) -> Prediction:
+def constant_acceleration(
+    scene: Scene | Unmapped, posterior: Posterior | None = None
+) -> Prediction:
     """Everyone keeps heading and acceleration; vehicles that brake to a standstill stay there."""
-    speed, accel = history.speed[:, -1], present_acceleration(history)
-    return _straight_on(history, inertial_distance(speed[:, None], accel[:, None], _times(steps)))
+    history = scene.history
+    speed, accel = history.speed[:, -1, None], present_acceleration(history)[:, None]
+    return _straight_on(history, inertial_distance(speed, accel, coming_times(scene.steps)))
 
 
-def keep_filtered_motion(history: Tracks, steps: int) -> Prediction:
+def kalman(scene: Scene | Unmapped, posterior: Posterior | None = None) -> Prediction:
     """A Kalman filter of constant acceleration along each axis; no agent reverses."""
+    history, time_s = scene.history, coming_times(scene.steps)
     at, velocity, accel = tracked(history)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     facing = velocity / np.maximum(speed, 1e-6)[:, None]
     along = (accel * facing).sum(axis=1)
-    time_s = _times(steps)
     ahead = inertial_distance(speed[:, None], along[:, None], time_s[None])
     across = accel - along[:, None] * facing
     moving = np.minimum(1.0, ahead / np.maximum(speed[:, None] * time_s, 1e-6))
@@ -40,28 +43,8 @@ def keep_filtered_motion(history: Tracks, steps: int) -> Prediction:
     return _one(history, xy)
 
 
-def constant_velocity(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
-    """`keep_velocity` as a predictor."""
-    return keep_velocity(scene.history, scene.steps)
-
-
-def constant_acceleration(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
-    """`keep_acceleration` as a predictor."""
-    return keep_acceleration(scene.history, scene.steps)
-
-
-def kalman(scene: Scene | Unmapped, posterior: Posterior) -> Prediction:
-    """`keep_filtered_motion` as a predictor."""
-    return keep_filtered_motion(scene.history, scene.steps)
-
-
 def inertial_distance(speed: FloatArray, accel: FloatArray, time_s: FloatArray) -> FloatArray:
     """Distance at constant acceleration, m; vehicles that brake to a standstill stay there.
-
-    Args:
-        speed: m/s; all three broadcast.
-        accel: m/s2.
-        time_s: from now, s.
 
     Examples:
         >>> inertial_distance(np.array([4.0]), np.array([-2.0]), np.array([1.0, 5.0])).tolist()
@@ -79,12 +62,7 @@ def _straight_on(history: Tracks, ahead: FloatArray) -> Prediction:
     return _one(history, history.xy[:, -1][:, None] + ahead[..., None] * facing[:, None])
 
 
-def _times(steps: int) -> FloatArray:
-    """(H,) seconds from the present."""
-    return np.arange(1, steps + 1, dtype=np.float64) * STEP_S
-
-
 def _one(history: Tracks, xy: FloatArray) -> Prediction:
     """One future each."""
     one = np.ones((history.ids.size, 1))
-    return Prediction(history.ids, _times(xy.shape[1]), xy[:, None], one)
+    return Prediction(history.ids, coming_times(xy.shape[1]), xy[:, None], one)

@@ -106,13 +106,9 @@ _SET_SAMPLES: Final = 40
 def log_density(
     at: FloatArray, xy: FloatArray, spread: FloatArray, probability: FloatArray
 ) -> FloatArray:
-    """(n, Q) log density of a mixture of round normal distributions.
+    """(n, Q) log density at (n, Q, 2) of a mixture of round normal distributions.
 
-    Args:
-        at: (n, Q, 2) where, m.
-        xy: (n, K, 2) the futures' places at one time, m.
-        spread: (n, K) standard deviation of each coordinate, m.
-        probability: (n, K).
+    They lie around (n, K, 2), m, with standard deviations (n, K), m, and probabilities (n, K).
     """
     squared = ((at[:, :, None] - xy[:, None]) ** 2).sum(axis=-1)
     exponent = (
@@ -127,17 +123,12 @@ def log_density(
 def covered(
     xy: FloatArray, spread: FloatArray, probability: FloatArray, truth: FloatArray
 ) -> NDArray[np.bool_]:
-    """(n,) whether what happened lies in the predicted 90 % set at one time.
+    """(n,) whether what happened (n, 2) lies in the predicted 90 % set at one time.
 
     The set is where the predicted density is highest: the smallest that holds `COVERAGE` of it
-    (Hyndman 1996, "Computing and graphing highest density regions", Am. Stat. 50). Its threshold
-    is a quantile over points that fill each future's distribution evenly, on a golden spiral.
-
-    Args:
-        xy: (n, K, 2) the futures' places, m.
-        spread: (n, K) standard deviation of each coordinate, m.
-        probability: (n, K).
-        truth: (n, 2) m.
+    (Hyndman 1996, "Computing and graphing highest density regions", Am. Stat. 50). Its threshold is
+    a quantile over points that fill each future's distribution evenly, on a golden spiral. The
+    futures are as those of `log_density`.
     """
     if not len(xy):
         return np.zeros(0, dtype=bool)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.arrays import FloatArray
+from graphrqi.arrays import FloatArray, read_only
 
 STEP_S: Final = 0.1
 """Time between predicted positions, s: the simulators' usual step."""
+
+
+def coming_times(steps: int) -> FloatArray:
+    """(H,) seconds from the present of each predicted position."""
+    return np.arange(1, steps + 1, dtype=np.float64) * STEP_S
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -61,14 +66,11 @@ class Prediction:
                 raise InputError(
                     f"Prediction.spread: found shape {spread.shape}, expected {xy.shape[:3]}"
                 )
-            spread.flags.writeable = False
-            object.__setattr__(self, "spread", spread)
+            object.__setattr__(self, "spread", read_only(spread))
         for name, array in (
             ("ids", ids), ("time_s", time_s), ("xy", xy), ("probability", probability)
         ):  # fmt: skip
-            view = array.view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
+            object.__setattr__(self, name, read_only(array))
 
     @property
     def modes(self) -> int:
@@ -81,9 +83,7 @@ class Prediction:
         if keep.all():
             return self
         spread = None if self.spread is None else self.spread[:, :, keep]
-        return Prediction(
-            self.ids, self.time_s[keep], self.xy[:, :, keep], self.probability, spread
-        )
+        return replace(self, time_s=self.time_s[keep], xy=self.xy[:, :, keep], spread=spread)
 
     @property
     def best(self) -> FloatArray:
@@ -94,14 +94,10 @@ class Prediction:
 
     def __repr__(self) -> str:
         """How many agents, futures and times there are, and the horizon."""
-        horizon = f" up to {self.time_s[-1]:g} s" if self.time_s.size else ""
-        agents, futures = _counted(self.ids.size, "agent"), _counted(self.modes, "future")
-        return (
-            f"Prediction({agents}, {futures} each, "
-            f"{_counted(self.time_s.size, 'time')}{horizon}, "
-            f"{'without' if self.spread is None else 'with'} spread)"
-        )
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+        n, k, h = self.xy.shape[:3]
+        parts = [
+            f"{n} agent{'s' * (n != 1)}", f"{k} future{'s' * (k != 1)} each",
+            f"{h} time{'s' * (h != 1)}" + (f" up to {self.time_s[-1]:g} s" if h else ""),
+            f"{'without' if self.spread is None else 'with'} spread",
+        ]  # fmt: skip
+        return f"Prediction({', '.join(parts)})"

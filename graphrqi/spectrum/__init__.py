@@ -12,24 +12,23 @@ from typing import Final
 
 from behaviors.registry import Registry
 from graphrqi.spectrum.certified.certificate import certify
-from graphrqi.spectrum.contract import Solver
-from graphrqi.spectrum.spectrum import Spectrum
+from graphrqi.spectrum.contract import Solver, Spectrum
 
 SOLVERS: Final[Registry[Solver]] = Registry(
     "solver",
     "graphrqi.solvers",
     {
         "graphrqi": "graphrqi.spectrum.certified.solver:solve",
-        "graphrqi-paper": "graphrqi.spectrum.rivals.paper:solve",
-        "graphrqi-exact": "graphrqi.spectrum.rivals.exact:solve",
-        "eigh": "graphrqi.spectrum.eigh:solve",
-        "svd": "graphrqi.spectrum.rivals.svd:solve",
-        "truncated-svd": "graphrqi.spectrum.rivals.truncated_svd:solve",
-        "incremental-svd": "graphrqi.spectrum.rivals.incremental_svd:solve",
-        "restart-svd": "graphrqi.spectrum.rivals.restart_svd:solve",
-        "conjugate-gradient": "graphrqi.spectrum.rivals.conjugate_gradient:solve",
-        "arpack": "graphrqi.spectrum.arpack:solve",
-        "lobpcg": "graphrqi.spectrum.rivals.lobpcg:solve",
+        "graphrqi-paper": "graphrqi.spectrum.rivals:paper",
+        "graphrqi-exact": "graphrqi.spectrum.rivals:exact",
+        "eigh": "graphrqi.spectrum.libraries:eigh",
+        "svd": "graphrqi.spectrum.libraries:svd",
+        "truncated-svd": "graphrqi.spectrum.libraries:truncated_svd",
+        "incremental-svd": "graphrqi.spectrum.rivals:incremental_svd",
+        "restart-svd": "graphrqi.spectrum.rivals:restart_svd",
+        "conjugate-gradient": "graphrqi.spectrum.rivals:conjugate_gradient",
+        "arpack": "graphrqi.spectrum.libraries:arpack",
+        "lobpcg": "graphrqi.spectrum.libraries:lobpcg",
     },
 )
 """Every eigenvalue algorithm by name; the first is the default."""

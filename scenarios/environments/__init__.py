@@ -8,8 +8,7 @@ road and take highway-env's actions; the other drivers have the six behaviours' 
 ``gymnasium.make`` and ``reset``. Unknown keys and unusable values are refused by name. The keys
 ``net``, ``routes`` and ``scenario`` set any of them on another road.
 `scenarios.environments.parallel` makes environments for several agents (PettingZoo, extra
-``multi``). ``gymnasium.make_vec(id, num_envs=16)`` makes many worlds that one call steps
-(`scenarios.environments.vector`).
+``multi``). ``gymnasium.make_vec(id, num_envs=16)`` makes many worlds that one call steps.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from typing import Any, Final
 import gymnasium
 
 ENTRY_POINT: Final = "scenarios.environments.environment:TrafficEnv"
-VECTOR_ENTRY_POINT: Final = "scenarios.environments.vector:TrafficVectorEnv"
 
 _GRID: Final = Path(__file__).parents[1] / "networks" / "grid_3" / "road.net.xml"
 
@@ -74,11 +72,6 @@ ENVIRONMENTS: Final[dict[str, dict[str, Any]]] = {
 }
 """Arguments of `TrafficEnv` for each environment, by its id."""
 
-
-def register_environments() -> None:
-    """Register every environment that is not registered yet."""
-    for name, row in ENVIRONMENTS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                id=name, entry_point=ENTRY_POINT, vector_entry_point=VECTOR_ENTRY_POINT, kwargs=row
-            )
+for _name, _arguments in ENVIRONMENTS.items():
+    if _name not in gymnasium.registry:
+        gymnasium.register(id=_name, entry_point=ENTRY_POINT, kwargs=_arguments)

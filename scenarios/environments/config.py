@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -22,21 +21,6 @@ from behaviors.populations import read_population
 from behaviors.profiles import DEFAULT_SPREAD
 from sim.highway.ego import check_action
 from sim.invalid_fields import first_wrong_field
-
-
-def makes_one(classifier: Callable[..., Any]) -> bool:
-    """Whether a function makes a classifier when it is called, and takes no frame."""
-    try:
-        inspect.signature(classifier).bind()
-    except TypeError:
-        return False
-    return True
-
-
-def _check_classifier(classifier: object) -> object:
-    if classifier is not None and not callable(classifier):
-        raise InputError(f"classifier: found {classifier!r}, expected a callable")
-    return classifier
 
 
 def _behavior_tables(source: Any) -> dict[str, Any] | None:
@@ -116,7 +100,7 @@ class TrafficConfig(BaseModel):
     policy_frequency: int = Field(default=5, ge=1, le=1000)
     """Decisions per second; divides the simulation frequency."""
 
-    classifier: Annotated[Callable[..., Any] | None, PlainValidator(_check_classifier)] = None
+    classifier: Callable[..., Any] | None = None
     """For the observation "posterior": takes each `Frame` and returns beliefs with ``of(ids)``, as
     ``stream.update`` does. A function without arguments makes one for each episode, or an object
     with such a method ``update``: ``graphrqi.stream.load_stream``."""
@@ -166,14 +150,7 @@ class TrafficConfig(BaseModel):
 
 
 def read_config(given: Mapping[str, Any]) -> TrafficConfig:
-    """Check a configuration.
-
-    Args:
-        given: values by key; missing keys have the defaults of `TrafficConfig`.
-
-    Raises:
-        InputError: if a key is unknown or a value is not usable; the message names it.
-    """
+    """Check a configuration; missing keys have the defaults of `TrafficConfig`."""
     try:
         return TrafficConfig.model_validate(dict(given))
     except ValidationError as error:

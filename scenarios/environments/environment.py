@@ -7,10 +7,11 @@ them (`scenarios.environments.parallel`). The road and the route of an environme
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from gymnasium import spaces
@@ -20,7 +21,7 @@ from scipy.spatial import cKDTree
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from scenarios import get_scenario
-from scenarios.environments.config import TrafficConfig, makes_one, read_config
+from scenarios.environments.config import TrafficConfig, read_config
 from scenarios.environments.observation import (
     exchange_sides,
     observable_agents,
@@ -78,16 +79,11 @@ walking pace)."""
 LONGEST_ENTRY_WAIT_S: Final = 60.0
 """The ego vehicle waits this long for room; then the vehicles in its place are removed."""
 
+OF_TRAFFIC: Final = ("flow", "mix", "spread", "population", "behaviors")
+"""Keys of the configuration that are options of a scenario."""
+
 Stretches = tuple[tuple[str, str], ...]
 Outcome = tuple[Observation, float, bool, bool, dict[str, Any]]
-
-
-class Belief(Protocol):
-    """Result of a classifier: probabilities of the six behaviours by agent id."""
-
-    def of(self, ids: NDArray[np.int64]) -> FloatArray:
-        """(m, 6) probabilities of the given agents."""
-        ...
 
 
 @dataclass
@@ -226,56 +222,49 @@ class TrafficEnv(EgoEnv):
 
     def _scenario_of(self, checked: TrafficConfig) -> Scenario:
         """The scenario of a configuration; another one's own options hold unless they are given."""
-        reference = checked.net or checked.scenario or self._scenario_name
-        options: dict[str, Any] = {
-            "flow": checked.flow, "mix": checked.mix, "spread": checked.spread,
-            "population": checked.population, "behaviors": checked.behaviors,
-        }  # fmt: skip
+        reference, usual = checked.net or checked.scenario or self._scenario_name, TrafficConfig()
+        given = {name: getattr(checked, name) for name in OF_TRAFFIC}
         if reference != self._scenario_name:
-            usual = TrafficConfig()
-            options = {n: v for n, v in options.items() if v != getattr(usual, n)}
+            given = {name: one for name, one in given.items() if one != getattr(usual, name)}
         if checked.routes is not None:
-            options["routes"] = checked.routes
+            given["routes"] = checked.routes
         duration_s = checked.duration_s + checked.warmup_s + LONGEST_ENTRY_WAIT_S
-        return get_scenario(reference)(**options, duration_s=duration_s)
+        return get_scenario(reference)(**given, duration_s=duration_s)
 
-    def _own_route(self) -> Stretches:
-        """The stretches of the configured route, of the environment's own, or of the traffic's."""
-        config, edges = self.config, self.config["ego_route"]
-        if edges is None and config["net"] is None and config["scenario"] is None:
-            routes = self._routes
-            edges = routes[config["goal"] or "straight"] if isinstance(routes, Mapping) else routes
-        return self._drawn_route() if edges is None else self._stretches(edges)
-
-    def _drawn_route(self) -> Stretches:
-        """The stretches of one of the traffic's routes, drawn as often as vehicles take it."""
-        flows = [flow for flow in self.scenario.flows if not flow.walking]
-        rates = np.array([flow.per_hour for flow in flows])
-        weights = rates / rates.sum() if rates.sum() > 0 else None
-        return self._stretches(flows[int(self.np_random.choice(len(flows), p=weights))].route)
-
-    def _stretches(self, edges: Sequence[str]) -> Stretches:
+    def _route(self, edges: Sequence[str] | None) -> Stretches:
+        """The stretches over some edges, or of one of the traffic's routes, drawn by their flow."""
+        if edges is None:
+            flows = [flow for flow in self.scenario.flows if not flow.walking]
+            rates = np.array([flow.per_hour for flow in flows])
+            weights = rates / rates.sum() if rates.sum() > 0 else None
+            edges = flows[int(self.np_random.choice(len(flows), p=weights))].route
         return tuple(network_of(self.scenario.road).stretches(tuple(edges)))
 
     # Episodes --------------------------------------------------------------------------------
 
     def _reset(self) -> None:
-        seed = self.config["seed"]
+        config = self.config
+        seed = config["seed"]
         if seed is None:
             seed = int(self.np_random.integers(2**31))
         drawn = self.draw_agents(seed)
         self.agents = {agent.id: agent for agent in drawn}
-        self._belief: Belief | None = None
+        self._belief: Any = None
         self._classify = self._classifier()
-        self.dt = 1.0 / self.config["simulation_frequency"]
+        self.dt = 1.0 / config["simulation_frequency"]
         self.egos, self.coming, self.events = [], [], []
         self._seen, self._looked_s = FrameBuffer(round(SEEN_S / self.dt) + 1), -np.inf
         self.controlled_vehicles = []
         self.define_spaces()
-        ego = Ego(max(self.agents, default=-1) + 1, self._own_route())
+        edges = config["ego_route"]
+        if edges is None and config["net"] is None and config["scenario"] is None:
+            edges = self._routes
+            if isinstance(edges, Mapping):
+                edges = edges[config["goal"] or "straight"]
+        ego = Ego(max(self.agents, default=-1) + 1, self._route(edges))
         self.road = TrafficRoad(network_of(self.scenario.road))
         self.demand = Demand(self.road, drawn, seed)
-        for _ in range(round(self.config["warmup_s"] / self.dt)):
+        for _ in range(round(config["warmup_s"] / self.dt)):
             self.advance()
         for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
             lane, room, speed = self._roomiest(ego)
@@ -300,14 +289,18 @@ class TrafficEnv(EgoEnv):
         """All agents but the ego vehicles, in an episode whose traffic has this seed."""
         return sample_agents(self.scenario, seed)
 
-    def _classifier(self) -> Callable[[Frame], Belief] | None:
+    def _classifier(self) -> Callable[[Frame], Any] | None:
         """Classifier of the drivers of this episode; None if nothing is classified."""
+        made = self.config["classifier"]
         if self.config["observation"] != "posterior":
             return None
-        made = self.config["classifier"]
-        if makes_one(made):
+        try:
+            inspect.signature(made).bind()
+        except TypeError:  # it takes a frame
+            pass
+        else:
             made = made()
-        classify: Callable[[Frame], Belief] = getattr(made, "update", made)
+        classify: Callable[[Frame], Any] = getattr(made, "update", made)
         if not callable(classify):
             raise InputError(
                 f"classifier: found that it makes {made!r:.80}, "
@@ -341,20 +334,28 @@ class TrafficEnv(EgoEnv):
 
     def invite(self, count: int) -> None:
         """Let more ego vehicles come, each over ``ego_route`` or a route of the traffic's."""
+        begin = self.egos[0].id + 1
         edges = self.config["ego_route"]
-        for number in range(count):
-            route = self._drawn_route() if edges is None else self._stretches(edges)
-            self.coming.append(Ego(self.egos[0].id + 1 + number, route))
+        self.coming += [Ego(begin + number, self._route(edges)) for number in range(count)]
 
     def let_in(self, every_s: float) -> None:
-        """Let the next ego vehicles in that have room, this long after the last one, s."""
-        for ego in list(self.coming):
-            if self.time - self._came_s < every_s - 1e-9:
+        """Let the next ego vehicles in that have room, this long after the last one, s.
+
+        While none is on the road, the traffic drives on until one has room.
+        """
+        while True:
+            for ego in list(self.coming):
+                if self.time - self._came_s < every_s - 1e-9:
+                    break
+                lane, room, speed = self._roomiest(ego)
+                if room > ENTRY_ROOM_M:
+                    self.coming.remove(ego)
+                    self._enter(ego, lane, room, speed)
+            if self.egos or not self.coming:
                 return
-            lane, room, speed = self._roomiest(ego)
-            if room > ENTRY_ROOM_M:
-                self.coming.remove(ego)
-                self._enter(ego, lane, room, speed)
+            self.advance()
+            self.steps += 1
+            self.time += self.dt
 
     def remove(self, ego: Ego) -> None:
         """Take an ego vehicle off the road."""
@@ -372,12 +373,6 @@ class TrafficEnv(EgoEnv):
         self.events += events
         if self._classify is not None:
             self._belief = self._classify(road.frame(events))
-
-    def wait(self) -> None:
-        """Let the traffic drive for one simulation step without ego vehicles."""
-        self.advance()
-        self.steps += 1
-        self.time += self.dt
 
     def drive(self, actions: Mapping[int, Any]) -> None:
         """Drive on for one policy step.
@@ -422,8 +417,7 @@ class TrafficEnv(EgoEnv):
         if not self._begun:
             raise InputError("step: found no episode, expected reset before the first step")
         ego = self.egos[0]
-        by_keyboard = self.config["manual_control"]
-        self.drive({} if by_keyboard else {ego.id: self.checked(action)})
+        self.drive({} if self.config["manual_control"] else {ego.id: self.checked(action)})
         if self.render_mode == "human":
             self.render()
         return self.outcome(ego)
@@ -438,7 +432,7 @@ class TrafficEnv(EgoEnv):
         if isinstance(space, spaces.Discrete):
             if numbers.size != 1 or not np.isin(numbers, np.arange(space.n)).all():
                 raise InputError(f"action: found {action!r:.60}, expected 0 to {space.n - 1}")
-            return int(numbers.reshape(())[()])
+            return int(numbers.item())
         usable = numbers.dtype.kind in "biuf" and numbers.size == np.prod(space.shape or ())
         if not usable or not np.isfinite(numbers).all():
             raise InputError(
@@ -486,14 +480,10 @@ class TrafficEnv(EgoEnv):
 
     def outcome(self, ego: Ego) -> Outcome:
         """Outcome of the last step for an ego vehicle, as `step` returns it."""
-        return (self.observe(ego), *self.judged(ego))
-
-    def judged(self, ego: Ego) -> tuple[float, bool, bool, dict[str, Any]]:
-        """The same without the observation."""
         reward = sum(REWARDS[name] * value for name, value in ego.rewards.items())
         ended = ego.vehicle.crashed or ego.rewards["off_road"] > 0 or ego.has_arrived
         cut = self.time - ego.entered_s >= self.config["duration_s"] - 1e-9
-        return float(reward), bool(ended), bool(cut), self.info(ego)
+        return self.observe(ego), float(reward), bool(ended), bool(cut), self.info(ego)
 
     def info(self, ego: Ego) -> dict[str, Any]:
         """The figures of an ego vehicle's last step."""
@@ -547,13 +537,13 @@ class TrafficEnv(EgoEnv):
                 drawn = self.agents.get(other.agent)  # another ego vehicle is not drawn
                 if drawn is not None and drawn.behavior is not None:
                     found[row, drawn.behavior.base.code] = 1.0
-            return found
-        if option != "posterior":
+        elif option == "posterior":
+            driving = [row for row, one in enumerate(others) if isinstance(one, ProfileVehicle)]
+            if self._belief is None:
+                found[driving] = 1.0 / len(BEHAVIORS)
+            elif others:
+                ids = np.array([one.agent for one in others], dtype=np.int64)
+                found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
+        else:
             return None
-        driving = [row for row, other in enumerate(others) if isinstance(other, ProfileVehicle)]
-        if self._belief is None:
-            found[driving] = 1.0 / len(BEHAVIORS)
-        elif others:
-            ids = np.array([one.agent for one in others], dtype=np.int64)
-            found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
         return found

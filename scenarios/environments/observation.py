@@ -44,12 +44,7 @@ NEIGHBOURS: Final = 4
 
 
 def observation_space(option: str, observed: int) -> spaces.Dict:
-    """The space of an observation option.
-
-    Args:
-        option: ``observation`` of `TrafficConfig`.
-        observed: how many other agents are observed at most.
-    """
+    """The space of a `TrafficConfig.observation` of so many other agents."""
     more = len(BEHAVIORS) if option in ("behavior", "posterior") else 0
     parts: dict[str, spaces.Space[Any]] = {
         "ego": spaces.Box(-1.0, 1.0, (len(EGO_FEATURES),), np.float32),
@@ -80,23 +75,20 @@ def observe_ego(road: TrafficRoad, ego: Any, distance_left_m: float) -> NDArray[
     lanes = len(road.network.graph[lane[0]][lane[1]])
     sides = (0, 0) if lane in network.exit_of else (lane[2], lanes - 1 - lane[2])
     line, lit, crossing, used = _ahead(road, ego, s + ego.LENGTH / 2)
-    return _unit(
-        np.array(
-            [
-                ego.speed / SPEED_MPS,
-                -lateral / float(ego.lane.width_at(s)),
-                facing / math.pi,
-                float(ego.lane.speed_limit) / SPEED_MPS,
-                sides[0] / 4.0,
-                sides[1] / 4.0,
-                min(max(line, 0.0), RANGE_M) / RANGE_M,
-                *lit,
-                crossing / RANGE_M,
-                used,
-                distance_left_m / ROUTE_M,
-            ]
-        )
+    values = (
+        ego.speed / SPEED_MPS,
+        -lateral / float(ego.lane.width_at(s)),
+        facing / math.pi,
+        float(ego.lane.speed_limit) / SPEED_MPS,
+        sides[0] / 4.0,
+        sides[1] / 4.0,
+        min(max(line, 0.0), RANGE_M) / RANGE_M,
+        *lit,
+        crossing / RANGE_M,
+        used,
+        distance_left_m / ROUTE_M,
     )
+    return _unit(np.array(values))
 
 
 def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray, float, float]:
@@ -125,16 +117,9 @@ def _ahead(road: TrafficRoad, ego: Any, front: float) -> tuple[float, FloatArray
 def observe_agents(
     ego: Any, others: list[Any], behaviors: FloatArray | None, observed: int
 ) -> NDArray[np.float32]:
-    """The observation ``agents``.
+    """(observed, 10 or 16) the observation ``agents``: a row for each of the others, then zeros.
 
-    Args:
-        ego: the ego vehicle.
-        others: observed agents, at most ``observed``.
-        behaviors: (n, 6) probabilities of the behaviours, or None for no such columns.
-        observed: how many rows there are.
-
-    Returns:
-        (observed, 10) or (observed, 16) a row for each of the others, then rows of zeros.
+    ``behaviors`` are (n, 6) probabilities of the behaviours, or None for no such columns.
     """
     rows = np.zeros((observed, len(AGENT_FEATURES) + (0 if behaviors is None else len(BEHAVIORS))))
     if others:

@@ -69,16 +69,11 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"render_mode: found {render_mode!r}, expected None or rgb_array")
         self.render_mode = render_mode
-        self.traffic = TrafficEnv(dict(config or {}), render_mode, **row)
+        self.traffic = TrafficEnv(config, render_mode, **row)
         self._every_s = every_s
         self.possible_agents = [f"ego_{i}" for i in range(egos)]
         self.agents: list[str] = []
         self._names: dict[int, str] = {}
-
-    @property
-    def unwrapped(self) -> ParallelTrafficEnv:
-        """This environment."""
-        return self
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Observation space of an agent; the same for all."""
@@ -110,11 +105,7 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         self.agents = self.possible_agents[:1]
         return {self.agents[0]: observation}, {self.agents[0]: info}
 
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[
-        dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Any]
-    ]:  # fmt: skip
+    def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
         """Drive on for one policy step.
 
         Args:
@@ -128,31 +119,23 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
             InputError: if an action is invalid, or of an absent agent; no vehicle has moved.
         """
         traffic, there = self.traffic, {self._names[ego.id]: ego for ego in self.traffic.egos}
-        chosen = {
-            lookup(there, name, "agent").id: traffic.checked(action)
-            for name, action in actions.items()
-        }
-        traffic.drive(chosen)
+        traffic.drive(
+            {
+                lookup(there, name, "agent").id: traffic.checked(action)
+                for name, action in actions.items()
+            }
+        )
         outcomes = {name: traffic.outcome(ego) for name, ego in there.items()}
         for name, (_, _, ended, cut, _) in outcomes.items():
             if ended or cut:
                 traffic.remove(there[name])
         traffic.let_in(self._every_s)
-        while traffic.coming and not traffic.egos:
-            traffic.wait()
-            traffic.let_in(self._every_s)
         for ego in traffic.egos:
             if self._names[ego.id] not in outcomes:
                 arrival = traffic.observe(ego), 0.0, False, False, traffic.info(ego)
                 outcomes[self._names[ego.id]] = arrival
         self.agents = [self._names[ego.id] for ego in traffic.egos]
-        return (
-            {name: outcome[0] for name, outcome in outcomes.items()},
-            {name: outcome[1] for name, outcome in outcomes.items()},
-            {name: outcome[2] for name, outcome in outcomes.items()},
-            {name: outcome[3] for name, outcome in outcomes.items()},
-            {name: outcome[4] for name, outcome in outcomes.items()},
-        )
+        return tuple({name: outcome[i] for name, outcome in outcomes.items()} for i in range(5))
 
     def render(self) -> Any:
         """An image of the scene round the first agent."""

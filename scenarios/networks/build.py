@@ -1,15 +1,15 @@
 """Builds SUMO nets with netconvert and netgenerate (``pip install graphrqi[networks]``).
 
-Run ``python -m scenarios.networks.build`` to rebuild every shipped net from its sources.
+``build(SHIPPED[name], FOLDER / name)`` makes a shipped net again from its sources.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Final
 
@@ -17,11 +17,11 @@ from behaviors.errors import InputError
 from scenarios.networks.geometries import (
     CONTROLS,
     TWO_WAY_LENGTH_M,
-    FourWayGeometry,
-    Geometry,
-    MotorwayGeometry,
-    RoundaboutGeometry,
-    StraightGeometry,
+    Sources,
+    four_way_sources,
+    motorway_sources,
+    roundabout_sources,
+    straight_sources,
 )
 from sim.files import temporary_folder, user_cache, write_whole
 
@@ -36,6 +36,9 @@ SHIPPED_BLOCKS: Final = 3
 MOST_BLOCKS: Final = 100
 """Largest grid: some 280,000 lanes (netgenerate takes ten seconds for it)."""
 
+LONGEST_S: Final = 600.0
+"""A program may take this long, s (netconvert takes seconds for a district)."""
+
 GRID_OPTIONS: Final = (
     "--grid.length", "150", "--grid.attach-length", "150", "--default.lanenumber", "2",
     "--default-junction-type", "traffic_light", "--tls.default-type", "static",
@@ -47,55 +50,42 @@ signals (common sizes of blocks in towns)."""
 LIMITS_MPS: Final = (8.33, 11.11, 16.67, 19.44)
 """Other speed limits, km/h, whose nets are shipped for the two main roads."""
 
-SHIPPED: Final[dict[str, Geometry]] = {
-    "straight_road": StraightGeometry(),
+SHIPPED: Final[dict[str, Sources]] = {
+    "straight_road": straight_sources(),
     **{
-        f"one_way_{lanes}{'' if crossing else '_plain'}": StraightGeometry(
-            lanes=lanes, crossing=crossing
-        )
+        f"one_way_{lanes}{'' if crossing else '_plain'}": straight_sources(lanes, crossing=crossing)
         for lanes in (2, 3, 4, 5)
         for crossing in (True, False)
         if (lanes, crossing) != (3, True)
     },
     **{
-        f"two_way_{lanes}{'' if crossing else '_plain'}": StraightGeometry(
-            lanes=lanes, two_way=True, crossing=crossing, length_m=TWO_WAY_LENGTH_M
+        f"two_way_{lanes}{'' if crossing else '_plain'}": straight_sources(
+            lanes, two_way=True, crossing=crossing, length_m=TWO_WAY_LENGTH_M
         )
         for lanes in (1, 2)
         for crossing in (True, False)
     },
-    "four_way_intersection": FourWayGeometry(),
-    **{
-        f"four_way_{control}": FourWayGeometry(control=control, lanes=1)
-        for control in CONTROLS
-        if control != "traffic_light"
-    },
-    "four_way_1": FourWayGeometry(lanes=1),
-    "four_way_3": FourWayGeometry(lanes=3),
-    "four_way_priority_2": FourWayGeometry(control="priority", lanes=2),
-    "four_way_right_before_left_2": FourWayGeometry(control="right_before_left", lanes=2),
-    "motorway": MotorwayGeometry(),
-    "motorway_ramps": MotorwayGeometry(ramps=True),
-    "roundabout": RoundaboutGeometry(),
-    **{f"straight_road_{limit:g}_mps": StraightGeometry(limit_mps=limit) for limit in LIMITS_MPS},
-    **{f"four_way_{limit:g}_mps": FourWayGeometry(limit_mps=limit) for limit in LIMITS_MPS},
+    "four_way_intersection": four_way_sources(),
+    **{f"four_way_{control}": four_way_sources(control, 1) for control in CONTROLS[1:]},
+    "four_way_1": four_way_sources(lanes=1),
+    "four_way_3": four_way_sources(lanes=3),
+    "four_way_priority_2": four_way_sources("priority", 2),
+    "four_way_right_before_left_2": four_way_sources("right_before_left", 2),
+    "motorway": motorway_sources(),
+    "motorway_ramps": motorway_sources(ramps=True),
+    "roundabout": roundabout_sources(),
+    **{f"straight_road_{limit:g}_mps": straight_sources(limit_mps=limit) for limit in LIMITS_MPS},
+    **{f"four_way_{limit:g}_mps": four_way_sources(limit_mps=limit) for limit in LIMITS_MPS},
 }
-"""The geometries whose nets are shipped, by folder name."""
+"""The sources of the nets that are shipped, by folder name."""
 
 
 def find_program(name: str) -> str:
-    """A program of the ``networks`` extra, such as netconvert, else the one on the path.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """A program of the ``networks`` extra, such as netconvert, else the one on the path."""
     spec = importlib.util.find_spec("sumo")
-    if spec is not None and spec.submodule_search_locations:
-        for file in (name, f"{name}.exe"):
-            program = Path(next(iter(spec.submodule_search_locations))) / "bin" / file
-            if program.is_file():
-                return str(program)
-    found = shutil.which(name)
+    packages = (spec.submodule_search_locations if spec else None) or []
+    folders = [*(str(Path(one) / "bin") for one in packages), os.environ.get("PATH", "")]
+    found = shutil.which(name, path=os.pathsep.join(folders))
     if found is None:
         raise InputError(f"{name}: not found, expected on the path: pip install graphrqi[networks]")
     return found
@@ -115,59 +105,29 @@ def cache_folder() -> Path:
     return user_cache() / "networks"
 
 
-def net_of(geometry: Geometry) -> Path:
-    """The net of a geometry: a shipped one, or one built now and kept for the next time.
-
-    Args:
-        geometry: what the road looks like.
-
-    Returns:
-        The path of its net.
-
-    Raises:
-        InputError: if it is not shipped and netconvert is missing.
-        OSError: if the built net cannot be kept.
-    """
+def net_of(sources: Sources) -> Path:
+    """The net of a road's sources: a shipped one, or one built now and kept for the next time."""
     for name, shipped in SHIPPED.items():
-        if shipped == geometry:
+        if shipped == sources:
             return FOLDER / name / NET
-    text = "".join(geometry.sources().values())
-    folder = cache_folder() / hashlib.sha256(text.encode()).hexdigest()[:16]
-    return folder / NET if (folder / NET).is_file() else build(geometry, folder)
+    digest = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:16]
+    folder = cache_folder() / digest
+    return folder / NET if (folder / NET).is_file() else build(sources, folder)
 
 
-def build(geometry: Geometry, folder: Path) -> Path:
-    """Write the sources of a geometry into a folder, made if absent, and the net beside them.
-
-    Returns:
-        The net's path. The file appears whole or not at all.
-
-    Raises:
-        InputError: if netconvert is missing or refuses the sources.
-    """
-    program, net = find_program("netconvert"), folder / NET
+def build(sources: Sources, folder: Path) -> Path:
+    """Write the sources of a road into a folder, made if absent, and the net beside them."""
+    program = find_program("netconvert")
     folder.mkdir(parents=True, exist_ok=True)
-    sources = geometry.sources()
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
     settings = next(name for name in sources if name.endswith(".netccfg"))
-    run_program([program, "--configuration-file", settings], folder, net)
-    return net
+    run_program([program, "--configuration-file", settings], folder, folder / NET)
+    return folder / NET
 
 
 def grid_net(blocks: int) -> Path:
-    """The net of a grid of city blocks with signals at every junction, shipped or built now.
-
-    Args:
-        blocks: junctions along each side.
-
-    Raises:
-        InputError: if the number is out of range, or netgenerate is needed and missing.
-
-    Examples:
-        >>> grid_net(3).parent.name
-        'grid_3'
-    """
+    """The net of a grid with so many junctions along each side, shipped or built now."""
     if not 2 <= blocks <= MOST_BLOCKS:
         raise InputError(f"blocks: found {blocks}, expected 2 to {MOST_BLOCKS}")
     folder = (FOLDER if blocks == SHIPPED_BLOCKS else cache_folder()) / f"grid_{blocks}"
@@ -178,28 +138,11 @@ def grid_net(blocks: int) -> Path:
     return folder / NET
 
 
-def run_program(
-    command: list[str],
-    folder: Path,
-    net: Path,
-    *,
-    what: str | None = None,
-    within_s: float | None = None,
-) -> list[str]:
-    """Run netconvert or netgenerate in a folder; the net appears whole or not at all.
+def run_program(command: list[str], folder: Path, net: Path, what: str = "") -> list[str]:
+    """Run netconvert or netgenerate in a folder, and return its warnings.
 
-    Args:
-        command: the program and its options, without the output file.
-        folder: where it runs.
-        net: the net that it is to make.
-        what: what messages call the sources; None for the folder's name.
-        within_s: it is stopped after this time, s; None for never.
-
-    Returns:
-        Warnings of the program.
-
-    Raises:
-        InputError: if the program refuses, or takes too long.
+    The net appears whole or not at all, without the comment on when, where and by what it was made.
+    Messages call the sources ``what``, or by the name of the folder.
     """
     what, name = what or folder.name, Path(command[0]).stem
     with temporary_folder("net") as scratch:
@@ -208,44 +151,17 @@ def run_program(
             done = subprocess.run(
                 [*command, "--output-file", str(made)],
                 cwd=folder, capture_output=True, text=True, errors="replace", check=False,
-                timeout=within_s,
+                timeout=LONGEST_S,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise InputError(f"{what}: {name} took more than {within_s:g} s") from None
+            raise InputError(f"{what}: {name} took more than {LONGEST_S:g} s") from None
+        lines = [" ".join(line.split()) for line in done.stderr.splitlines() if line.strip()]
         if done.returncode != 0 or not made.is_file():
-            raise InputError(f"{what}: {name} refused the sources: {_reason(done.stderr)}")
-        text = _without_header(made.read_text(encoding="utf-8"))
+            errors = [line for line in lines if line.startswith("Error")]
+            reason = (errors or lines or ["no reason given"])[0][:300]
+            raise InputError(f"{what}: {name} refused the sources: {reason}")
+        begin, comment, rest = made.read_text(encoding="utf-8").partition("<!--")
+        text = begin + (rest.partition("-->")[2].lstrip() if comment else "")
         write_whole(net, text.encode("utf-8"))
     warnings = [line for line in done.stderr.splitlines() if line.startswith("Warning: ")]
     return [line[len("Warning: ") :] for line in warnings if "SUMO_HOME" not in line]
-
-
-def _reason(stderr: str) -> str:
-    """The first error that a program printed, in one line."""
-    lines = [line.strip() for line in stderr.splitlines() if line.strip()]
-    errors = [line for line in lines if line.startswith("Error")]
-    return " ".join((errors or lines or ["no reason given"])[0].split())[:300]
-
-
-def _without_header(text: str) -> str:
-    """A net without the comment that records when, where and by what it was built."""
-    begin, end = text.find("<!--"), text.find("-->")
-    if begin < 0 or end < 0:
-        return text
-    return text[:begin] + text[end + len("-->") :].lstrip()
-
-
-def main() -> int:
-    """Rebuild every shipped net; 2 if that cannot be done."""
-    try:
-        for name, geometry in SHIPPED.items():
-            build(geometry, FOLDER / name)
-            sys.stdout.write(f"built {name}\n")
-    except InputError as error:
-        sys.stderr.write(f"scenarios.networks.build: error: {error}\n")
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -13,11 +13,14 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
 from scenarios.networks.build import NET, cache_folder, find_program, has_program, run_program
+from scenarios.networks.lanes import plain_files
 from sim.files import temporary_folder, write_whole
 from sim.input_files import read_bytes
 from sim.road import Road
@@ -28,9 +31,6 @@ from sim.xml_tree import read_tree, refuse_declarations
 
 MAX_MAP_BYTES: Final = 2**28
 """Largest map, unpacked (256 MiB, as of nets)."""
-
-LONGEST_S: Final = 600.0
-"""netconvert may take this long for a map, s (a district takes seconds)."""
 
 KINDS: Final[dict[str, str]] = {
     "sumo": "SUMO net",
@@ -81,9 +81,6 @@ _PLAIN_FILES: Final = (
 )  # fmt: skip
 """netconvert's options for the files of `scenarios.networks.lanes`."""
 
-WARNINGS: Final = "warnings.txt"
-"""The file beside a net that holds what netconvert warned of, line by line."""
-
 _ROOT: Final = re.compile(
     rb"\A(?:\xef\xbb\xbf)?\s*(?:(?:<\?.*?\?>|<!--.*?-->)\s*)*<([A-Za-z_][\w.:-]*)", re.DOTALL
 )
@@ -95,44 +92,105 @@ LEAST_LIMIT_MPS: Final = 1.0
 _WITHOUT_LIGHTS: Final = {"O": "M", "o": "m"}
 """A link's state without its light, by its state with one that is off."""
 
-_UNUSABLE: Final = re.compile(r"[^\w.-]+")
 
+@dataclass(frozen=True)
+class MapFile:
+    """A map of any kind, as netconvert takes it.
 
-def kind_of(path: Path, content: bytes | None = None) -> str:
-    """Kind of a map, by its file's name and content: a key of ``KINDS``.
-
-    Args:
+    Attributes:
         path: the file.
-        content: what it holds, unpacked; None if it is still to be read.
+        kind: a key of ``KINDS``.
+        source: its content, prepared for netconvert.
+    """
+
+    path: Path
+    kind: str
+    source: Source
+
+    @cached_property
+    def net(self) -> Path:
+        """The SUMO net of the map: the file itself if it is one, else one made now or before.
+
+        A SUMO net without paths over its junctions gets them if netconvert is there; without paths,
+        vehicles would jump over the junctions.
+
+        Raises:
+            InputError: if the map is broken, netconvert refuses it, or is needed and missing.
+        """
+        if self.kind == "sumo" and (
+            b'function="internal"' in self.source.content
+            or not _jumps(read_road(self.path))
+            or not has_program("netconvert")
+        ):
+            return self.path
+        return self._made
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is assumed, and netconvert's warnings; of a net, when it is made anew."""
+        if not has_program("netconvert"):
+            return self.source.assumed
+        file = self._made.with_name("warnings.txt")
+        warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
+        return (*self.source.assumed, *warned)
+
+    @cached_property
+    def _made(self) -> Path:
+        """The net that netconvert makes of the map, kept for the next time with its warnings."""
+        kind, content = self.kind, self.source.content
+        by_lanes = kind not in OPTIONS
+        inputs = _PLAIN_FILES if by_lanes else _READ_BY_NETCONVERT[kind]
+        options = OPTIONS["lanes" if by_lanes else kind]
+        if self.source.left_hand or (by_lanes and read_road_file(self.path).left_hand):
+            options = (*options, "--lefthand", "true")
+
+        def make(net: Path) -> None:
+            command = [find_program("netconvert"), *inputs, *options]
+            with temporary_folder("map") as scratch:
+                if by_lanes:
+                    for name, text in plain_files(read_road_file(self.path)).items():
+                        (scratch / name).write_text(text, encoding="utf-8")
+                else:
+                    (scratch / inputs[1]).write_bytes(content)
+                warned = run_program(command, scratch, net, str(self.path))
+            write_whole(net.with_name("warnings.txt"), "\n".join(warned).encode("utf-8"))
+
+        return _kept_net([kind, "oncoming lanes apart", *options], content, make)
+
+
+def open_map(path: Path, left_hand: bool | None = None) -> MapFile:
+    """A map of any kind; ``left_hand`` says the side of traffic of OpenStreetMap, None as it says.
 
     Raises:
-        InputError: if the file is missing, too large, declares a document type, or is not a map.
+        InputError: if the file is broken or no map.
     """
-    content = _content(path) if content is None else content
+    if path.is_dir():
+        raise InputError(f"{path}: found a folder, expected a map file")
+    content = read_bytes(path, MAX_MAP_BYTES)
+    refuse_declarations(path, content)
+    kind = _kind(path, content)
+    if left_hand is not None and kind != "openstreetmap":
+        raise InputError(
+            f"{path}: left_hand: found {KINDS[kind]}, expected OpenStreetMap: other maps say it"
+        )
+    return MapFile(path, kind, prepared(path, kind, content, left_hand))
+
+
+def _kind(path: Path, content: bytes) -> str:
+    """Kind of a map, by its file's name and content: a key of ``KINDS``."""
     name = path.name.lower().removesuffix(".gz")
-    if name.endswith(".road.json"):
-        return "stored"
     if name.endswith(".json"):
-        return "argoverse2"
+        return "stored" if name.endswith(".road.json") else "argoverse2"
     root = _ROOT.match(content)
     found = root.group(1) if root else b""
     if found == b"osm":
         relation = re.search(rb"""k\s*=\s*["']type["']\s+v\s*=\s*["']lanelet["']""", content)
         return "lanelet2" if relation else "openstreetmap"
     roots = {b"net": "sumo", b"OpenDRIVE": "opendrive", b"commonRoad": "commonroad"}
-    if found in roots:
-        return roots[found]
-    shown = f"<{found.decode()[:40]}>" if found else "no XML"
-    raise InputError(f"{path}: found {shown}, expected a map: {', '.join(KINDS.values())}")
-
-
-def _content(path: Path) -> bytes:
-    """A map's bytes, unpacked; refused if they declare a document type."""
-    if path.is_dir():
-        raise InputError(f"{path}: found a folder, expected a map file")
-    data = read_bytes(path, MAX_MAP_BYTES)
-    refuse_declarations(path, data)
-    return data
+    if found not in roots:
+        shown = f"<{found.decode()[:40]}>" if found else "no XML"
+        raise InputError(f"{path}: found {shown}, expected a map: {', '.join(KINDS.values())}")
+    return roots[found]
 
 
 def name_of(path: Path) -> str:
@@ -142,94 +200,7 @@ def name_of(path: Path) -> str:
         >>> name_of(Path("maps/old town.net.xml"))
         'old_town'
     """
-    return _UNUSABLE.sub("_", path.name.split(".")[0])[:60].strip("_") or "road"
-
-
-def source_of(path: Path, left_hand: bool | None = None) -> tuple[str, Source]:
-    """Kind of a map, and its content as netconvert takes it.
-
-    Args:
-        path: a map.
-        left_hand: whether traffic drives on the left; None for what the map says.
-
-    Raises:
-        InputError: if the file is broken or no map.
-    """
-    content = _content(path)
-    kind = kind_of(path, content)
-    if left_hand is not None and kind != "openstreetmap":
-        raise InputError(
-            f"{path}: left_hand: found {KINDS[kind]}, expected OpenStreetMap: other maps say it"
-        )
-    return kind, prepared(path, kind, content, left_hand)
-
-
-def drivable_net(path: Path, left_hand: bool | None = None) -> Path:
-    """The SUMO net of a map: the file itself if it is one, else one made now or before.
-
-    A SUMO net without paths over its junctions gets them if netconvert is there; without paths,
-    vehicles would jump over the junctions.
-
-    Args:
-        path: a map.
-        left_hand: whether traffic drives on the left, of OpenStreetMap; None for what it says.
-
-    Returns:
-        The path of a SUMO net.
-
-    Raises:
-        InputError: if the map is broken, netconvert refuses it, or is needed and missing.
-    """
-    kind, source = source_of(path, left_hand)
-    if kind == "sumo" and (
-        b'function="internal"' in source.content
-        or not _jumps(read_road(path))
-        or not has_program("netconvert")
-    ):
-        return path
-    return _made_net(path, source, kind)
-
-
-def warnings_of(path: Path, left_hand: bool | None = None) -> tuple[str, ...]:
-    """Warnings of netconvert when it makes a net of a map; none if netconvert is missing.
-
-    Args:
-        path: a map.
-        left_hand: as in `drivable_net`.
-
-    Raises:
-        InputError: if the map is broken or netconvert refuses it.
-    """
-    kind, source = source_of(path, left_hand)
-    if not has_program("netconvert"):
-        return source.assumed
-    file = _made_net(path, source, kind).with_name(WARNINGS)
-    warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
-    return (*source.assumed, *warned)
-
-
-def _made_net(path: Path, source: Source, kind: str) -> Path:
-    """The net that netconvert makes of a map, kept for the next time."""
-    inputs = _READ_BY_NETCONVERT.get(kind, _PLAIN_FILES)
-    options = OPTIONS[kind if kind in OPTIONS else "lanes"]
-    left_hand = source.left_hand or (kind not in OPTIONS and read_road_file(path).left_hand)
-    options = (*options, "--lefthand", "true") if left_hand else options
-
-    def make(net: Path) -> None:
-        files = {inputs[1]: source.content}
-        if kind not in OPTIONS:
-            from scenarios.networks.lanes import plain_files
-
-            plain = plain_files(read_road_file(path))
-            files = {name: text.encode("utf-8") for name, text in plain.items()}
-        command = [find_program("netconvert"), *inputs, *options]
-        with temporary_folder("map") as scratch:
-            for name, data in files.items():
-                (scratch / name).write_bytes(data)
-            warnings = run_program(command, scratch, net, what=str(path), within_s=LONGEST_S)
-        write_whole(net.with_name(WARNINGS), "\n".join(warnings).encode("utf-8"))
-
-    return _kept_net([kind, "oncoming lanes apart", *options], source.content, make)
+    return re.sub(r"[^\w.-]+", "_", path.name.split(".")[0])[:60].strip("_") or "road"
 
 
 def _jumps(road: Road) -> bool:
@@ -252,18 +223,9 @@ def _kept_net(how: list[str], content: bytes, make: Callable[[Path], None]) -> P
 
 
 def edited_net(net: Path, signals: bool = True, limit_mps: float | None = None) -> Path:
-    """A net as it is, or without signals, or with lower limits.
+    """A net as it is, or without signals, or with lower limits, kept for the next time.
 
-    Args:
-        net: a SUMO net.
-        signals: whether traffic lights work; without them, junctions are driven by priority.
-        limit_mps: greatest speed limit, m/s; None for the net's own.
-
-    Returns:
-        The net itself if nothing changes, else one that is kept for the next time.
-
-    Raises:
-        InputError: if the limit is out of range or the net broken.
+    Without signals, junctions are driven by priority. None leaves the limits as they are.
     """
     if limit_mps is not None and not LEAST_LIMIT_MPS <= limit_mps < math.inf:
         raise InputError(f"limit_mps: found {limit_mps}, expected at least {LEAST_LIMIT_MPS:g} m/s")
@@ -272,12 +234,11 @@ def edited_net(net: Path, signals: bool = True, limit_mps: float | None = None) 
 
     def make(to: Path) -> None:
         root = read_tree(net)
-        if root.tag != "net":
-            raise InputError(f"{net}: found <{root.tag:.40}>, expected a SUMO net")
         if not signals:
             _take_signals_out(root)
-        if limit_mps is not None:
-            _lower_limits(net, root, limit_mps)
+        for lane in root.iter("lane"):
+            if limit_mps is not None and float(lane.attrib["speed"]) > limit_mps:
+                lane.set("speed", f"{limit_mps:.2f}")
         write_whole(to, ET.tostring(root, encoding="utf-8", xml_declaration=True))
 
     what = ["edited", f"signals {signals}", f"limit {limit_mps}"]
@@ -285,6 +246,7 @@ def edited_net(net: Path, signals: bool = True, limit_mps: float | None = None) 
 
 
 def _take_signals_out(root: ET.Element) -> None:
+    """Let the priority rules of a net hold where it has lights."""
     for lights in root.findall("tlLogic"):
         root.remove(lights)
     for junction in root.iter("junction"):
@@ -296,14 +258,3 @@ def _take_signals_out(root: ET.Element) -> None:
             link.attrib.pop("linkIndex2", None)
             state = str(link.get("state"))
             link.set("state", _WITHOUT_LIGHTS.get(state, state))
-
-
-def _lower_limits(path: Path, root: ET.Element, limit_mps: float) -> None:
-    for lane in root.iter("lane"):
-        text = str(lane.get("speed"))
-        try:
-            speed = float(text)
-        except ValueError:
-            raise InputError(f"{path}: lane speed: found {text[:40]!r}, expected m/s") from None
-        if speed > limit_mps:
-            lane.set("speed", f"{limit_mps:.2f}")

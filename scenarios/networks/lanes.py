@@ -49,13 +49,9 @@ coincide)."""
 
 
 def plain_files(road: Road) -> dict[str, str]:
-    """Text by file name: nodes, edges and connections of a road's lanes for cars.
+    """Nodes, edges and connections of a road's lanes for cars, as text by file name.
 
-    Args:
-        road: any; its lanes inside junctions become ways between edges.
-
-    Returns:
-        ``map.nod.xml``, ``map.edg.xml`` and ``map.con.xml``.
+    Lanes inside junctions become ways between edges.
 
     Raises:
         InputError: if the road has no lane for cars outside junctions.
@@ -74,13 +70,13 @@ def plain_files(road: Road) -> dict[str, str]:
         for link in road.connections
         if link.from_lane in place and link.to_lane in place
     ]
-    nodes, rows = _nodes(edges, links)
+    nodes, node_rows = _nodes(edges, links)
     while loops := {edge for edge in edges if nodes[edge, False] == nodes[edge, True]}:
         edges = {edge: lanes for edge, lanes in edges.items() if edge not in loops}
         if not edges:
             raise InputError(f"road {road.name!r:.60}: found lanes that lead to themselves only")
         links = _without(links, loops)
-        nodes, rows = _nodes(edges, links)
+        nodes, node_rows = _nodes(edges, links)
     named = {edge: f"e{number}" for number, edge in enumerate(edges)}
     edge_rows = [
         row
@@ -91,7 +87,7 @@ def plain_files(road: Road) -> dict[str, str]:
         (named[begin], i, named[end], j) for begin, i, end, j, _ in links if begin != end
     )
     return {
-        "map.nod.xml": document("nodes", rows),
+        "map.nod.xml": document("nodes", node_rows),
         "map.edg.xml": document("edges", edge_rows),
         "map.con.xml": document("connections", connection_rows(ways)),
     }
@@ -156,32 +152,33 @@ def _nodes(
     edges: dict[str, list[Lane]], links: list[_Link]
 ) -> tuple[dict[tuple[str, bool], str], list[str]]:
     """The node of each end of an edge, and the nodes' elements."""
-    points = {
-        (edge, end): np.mean([lane.centerline[-1 if end else 0] for lane in lanes], axis=0)
-        for edge, lanes in edges.items()
-        for end in (False, True)
-    }
-    number = {end: i for i, end in enumerate(points)}
+    ends = [(edge, end) for edge in edges for end in (False, True)]
+    lines = [[lane.centerline for lane in edges[edge]] for edge, _ in ends]
+    points = np.array(
+        [
+            np.mean([line[-1 if end else 0] for line in some], axis=0)
+            for some, (_, end) in zip(lines, ends, strict=True)
+        ]
+    )
+    number = {end: i for i, end in enumerate(ends)}
     meet = [(number[one, True], number[then, False]) for one, _, then, _, _ in links if one != then]
-    cells: dict[tuple[int, int], tuple[str, bool]] = {}
-    for place, (x, y) in points.items():
-        other = cells.setdefault((math.floor(x / MEET_M), math.floor(y / MEET_M)), place)
-        if other[0] != place[0]:
-            meet.append((number[other], number[place]))
+    cells: dict[tuple[int, int], int] = {}
+    for i, (x, y) in enumerate(points):
+        other = cells.setdefault((math.floor(x / MEET_M), math.floor(y / MEET_M)), i)
+        if ends[other][0] != ends[i][0]:
+            meet.append((other, i))
     begin, end = np.array(meet, dtype=np.int64).reshape(-1, 2).T
-    graph = coo_array((np.ones(begin.size), (begin, end)), shape=(len(number), len(number)))
+    graph = coo_array((np.ones(begin.size), (begin, end)), shape=(len(ends), len(ends)))
     _, group = connected_components(graph, directed=False)
     lit = {group[number[one, True]] for one, _, _, _, signal in links if signal}
-    members: dict[int, list[tuple[str, bool]]] = {}
-    for place, i in number.items():
-        members.setdefault(group[i], []).append(place)
     of_end: dict[tuple[str, bool], str] = {}
     rows = []
-    for node, (which, ends) in enumerate(members.items()):
-        x, y = np.mean([points[place] for place in ends], axis=0)
+    for node, which in enumerate(dict.fromkeys(group.tolist())):
+        members = np.flatnonzero(group == which)
+        x, y = np.mean(points[members], axis=0)
         kind = "traffic_light" if which in lit else "priority"
         rows.append(f'    <node id="n{node}" x="{x:.2f}" y="{y:.2f}" type="{kind}"/>')
-        of_end |= dict.fromkeys(ends, f"n{node}")
+        of_end |= dict.fromkeys((ends[i] for i in members), f"n{node}")
     return of_end, rows
 
 

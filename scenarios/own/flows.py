@@ -12,9 +12,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Collection, Mapping
 from typing import Final
 
 import numpy as np
@@ -61,77 +59,47 @@ medium traffic a kilometre of lane holds some ten)."""
 Route = tuple[str, ...]
 
 
-@dataclass(frozen=True)
 class EdgeGraph:
     """The edges of a road on which cars may drive, and the ways between them.
 
     Attributes:
         road: where it came from.
+        lanes: the lanes for cars of each edge, from right to left.
+        links: the connections between the lanes of two edges, by both edges.
+        onward: the edges after each edge, without the way back.
+        travel_s: time to drive over each edge at its limit, s.
+        entries: the edges that no other edge leads to.
+        exits: the edges that lead to no other.
+        sources: edges at which vehicles enter.
+        sinks: edges at which vehicles leave.
     """
 
-    road: Road
-
-    @cached_property
-    def lanes(self) -> dict[str, list[Lane]]:
-        """The lanes for cars of each edge, from right to left."""
-        found: dict[str, list[Lane]] = {}
-        for lane in self.road.lanes:
+    def __init__(self, road: Road) -> None:
+        self.road = road
+        lanes: dict[str, list[Lane]] = {}
+        for lane in road.lanes:
             usable = not lane.speed_limit_mps < SLOWEST_MPS  # unknown limits are not low
             if lane.cars and not lane.walking and not lane.internal and usable:
-                found.setdefault(lane.edge, []).append(lane)
-        return {edge: sorted(lanes, key=lambda one: one.index) for edge, lanes in found.items()}
-
-    @cached_property
-    def links(self) -> dict[tuple[str, str], list[Connection]]:
-        """The connections between the lanes of two edges, by both edges."""
-        edge = {lane.id: lane.edge for lanes in self.lanes.values() for lane in lanes}
-        found: dict[tuple[str, str], list[Connection]] = {}
-        for link in self.road.connections:
-            if link.from_lane in edge and link.to_lane in edge:
-                found.setdefault((edge[link.from_lane], edge[link.to_lane]), []).append(link)
-        return found
-
-    @cached_property
-    def onward(self) -> dict[str, list[str]]:
-        """The edges after each edge, without the way back."""
-        found: dict[str, list[str]] = {edge: [] for edge in self.lanes}
+                lanes.setdefault(lane.edge, []).append(lane)
+        self.lanes = {edge: sorted(some, key=lambda one: one.index) for edge, some in lanes.items()}
+        edge_of = {lane.id: edge for edge, some in lanes.items() for lane in some}
+        self.links: dict[tuple[str, str], list[Connection]] = {}
+        for link in road.connections:
+            if link.from_lane in edge_of and link.to_lane in edge_of:
+                between = (edge_of[link.from_lane], edge_of[link.to_lane])
+                self.links.setdefault(between, []).append(link)
+        self.onward: dict[str, list[str]] = {edge: [] for edge in lanes}
         for (one, then), links in self.links.items():
             if not all(link.direction == "turnaround" for link in links):
-                found[one].append(then)
-        return found
-
-    @cached_property
-    def travel_s(self) -> dict[str, float]:
-        """Time to drive over each edge at its limit, s."""
-        limit = {
-            edge: [one.speed_limit_mps for one in lanes if math.isfinite(one.speed_limit_mps)]
-            for edge, lanes in self.lanes.items()
-        }
-        return {
-            edge: lanes[0].length_m / max([SLOWEST_MPS, *limit[edge]])
-            for edge, lanes in self.lanes.items()
-        }
-
-    @cached_property
-    def entries(self) -> list[str]:
-        """The edges that no other edge leads to."""
+                self.onward[one].append(then)
+        self.travel_s: dict[str, float] = {}
+        for edge, some in self.lanes.items():
+            limits = [one.speed_limit_mps for one in some if math.isfinite(one.speed_limit_mps)]
+            self.travel_s[edge] = some[0].length_m / max([SLOWEST_MPS, *limits])
         entered = {then for ways in self.onward.values() for then in ways}
-        return [edge for edge in self.lanes if edge not in entered]
-
-    @cached_property
-    def exits(self) -> list[str]:
-        """The edges that lead to no other."""
-        return [edge for edge, ways in self.onward.items() if not ways]
-
-    @cached_property
-    def sources(self) -> tuple[str, ...]:
-        """Edges at which vehicles enter."""
-        return self._chosen(self.entries)
-
-    @cached_property
-    def sinks(self) -> tuple[str, ...]:
-        """Edges at which vehicles leave."""
-        return self._chosen(self.exits)
+        self.entries = [edge for edge in self.lanes if edge not in entered]
+        self.exits = [edge for edge, ways in self.onward.items() if not ways]
+        self.sources, self.sinks = self._chosen(self.entries), self._chosen(self.exits)
 
     def _chosen(self, fringe: list[str]) -> tuple[str, ...]:
         """The long and wide edges of the fringe, or of all edges where there is little of it."""
@@ -141,14 +109,9 @@ class EdgeGraph:
         return tuple(sorted(sorted(edges, key=lambda e: (-len(self.lanes[e]), e))[:MOST_EDGES]))
 
     def ways_from(self, start: str, ends: Collection[str]) -> dict[str, Route]:
-        """The quickest ways from an edge to others, without ways back (Dijkstra 1959).
+        """The quickest ways from an edge to those of some others that it reaches, by the other.
 
-        Args:
-            start: an edge of ``lanes``.
-            ends: where they are to lead.
-
-        Returns:
-            Edges from ``start`` to each of the ends that can be reached, by the end.
+        Ways back are left out (Dijkstra 1959).
         """
         best: dict[str, float] = {start: self.travel_s[start]}
         before: dict[str, str] = {}
@@ -192,17 +155,7 @@ class EdgeGraph:
 
 
 def routes_of(graph: EdgeGraph) -> dict[Route, float]:
-    """The routes of a road, and the share of the traffic on each.
-
-    Args:
-        graph: of the road.
-
-    Returns:
-        Shares that sum to 1, by route; at most `MOST_ROUTES`, drawn by their weight.
-
-    Raises:
-        InputError: if no way leads from any edge to another, and no edge both begins and ends.
-    """
+    """The routes of a road and the share of the traffic on each; `MOST_ROUTES` at most."""
     found: dict[Route, float] = {}
     for start in graph.sources:
         ways = graph.ways_out(start)
@@ -224,13 +177,9 @@ def routes_of(graph: EdgeGraph) -> dict[Route, float]:
 
 
 def capacity_per_h(graph: EdgeGraph, routes: Mapping[Route, float]) -> float:
-    """Vehicles per hour over all routes at which the busiest lane is as busy as it can be.
+    """Vehicles per hour over routes, with their shares, that make the busiest lane full.
 
     Junctions count by what they pass: the loads of ways that keep each other waiting add up.
-
-    Args:
-        graph: of the road.
-        routes: shares by route.
     """
     load: dict[tuple[str, str | None], float] = {}
     for way, share in routes.items():
@@ -246,40 +195,29 @@ def capacity_per_h(graph: EdgeGraph, routes: Mapping[Route, float]) -> float:
 
 
 def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) -> list[RouteFlow]:
-    """The demand on a road.
+    """A flow for each route of a road.
 
     Args:
         road: where.
         flow: a key of ``LEVELS``, or vehicles per hour over all routes.
         demand: vehicles per hour that enter at each edge, instead of ``flow``.
-
-    Returns:
-        A flow for each route.
-
-    Raises:
-        InputError: if an edge of the demand is not on the road or leads nowhere, or no route is
-            found.
     """
     graph = EdgeGraph(road)
-    if demand is not None:
-        return list(_demanded(graph, demand))
-    routes = routes_of(graph)
-    capacity = capacity_per_h(graph, routes)
-    vehicles = parse_flow(flow, {name: share * capacity for name, share in LEVELS.items()})
-    return [RouteFlow(way, vehicles * share) for way, share in routes.items()]
-
-
-def _demanded(graph: EdgeGraph, demand: Mapping[str, float]) -> Iterable[RouteFlow]:
-    """A flow for each route from the edges of a demand."""
+    if demand is None:
+        routes = routes_of(graph)
+        capacity = capacity_per_h(graph, routes)
+        vehicles = parse_flow(flow, {name: share * capacity for name, share in LEVELS.items()})
+        return [RouteFlow(way, vehicles * share) for way, share in routes.items()]
+    flows = []
     for start, per_hour in demand.items():
         if start not in graph.lanes:
             raise InputError(
                 f"demand: found edge {start!r:.60}, expected an edge for cars of road "
-                f"{graph.road.name!r:.60}"
+                f"{road.name!r:.60}"
             )
         ways = graph.ways_out(start)
         if not ways:
             raise InputError(f"demand: found edge {start!r:.60}, from which no way leads out")
         total = sum(ways.values())
-        for way, lanes in ways.items():
-            yield RouteFlow(way, per_hour * lanes / total)
+        flows += [RouteFlow(way, per_hour * lanes / total) for way, lanes in ways.items()]
+    return flows

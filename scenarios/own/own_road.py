@@ -6,11 +6,11 @@ import dataclasses
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Unpack
+from typing import Final, Unpack
 
 from behaviors.errors import InputError
 from scenarios.demand import PopulationOptions, parse_flow, parse_population
-from scenarios.networks.convert import drivable_net, edited_net, name_of, source_of
+from scenarios.networks.convert import edited_net, name_of, open_map
 from scenarios.own.flows import flows_of
 from scenarios.own.route_file import read_routes
 from sim.road.net import read_road
@@ -59,26 +59,19 @@ def own_road(
     if len(given) > 1 or (given and given[0] != "routes" and flow is not None):
         both = given if len(given) > 1 else [*given, "flow"]
         raise InputError(f"{both[0]}: found {both[1]} beside it, expected one of them")
-    path = Path(net)
-    name = name_of(path)
-    road = read_road(edited_net(drivable_net(path, left_hand), signals, limit_mps), name)
-    for text in source_of(path, left_hand)[1].warnings:
-        LOGGER.warning("%s: %s", path, text)
-    if flows is not None:
-        wanted = list(flows)
-    elif routes is not None:
-        wanted = _scaled(read_routes(Path(routes), road), flow)
-    else:
-        wanted = flows_of(road, "medium" if flow is None else flow, demand)
-    return Scenario(name, road, tuple(wanted), **parse_population(population))
-
-
-def _scaled(flows: list[RouteFlow], flow: str | float | None) -> list[RouteFlow]:
-    """The flows of a file, so many vehicles an hour in all if a number is given."""
-    if flow is None:
-        return flows
-    vehicles = parse_flow(flow, {})
-    total: Any = sum(one.per_hour for one in flows)
-    if not total > 0:
-        raise InputError("flow: found routes without vehicles, expected some to share it out")
-    return [dataclasses.replace(one, per_hour=one.per_hour * vehicles / total) for one in flows]
+    found, name = open_map(Path(net), left_hand), name_of(Path(net))
+    road = read_road(edited_net(found.net, signals, limit_mps), name)
+    for text in found.source.warnings:
+        LOGGER.warning("%s: %s", net, text)
+    if flows is None and routes is None:
+        flows = flows_of(road, "medium" if flow is None else flow, demand)
+    elif flows is None:
+        flows = read_routes(Path(str(routes)), road)
+        if flow is not None:
+            vehicles, total = parse_flow(flow, {}), sum(one.per_hour for one in flows)
+            if not total > 0:
+                raise InputError("flow: found routes without vehicles, expected some to share it")
+            flows = [
+                dataclasses.replace(one, per_hour=one.per_hour * vehicles / total) for one in flows
+            ]
+    return Scenario(name, road, tuple(flows), **parse_population(population))

@@ -8,7 +8,6 @@ explains them.
 from __future__ import annotations
 
 import functools
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -16,7 +15,7 @@ from typing import Annotated, Any, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from behaviors.errors import InputError
-from behaviors.toml_files import read_toml
+from behaviors.toml_files import in_file, read_toml
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.own_road import own_road
@@ -29,15 +28,15 @@ SCENARIO_SUFFIX: Final = ".toml"
 _Positive = Annotated[float, Field(gt=0)]
 _Rate = Annotated[float, Field(ge=0)]
 _Shares = str | dict[str, float]
+_STRICT = ConfigDict(
+    extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+)
 
 
 class Flow(BaseModel):
     """The demand along one route: a table ``[[flows]]`` of a scenario's file."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False,
-        use_attribute_docstrings=True,
-    )  # fmt: skip
+    model_config = _STRICT
 
     route: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
     """Edges from first to last, each joined to the next."""
@@ -52,10 +51,7 @@ class Flow(BaseModel):
 class ScenarioFile(BaseModel):
     """The keys of a scenario's file; ``scenario`` or ``net`` gives the road."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False,
-        use_attribute_docstrings=True,
-    )  # fmt: skip
+    model_config = _STRICT
 
     scenario: str | None = None
     """A registered scenario that this one differs from."""
@@ -137,11 +133,7 @@ class ScenarioFile(BaseModel):
     def given(self, folder: Path) -> dict[str, Any]:
         """The options that the scenario is made with; paths begin in a folder."""
         left_out = {"scenario", "net", "name", "limits_mps", "options", "flows", "routes"}
-        found = {
-            name: value
-            for name in type(self).model_fields
-            if name not in left_out and (value := getattr(self, name)) is not None
-        }
+        found = self.model_dump(exclude=left_out, exclude_none=True)
         for name, value in (self.options or {}).items():
             if name in type(self).model_fields:
                 raise InputError(f"options: found {name!r}, expected it outside the table")
@@ -151,7 +143,7 @@ class ScenarioFile(BaseModel):
         if self.routes is not None:
             found["routes"] = folder / self.routes
         for name in ("population", "behaviors"):
-            given = getattr(self, name)
+            given = found.get(name)
             if isinstance(given, str) and is_path(given):
                 found[name] = read_toml(folder / given)
         if self.limits_mps is not None:
@@ -170,55 +162,26 @@ def is_path(name: str) -> bool:
 
 
 def scenario_at(path: Path, registered: Mapping[str, ScenarioEntry]) -> ScenarioEntry:
-    """The scenario of a TOML file or of a map.
-
-    Args:
-        path: of the file.
-        registered: the scenarios that a file may differ from, by name.
-
-    Raises:
-        InputError: if the file is missing or broken; the message names the key.
-    """
+    """The scenario of a map, or of a TOML file, which may differ from a registered one."""
     if path.suffix != SCENARIO_SUFFIX:
         if not path.is_file():
             raise InputError(
                 f"{path}: found no file, expected a map or a scenario ({SCENARIO_SUFFIX})"
             )
         return ScenarioEntry(name_of(path), functools.partial(own_road, net=path))
-    read = read_scenario_file(path)
-    try:
-        given = read.given(path.parent)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    function: Callable[..., Scenario]
-    if read.net is not None:
-        function = functools.partial(own_road, net=path.parent / read.net)
-    else:
-        assert read.scenario is not None
-        if is_path(read.scenario):
-            raise InputError(
-                f"{path}: scenario: found {read.scenario!r:.60}, expected a registered one"
-            )
+    table = read_toml(path)
+    with in_file(path):
         try:
-            function = registered[read.scenario].function
-        except InputError as error:
-            raise InputError(f"{path}: scenario: {error}") from None
+            read = ScenarioFile.model_validate(table)
+        except ValidationError as error:
+            raise InputError(first_wrong_field(error, ScenarioFile.model_fields)) from None
+        given = read.given(path.parent)
+        function: Callable[..., Scenario]
+        if read.net is not None:
+            function = functools.partial(own_road, net=path.parent / read.net)
+        elif is_path(str(read.scenario)):
+            raise InputError(f"scenario: found {read.scenario!r:.60}, expected a registered one")
+        else:
+            with in_file("scenario"):
+                function = registered[str(read.scenario)].function
     return ScenarioEntry(read.name or name_of(path), function, given, read.limits_mps or ())
-
-
-def read_scenario_file(path: Path) -> ScenarioFile:
-    """The keys of a scenario's file.
-
-    Raises:
-        InputError: if the file is missing or broken, or a key is unknown or wrong.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-        return ScenarioFile.model_validate(tomllib.loads(text))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}, expected a scenario's file") from None
-    except ValidationError as error:
-        wrong = first_wrong_field(error, ScenarioFile.model_fields)
-        raise InputError(f"{path}: {wrong}") from None
-    except (ValueError, RecursionError) as error:  # of what no TOML says, too deep, too long
-        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order
-
 from behaviors.errors import InputError
-from scenarios.networks.convert import KINDS, drivable_net, name_of, source_of, warnings_of
+from scenarios.networks.convert import KINDS, name_of, open_map
 from scenarios.own.flows import EdgeGraph, capacity_per_h, routes_of
 from sim.road import MapKnowledge, Road
 from sim.road.files import read_road_file
@@ -29,7 +25,7 @@ class Survey:
         name: what it is called.
         kind: a key of `scenarios.networks.convert.KINDS`.
         net: the SUMO net that both engines drive on.
-        road: read from it.
+        graph: the edges for cars of the road of that net, and the ways between them.
         knows: which facts the map provides.
         warnings: netconvert's warnings, and edges without an entry or an exit.
     """
@@ -37,14 +33,14 @@ class Survey:
     name: str
     kind: str
     net: Path
-    road: Road
+    graph: EdgeGraph
     knows: MapKnowledge
     warnings: tuple[str, ...]
 
-    @cached_property
-    def graph(self) -> EdgeGraph:
-        """The road's edges for cars and the ways between them."""
-        return EdgeGraph(self.road)
+    @property
+    def road(self) -> Road:
+        """The road of the net."""
+        return self.graph.road
 
     def rows(self) -> list[dict[str, str | int | float]]:
         """Findings, gaps and every warning, as rows of ``what`` and ``value``."""
@@ -92,36 +88,32 @@ def survey(path: Path, left_hand: bool | None = None) -> Survey:
     Raises:
         InputError: if it is not a map, or no road can be made of it; one line says why.
     """
-    kind, source = source_of(path, left_hand)
-    net, doubts = drivable_net(path, left_hand), tuple[str, ...]()
-    road = read_road(net, name_of(path))
-    if kind in ("sumo", "openstreetmap", "opendrive"):
-        knows = MapKnowledge(not source.unlimited, bool(road.signal_groups))
+    found, doubts = open_map(path, left_hand), tuple[str, ...]()
+    graph = EdgeGraph(read_road(found.net, name_of(path)))
+    if found.kind in ("sumo", "openstreetmap", "opendrive"):
+        knows = MapKnowledge(not found.source.unlimited, bool(graph.road.signal_groups))
     else:
         own = read_road_file(path)
         knows, doubts = own.knows, own.doubts
-    warnings = (*doubts, *warnings_of(path, left_hand), *_unreachable(EdgeGraph(road)))
-    return Survey(name_of(path), kind, net, road, knows, warnings)
+    back: dict[str, list[str]] = {edge: [] for edge in graph.onward}
+    for one, ways in graph.onward.items():
+        for then in ways:
+            back[then].append(one)
+    cut_off = [
+        *(f"edge {edge}: found no way to it from any entry"
+          for edge in _unreached(graph.onward, graph.entries)),
+        *(f"edge {edge}: found no way from it out of the road"
+          for edge in _unreached(back, graph.exits)),
+    ]  # fmt: skip
+    warnings = (*doubts, *found.warnings, *cut_off)
+    return Survey(name_of(path), found.kind, found.net, graph, knows, warnings)
 
 
-def _unreachable(graph: EdgeGraph) -> list[str]:
-    """Edges that no way from an entry leads to, and edges from which no way leads out."""
-    number = {edge: i for i, edge in enumerate(graph.lanes)}
-    pairs = [(number[one], number[then]) for one, ways in graph.onward.items() for then in ways]
-    begin, end = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    size = (len(number), len(number))
-    onward = coo_array((np.ones(begin.size), (begin, end)), shape=size).tocsr()
-    found = []
-    for fringe, ways, text in (
-        (graph.entries, onward, "found no way to it from any entry"),
-        (graph.exits, onward.T.tocsr(), "found no way from it out of the road"),
-    ):
-        reached = {i for edge in fringe for i in _reached(ways, number[edge])}
-        left = sorted(edge for edge, i in number.items() if i not in reached) if fringe else []
-        found += [f"edge {edge}: {text}" for edge in left]
-    return found
-
-
-def _reached(ways: csr_array, begin: int) -> list[int]:
-    """Everything that can be reached from an edge, itself included."""
-    return breadth_first_order(ways, begin, return_predecessors=False).tolist()
+def _unreached(ways: Mapping[str, Iterable[str]], fringe: list[str]) -> list[str]:
+    """The edges to which no way leads from the fringe, if there is one."""
+    reached, queue = set(fringe), list(fringe)
+    while queue:
+        new = set(ways[queue.pop()]) - reached
+        reached |= new
+        queue += new
+    return sorted(set(ways) - reached) if fringe else []

@@ -17,51 +17,32 @@ import signal
 import socket
 import subprocess
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
-from typing import Any, Final, NoReturn, Self
+from typing import Final, NoReturn
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, with_behavior
-from sim.sumo.control.acting import Action, Command
+from sim.sumo.control.acting import Action, Change
 from sim.sumo.control.controls import NAMED
 from sim.sumo.engine import run_with
-from sim.sumo.settings import SumoSettings
-
-FRAMES_A_MESSAGE: Final = 20
-"""Frames are sent in groups: each message costs some 50 microseconds (measured)."""
+from sim.sumo.vehicle_types import SumoSettings
 
 ENGINE_LAWS: Final[dict[str, CarFollowing]] = {"sumo": "Krauss", "sumo-idm": "IDM"}
 """The engines whose episodes can be branched, and the law by which their drivers follow."""
 
 _MEMORY: Final = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "PYTHONMALLOC": "malloc"}
-"""Memory in huge pages: a fork copies fewer page tables and takes half the time (measured)."""
+"""Memory in huge pages: a fork copies fewer page tables and takes half the time."""
 
 _PR_SET_PDEATHSIG: Final = 1
 """Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
 
 
-class _Closing(ABC):
-    """Something that a ``with`` block closes at its end."""
-
-    def __enter__(self) -> Self:
-        """Use it in a ``with`` block."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
-
-    @abstractmethod
-    def close(self) -> None:
-        """End it."""
-
-
-class Branch(_Closing):
+class Branch(AbstractContextManager["Branch"]):
     """One continuation of a trunk; iterating over it gives its frames.
 
     Closing a branch, or leaving its ``with`` block, ends its process; the trunk is not affected.
@@ -82,8 +63,12 @@ class Branch(_Closing):
         """End the branch; frames that were not read are lost."""
         self._connection.close()
 
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
 
-class Trunk(_Closing):
+
+class Trunk(AbstractContextManager["Trunk"]):
     """A SUMO episode that can be continued in several ways from the same instant.
 
     Args:
@@ -113,8 +98,8 @@ class Trunk(_Closing):
         self._drivers = {a.id: a for a in agents if a.profile is not None}
         self._spread, self._population = scenario.spread, scenario.population
         others = tuple(
-            self.alternative(agent.id, behavior)
-            for agent in self._drivers.values()
+            self.alternative(agent, behavior)
+            for agent in self._drivers
             for behavior in (*BEHAVIORS, *scenario.behaviors)
         )
         self._connection.send((scenario, tuple(agents), seed, ENGINE_LAWS[engine], others))
@@ -156,13 +141,11 @@ class Trunk(_Closing):
         """
         if (agent is None) != (to is None):
             raise InputError("branch: found only one of agent and change, expected both or none")
-        changed: AgentSpec | Command | None = None
-        if agent is not None and to is not None:
-            changed = (
-                Command(self.driver(agent).id, to)
-                if isinstance(to, Action)
-                else self.alternative(agent, to)
-            )
+        changed: Change | None = None
+        if agent is not None and isinstance(to, Action):
+            changed = self.driver(agent).id, to
+        elif agent is not None and isinstance(to, Behavior):
+            changed = self.alternative(agent, to)
         here, there = socket.socketpair()
         with there:
             self._connection.send((until_s, changed, True))
@@ -180,9 +163,9 @@ class Trunk(_Closing):
             InputError: if no driver of that id exists.
         """
         if agent not in self._drivers:
+            some = ", ".join(map(str, sorted(self._drivers)[:NAMED]))
             raise InputError(
-                f"agent {agent}: found no such driver in the episode, expected one such as "
-                f"{', '.join(map(str, sorted(self._drivers)[:NAMED]))}"
+                f"agent {agent}: found no such driver in the episode, expected one such as {some}"
             )
         return self._drivers[agent]
 
@@ -204,13 +187,13 @@ class Trunk(_Closing):
         self._connection.close()
         self._process.wait()
 
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        self.close()
+
 
 def check_platform() -> None:
-    """Refuse systems that cannot copy a running process.
-
-    Raises:
-        InputError: on other systems than Linux.
-    """
+    """Refuse systems that cannot copy a running process, which are all but Linux."""
     if sys.platform != "linux":
         raise InputError(f"branches of a running episode: found {sys.platform}, expected Linux")
 
@@ -219,33 +202,24 @@ def _received(connection: Connection, whose: str) -> Iterator[Frame]:
     """Frames from a connection, until the sender says that these are all."""
     while True:
         try:
-            message = connection.recv()
+            fields = connection.recv()
         except (EOFError, OSError):
             raise InputError(f"{whose}: its process ended before its last frame") from None
-        if isinstance(message, str):
-            raise InputError(message)
-        if not message:
+        if isinstance(fields, str):
+            raise InputError(fields)
+        if fields is None:
             return
-        for fields in message:
-            yield Frame(**fields)
+        yield Frame(**fields)  # made again, so that it is checked and read-only
 
 
 def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> bool:
-    """Send frames up to a time, then an empty message; False after the reason of a failure."""
-    group: list[dict[str, Any]] = []
+    """Send frames up to a time, then None; False after the reason of a failure."""
     try:
         for frame in frames:
-            # the receiver rebuilds a frame, checked and read-only
-            group.append({name: getattr(frame, name) for name in frame.__dataclass_fields__})
-            last = frame.time_s >= until_s - 1e-9
-            if last or len(group) == FRAMES_A_MESSAGE:
-                connection.send(group)
-                group = []
-            if last:
+            connection.send({name: getattr(frame, name) for name in frame.__dataclass_fields__})
+            if frame.time_s >= until_s - 1e-9:
                 break
-        if group:
-            connection.send(group)
-        connection.send([])
+        connection.send(None)
     except InputError as error:
         connection.send(str(error))
         return False
@@ -256,30 +230,26 @@ def _serve(connection: Connection) -> None:
     """Run an episode as the other end of the connection asks for it."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this
-    scenario, agents, seed, law, alternatives = connection.recv()
-    frames: Generator[Frame, AgentSpec | Command | None] | None = None
     with contextlib.suppress(EOFError, OSError):
+        scenario, agents, seed, law, alternatives = connection.recv()
+        until_s, to, is_branch = connection.recv()
+        try:
+            frames = run_with(scenario, agents, seed, SumoSettings(law), alternatives)
+        except InputError as error:
+            connection.send(str(error))
+            return
         while True:
+            if is_branch:
+                handle, trunk = recv_handle(connection), os.getpid()
+                if os.fork() == 0:
+                    _be_branch(trunk, connection, Connection(handle), _changed(frames, to), until_s)
+                os.close(handle)
+            elif not _send(connection, frames, until_s):
+                return
             until_s, to, is_branch = connection.recv()
-            if frames is None:
-                try:
-                    frames = run_with(scenario, agents, seed, SumoSettings(law), alternatives)
-                except InputError as error:
-                    connection.send(str(error))
-                    return
-            if not is_branch:
-                if not _send(connection, frames, until_s):
-                    return
-                continue
-            handle, trunk = recv_handle(connection), os.getpid()
-            if os.fork() == 0:
-                _be_branch(trunk, connection, Connection(handle), _changed(frames, to), until_s)
-            os.close(handle)
 
 
-def _changed(
-    frames: Generator[Frame, AgentSpec | Command | None], to: AgentSpec | Command | None
-) -> Iterator[Frame]:
+def _changed(frames: Generator[Frame, Change | None], to: Change | None) -> Iterator[Frame]:
     """The frames after a driver has changed."""
     if to is not None:
         with contextlib.suppress(StopIteration):

@@ -9,38 +9,37 @@ References:
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
+import os
+import sys
 from collections.abc import Generator, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from behaviors.errors import InputError
 from sim.files import temporary_folder
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario, check_agents
-from sim.sumo.control.acting import Command
+from sim.sumo.control.acting import Change
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.frame_reader import FrameReader
-from sim.sumo.settings import DEFAULT_SETTINGS, SumoSettings
-from sim.sumo.simulation import SIMULATION, SumoError, sumo_reason
-from sim.sumo.vehicle_types import route_file
+from sim.sumo.vehicle_types import DEFAULT_SETTINGS, SumoSettings, route_file
 
 SUMO_OPTIONS: Final[tuple[str, ...]] = (
-    "--thread-rngs", "64",
-    "--collision.action", "warn",
-    "--collision.mingap-factor", "0",
-    "--collision.check-junctions", "true",
-    "--intermodal-collision.action", "warn",
-    "--time-to-teleport", "-1",
-    "--ignore-junction-blocker", "60",
-    "--max-depart-delay", "60",
-    "--xml-validation.routes", "always",
-    "--no-step-log", "true",
-    "--no-warnings", "true",
+    "--thread-rngs", "64", "--collision.action", "warn", "--collision.mingap-factor", "0",
+    "--collision.check-junctions", "true", "--intermodal-collision.action", "warn",
+    "--time-to-teleport", "-1", "--ignore-junction-blocker", "60", "--max-depart-delay", "60",
+    "--xml-validation.routes", "always", "--no-step-log", "true", "--no-warnings", "true",
     "--duration-log.disable", "true",
 )  # fmt: skip
 """SUMO's options for every run: vehicles never teleport, and those that collide drive on."""
+
+
+class SumoError(InputError):
+    """SUMO could not run: one line with SUMO's own reason."""
 
 
 def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
@@ -78,7 +77,7 @@ def run_with(
     seed: int,
     settings: SumoSettings,
     alternatives: Sequence[AgentSpec] = (),
-) -> Generator[Frame, AgentSpec | Command | None]:
+) -> Generator[Frame, Change | None]:
     """As `run`, with another law, lane discipline or step, and with drivers that change.
 
     Args:
@@ -87,132 +86,121 @@ def run_with(
         seed: as in `run`.
         settings: what is the same for all vehicles.
         alternatives: drivers as they may become. One of them sent to the generator replaces the
-            driver of the same id before the next step, and a `Command` makes its driver act.
+            driver of the same id before the next step; an id with an action makes it act.
 
     Raises:
         InputError: as in `run`, and if a driver that is to change cannot.
     """
-    _check(scenario, agents, seed)
-    return cast(
-        "Generator[Frame, AgentSpec | Command | None]",
-        _steps(scenario, agents, seed, settings, alternatives, steer=True, read=True),
-    )
-
-
-def _check(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
     check_agents(scenario, agents, seed)
-    if not scenario.road.source.is_file():
-        raise InputError(f"{scenario.road.source}: found no file, expected a SUMO net (.net.xml)")
-    milliseconds = scenario.step_s * 1000
-    if abs(milliseconds - round(milliseconds)) > 1e-6:
-        raise InputError(f"step_s: found {scenario.step_s}, expected whole milliseconds")
+    road, step_s = scenario.road, scenario.step_s
+    if not road.source.is_file():
+        raise InputError(f"{road.source}: found no file, expected a SUMO net (.net.xml)")
+    if abs(step_s * 1000 - round(step_s * 1000)) > 1e-6:
+        raise InputError(f"step_s: found {step_s}, expected whole milliseconds")
+    ordered = sorted(agents, key=lambda a: a.id)
 
-
-def _substeps(step_s: float, longest_s: float) -> tuple[int, int]:
-    """How many SUMO steps there are per frame, and the length of each, ms."""
-    milliseconds = round(step_s * 1000)
-    count = math.ceil(milliseconds / (longest_s * 1000) - 1e-9)
-    while milliseconds % count:
-        count += 1
-    return count, milliseconds // count
-
-
-def _start(
-    scenario: Scenario,
-    agents: Sequence[AgentSpec],
-    seed: int,
-    step_ms: int,
-    scratch: Path,
-    settings: SumoSettings,
-    alternatives: Sequence[AgentSpec],
-) -> tuple[Any, Path]:
-    """Start the simulation; returns libsumo's C module and the path of the log."""
-    routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
-    lines = route_file(agents, jaywalking_places(scenario.road, agents), settings, alternatives)
-    try:
-        routes.write_text("\n".join(lines), encoding="utf-8")
-    except OSError as error:
-        raise SumoError(
-            f"sumo: {routes}: found no way to write it ({error.strerror}), expected room for the "
-            "routes: free some, or set TMPDIR to another folder"
-        ) from None
-    arguments = [
-        "--net-file", str(scenario.road.source),
-        "--route-files", str(routes),
-        "--seed", str(seed),
-        "--step-length", f"{step_ms / 1000:.3f}",
-        "--lanechange.duration", f"{settings.lane_change_s:g}",
-        "--log", str(log),
-        *SUMO_OPTIONS,
-        *settings.options,
-    ]  # fmt: skip
-    return SIMULATION.start(arguments, log), log
-
-
-def step_bare(
-    scenario: Scenario,
-    agents: Sequence[AgentSpec],
-    seed: int,
-    *,
-    steer: bool = False,
-    read: bool = False,
-) -> None:
-    """As `run`, without controllers and frames unless asked for: the least that `run` can cost."""
-    _check(scenario, agents, seed)
-    for _ in _steps(scenario, agents, seed, DEFAULT_SETTINGS, (), steer=steer, read=read):
-        pass
-
-
-def _steps(
-    scenario: Scenario,
-    agents: Sequence[AgentSpec],
-    seed: int,
-    settings: SumoSettings,
-    alternatives: Sequence[AgentSpec],
-    *,
-    steer: bool,
-    read: bool,
-) -> Generator[Frame | None, AgentSpec | Command | None]:
-    """Frames, or None for each where none is read; what is sent to it changes a driver at once."""
-    agents = sorted(agents, key=lambda a: a.id)
-    substeps, step_ms = _substeps(scenario.step_s, settings.longest_step_s)
-    with temporary_folder("sumo") as scratch:
-        sumo, log = _start(scenario, agents, seed, step_ms, scratch, settings, alternatives)
-        controls: Controls | None = None
-        intervened = False  # whether controllers removed or placed an agent in the last step
-        try:
-            reader = FrameReader(sumo, scenario.road, agents)
-            if steer:
-                controls = Controls(sumo, scenario.road, agents, step_ms / 1000)
+    def frames() -> Generator[Frame, Change | None]:
+        with _started(scenario, ordered, seed, settings, alternatives) as (sumo, log, steps):
             import libsumo
 
-            for index in range(1, scenario.steps + 1):
-                try:
-                    for part in range(1, substeps + 1):
-                        sumo.simulation_step(0.0)
-                        now_s = ((index - 1) * substeps + part) * step_ms / 1000
-                        if read:
-                            reader.note_collisions(now_s)
-                        if controls is not None:
-                            controls.step(now_s, *reader.names(again=intervened))
-                            reader.note_removed(controls.removed, now_s)
-                            intervened = bool(controls.removed) or controls.moved
-                    frame = None
-                    if read:
-                        walking = {} if controls is None else controls.walking_speeds
-                        again = intervened or controls is None
-                        frame = reader.read(index * scenario.step_s, walking, again=again)
-                except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
-                    raise SumoError(
-                        f"sumo: stopped at {index * scenario.step_s:g} s: "
-                        f"{sumo_reason(log, str(error))}"
-                    ) from None
-                changed = yield frame
-                if changed is not None and controls is not None:
-                    controls.change(changed, index * scenario.step_s)
-        finally:
+            step_ms = round(step_s * 1000) // steps
+            reader = FrameReader(sumo, road, ordered)
+            controls = Controls(sumo, road, ordered, step_ms / 1000)
             try:
-                if controls is not None and controls.moved:
-                    sumo.simulation_step(0.0)  # libsumo crashes if closed after moving an agent
+                for index in range(scenario.steps):
+                    time_s = (index + 1) * step_s
+                    try:
+                        for step in range(index * steps + 1, (index + 1) * steps + 1):
+                            sumo.simulation_step(0.0)
+                            now_s = step * step_ms / 1000
+                            reader.note_collisions(now_s)
+                            controls.step(now_s, *reader.names())
+                            reader.note_removed(controls.removed, now_s)
+                        frame = reader.read(time_s, controls.walking_speeds)
+                    except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+                        reason = _reason(log, str(error))
+                        raise SumoError(f"sumo: stopped at {time_s:g} s: {reason}") from None
+                    changed = yield frame
+                    if changed is not None:
+                        controls.change(changed, time_s)
             finally:
-                SIMULATION.close()
+                if controls.moved:
+                    sumo.simulation_step(0.0)  # libsumo crashes if closed after moving an agent
+
+    return frames()
+
+
+def step_bare(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
+    """As `run`, without controllers and frames: the least that `run` can cost."""
+    with _started(scenario, agents, seed, DEFAULT_SETTINGS, ()) as (sumo, _, steps):
+        for _ in range(scenario.steps * steps):
+            sumo.simulation_step(0.0)
+
+
+@contextlib.contextmanager
+def _started(
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, settings: SumoSettings,
+    alternatives: Sequence[AgentSpec],
+) -> Iterator[tuple[Any, Path, int]]:  # fmt: skip
+    """A simulation: libsumo's C module, which is quicker, the log, and SUMO's steps per frame."""
+    os.environ.setdefault("LIBSUMO_AS_TRACI", "quiet")  # otherwise libsumo prints a warning
+    import libsumo
+    from libsumo import _libsumo
+
+    if libsumo.isLoaded():
+        raise SumoError(
+            "sumo: found a simulation running in this process, expected none: close its "
+            "frames first or use another process"
+        )
+    milliseconds = round(scenario.step_s * 1000)
+    steps = math.ceil(milliseconds / (settings.longest_step_s * 1000) - 1e-9)
+    while milliseconds % steps:
+        steps += 1
+    with temporary_folder("sumo") as scratch:
+        routes, log = scratch / "agents.rou.xml", scratch / "sumo.err"
+        lines = route_file(agents, jaywalking_places(scenario.road, agents), settings, alternatives)
+        routes.write_text("\n".join(lines), encoding="utf-8")
+        arguments = [
+            "--net-file", str(scenario.road.source),
+            "--route-files", str(routes),
+            "--seed", str(seed),
+            "--step-length", f"{milliseconds // steps / 1000:.3f}",
+            "--lanechange.duration", f"{settings.lane_change_s:g}",
+            "--log", str(log),
+            *SUMO_OPTIONS,
+            *settings.options,
+        ]  # fmt: skip
+        try:
+            try:
+                with _stderr_written_to(log):
+                    libsumo.start(["sumo", *arguments])
+            except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
+                raise SumoError(f"sumo: could not start: {_reason(log, str(error))}") from None
+            yield _libsumo, log, steps
+        finally:
+            if libsumo.isLoaded():
+                libsumo.close()
+
+
+@contextlib.contextmanager
+def _stderr_written_to(path: Path) -> Iterator[None]:
+    """Redirect stderr of C code to a file: SUMO writes its error messages only there."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    try:
+        with path.open("wb") as file:
+            os.dup2(file.fileno(), 2)
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _reason(log: Path, fallback: str) -> str:
+    """The first error message in SUMO's log, in one line; the fallback if there is none."""
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.exists() else []
+    for number, line in enumerate(lines):
+        if line.startswith("Error:"):
+            rest = itertools.takewhile(lambda one: one.startswith(" "), lines[number + 1 :])
+            return " ".join([line.removeprefix("Error:").strip(), *(one.strip() for one in rest)])
+    return " ".join(fallback.split()) or "no reason given"

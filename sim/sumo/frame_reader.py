@@ -1,27 +1,41 @@
-"""Reads the state of a running SUMO simulation into frames."""
+"""Reads the state of a running SUMO simulation into frames.
+
+The front bumper of a vehicle is where SUMO puts it, and the rear axle follows it (a tractrix), as
+in a rolling car. SUMO's own angle is right in lanes and turns, but a crawling car that changes
+lanes is turned by up to 60 degrees, and stays so when it stops.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame
+from sim.compiled import in_place
+from sim.frames import AgentKind, BoolArray, Event, EventKind, FloatArray, Frame, IntArray
 from sim.road import Road
 from sim.road.cells import Cells, boxes_of, cells_of
 from sim.road.net import signal_code
 from sim.scenario import AgentSpec
-from sim.sumo.vehicle_poses import STRAIGHTENING_M, find_poses
 
 AREA_CELL_M: Final = 50.0
 """Width of the cells in which junctions are looked up, m (a large junction's)."""
 
-TRAFFICLIGHT_TYPE_STATIC: Final = 0
-"""SUMO's number for lights with a fixed-time programme (``libsumo.constants``)."""
+
+AXLE_SHARE: Final = 0.8
+"""The rear axle is this share of the length behind the front bumper (as in most cars)."""
+
+TURNING, KEEPING = 0.8, 0.25
+"""Greatest sideways over forward motion of a front bumper: where the road turns (a car's full
+lock), and on straight roads (a hasty lane change). Sideways motion beyond it, which SUMO makes
+while cars crawl or stand, moves the rear axle, too."""
+
+STRAIGHTENING_M: Final = 6.0
+"""A car is still straightening up this far after a turn (a car's length and more)."""
 
 
 def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
@@ -37,59 +51,32 @@ def turning_areas(road: Road) -> tuple[FloatArray, Cells]:
     return areas, cells_of(around, np.arange(len(areas)), AREA_CELL_M)
 
 
-@dataclass(frozen=True, slots=True)
-class _Present:
-    """Constants until an agent comes or goes: the n agents on the road.
-
-    Names are in SUMO's order, vehicles before persons; ``order`` sorts them by their ``rows``.
-    ``angle`` is SUMO's of each vehicle that has just departed, and 0 of the others.
-    """
-
-    vehicles: Sequence[str]
-    persons: Sequence[str]
-    order: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    angle: FloatArray
-    ids: NDArray[np.int64]
-    length: FloatArray
-    width: FloatArray
-    kind: NDArray[np.int8]
-
-
 class FrameReader:
-    """Reads the state of the running simulation into frames.
+    """Reads the state of libsumo's C module into frames; all agents are in ascending order of id.
 
     SUMO gives the centre of the front bumper and degrees clockwise from north; frames have the
     centre of the outline and radians counter-clockwise from east.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents of the episode, in ascending order of id.
     """
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec]) -> None:
         self._sumo = sumo
         self._plans = road.signal_plans
-        self._groups = len(road.signal_groups)
         self._row = {str(a.id): row for row, a in enumerate(agents)}
-        self._ids = np.array([a.id for a in agents], dtype=np.int64)
-        self._length = np.array([a.length_m for a in agents])
-        self._width = np.array([a.width_m for a in agents])
-        self._kind = np.array([a.kind.code for a in agents], dtype=np.int8)
+        self._of_all: dict[str, NDArray[Any]] = {
+            "ids": np.array([a.id for a in agents], dtype=np.int64),
+            "length": np.array([a.length_m for a in agents]),
+            "width": np.array([a.width_m for a in agents]),
+            "kind": np.array([a.kind.code for a in agents], dtype=np.int8),
+        }
         self._pedestrian = np.array([a.kind is AgentKind.PEDESTRIAN for a in agents], dtype=bool)
-        self._any_pedestrian = bool(self._pedestrian.any())
         self._axles = np.full((len(agents), 4), np.nan)
         self._areas = turning_areas(road)
         self._touching: set[tuple[int, int]] = set()
         self._events: list[Event] = []
         self._names: tuple[Sequence[str], Sequence[str]] = ((), ())
-        self._present = self._look_up(*self._names)
+        self._looked_up: tuple[Sequence[str], Sequence[str]] | None = None
         self._letters = [""] * len(self._plans)
-        self._fixed = [self._is_fixed(plan.id) for plan in self._plans]
-        self._switch_s = np.full(len(self._plans), -np.inf)
-        self._signals = np.zeros(self._groups, dtype=np.int8)
-        self._signals.setflags(write=False)
+        self._signals = np.zeros(len(road.signal_groups), dtype=np.int8)
 
     def note_collisions(self, time_s: float) -> None:
         """Record the collisions of the last simulation step as events."""
@@ -102,114 +89,136 @@ class FrameReader:
             self._events.append(Event(kind, time_s, *pair))
         self._touching = touching
 
-    def names(self, again: bool) -> tuple[Sequence[str], Sequence[str]]:
-        """Names of vehicles and pedestrians, the same two objects until an agent comes or goes.
-
-        Args:
-            again: whether to ask SUMO in any case; its counts leave out agents that controllers
-                removed, and steps that were not read.
-        """
-        sumo = self._sumo
-        changed = again or sumo.simulation_getDepartedNumber() or sumo.simulation_getArrivedNumber()
-        if self._any_pedestrian and not changed:
-            changed = sumo.simulation_getDepartedPersonNumber()
-            changed = changed or sumo.simulation_getArrivedPersonNumber()
-        if changed:
-            persons = sumo.person_getIDList() if self._any_pedestrian else ()
-            names = sumo.vehicle_getIDList(), persons
-            if names != self._names:
-                self._names = names
+    def names(self) -> tuple[Sequence[str], Sequence[str]]:
+        """Names of vehicles and pedestrians, the same two objects until an agent comes or goes."""
+        names = self._sumo.vehicle_getIDList(), self._sumo.person_getIDList()
+        if names != self._names:
+            self._names = names
         return self._names
+
+    def _look_up(self, vehicles: Sequence[str], persons: Sequence[str]) -> None:
+        """Look up the constants of the n agents that are present, in SUMO's order and by row."""
+        n = len(vehicles) + len(persons)
+        rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
+        self._angle = np.zeros(len(vehicles))
+        for i in np.flatnonzero(np.isnan(self._axles[rows[: len(vehicles)], 0])).tolist():
+            # SUMO's angle is only needed when a vehicle departs
+            self._angle[i] = self._sumo.vehicle_getAngle(vehicles[i])
+        self._order = rows.argsort()
+        self._rows = rows[self._order]
+        self._constant = {name: values[self._rows] for name, values in self._of_all.items()}
 
     def note_removed(self, agents: Sequence[int], time_s: float) -> None:
         """Record the agents that controllers removed as events."""
         rule = "stood on the wrong side"
         self._events += [Event(EventKind.REMOVAL, time_s, agent, rule=rule) for agent in agents]
 
-    def read(self, time_s: float, walking_speeds: Mapping[str, float], again: bool) -> Frame:
-        """The state now, with the events since the last frame.
+    def read(self, time_s: float, walking_speeds: Mapping[str, float]) -> Frame:
+        """The state at a simulated time, s, with the events since the last frame.
 
-        Args:
-            time_s: simulated time, s.
-            walking_speeds: speeds, m/s, of the pedestrians that a controller moves; SUMO does not
-                know them.
-            again: whether agents may have come or gone since `names` was called.
+        SUMO does not know the speeds, m/s, of the pedestrians that a controller moves.
         """
         sumo = self._sumo
-        vehicles, persons = self.names(again=True) if again else self._names
-        present = self._present
-        if vehicles is not present.vehicles or persons is not present.persons:
-            present = self._present = self._look_up(vehicles, persons)
-        n = present.rows.size
+        vehicles, persons = names = self.names()
+        if names is not self._looked_up:
+            self._looked_up = names
+            self._look_up(vehicles, persons)
         places: Iterator[float] = chain.from_iterable(map(sumo.vehicle_getPosition, vehicles))
         speeds: Iterator[float] = map(sumo.vehicle_getSpeed, vehicles)
-        angle = present.angle
+        angle = self._angle
         if persons:
             places = chain(places, chain.from_iterable(map(sumo.person_getPosition, persons)))
             walking = map(sumo.person_getSpeed, persons)
             if walking_speeds:
                 walking = map(walking_speeds.get, persons, walking)
             speeds = chain(speeds, walking)
-            angle = np.concatenate(
-                [angle, np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))]
-            )
+            angles = np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))
+            angle = np.concatenate([angle, angles])
+        n = self._rows.size
         front = np.fromiter(places, np.float64, 2 * n)
-        speed = np.fromiter(speeds, np.float64, n)[present.order]
+        speed = np.fromiter(speeds, np.float64, n)[self._order]
         xy, heading = np.empty((n, 2)), np.empty(n)
         find_poses(
-            present.order, present.rows, front, angle, self._length, self._pedestrian,
+            self._order, self._rows, front, angle, self._of_all["length"], self._pedestrian,
             *self._areas, self._axles, xy, heading,
         )  # fmt: skip
-        for array in (xy, heading, speed):
+        signals = self._read_signals()
+        arrays: list[NDArray[Any]] = [xy, heading, speed, signals, *self._constant.values()]
+        for array in arrays:
             array.setflags(write=False)
         events, self._events = tuple(self._events), []
         return Frame(
-            time_s=time_s,
-            ids=present.ids,
-            xy=xy,
-            heading=heading,
-            speed=speed,
-            length=present.length,
-            width=present.width,
-            kind=present.kind,
-            signals=self._read_signals(),
-            events=events,
-        )
-
-    def _look_up(self, vehicles: Sequence[str], persons: Sequence[str]) -> _Present:
-        """The agents of these names."""
-        n = len(vehicles) + len(persons)
-        rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
-        angle = np.zeros(len(vehicles))
-        for i in np.flatnonzero(np.isnan(self._axles[rows[: len(vehicles)], 0])).tolist():
-            angle[i] = self._sumo.vehicle_getAngle(vehicles[i])  # only needed when it departs
-        order = rows.argsort()
-        rows = rows[order]
-        constants = (self._ids[rows], self._length[rows], self._width[rows], self._kind[rows])
-        for array in constants:
-            array.setflags(write=False)
-        return _Present(vehicles, persons, order, rows, angle, *constants)
+            time_s=time_s, xy=xy, heading=heading, speed=speed, signals=signals, events=events,
+            **self._constant,
+        )  # fmt: skip
 
     def _read_signals(self) -> NDArray[np.int8]:
-        """Codes of all signal groups; only lights that may have switched are asked."""
-        sumo, codes = self._sumo, self._signals
-        now_s = sumo.simulation_getTime() + 1e-6
-        for i in np.flatnonzero(self._switch_s <= now_s).tolist():
-            plan = self._plans[i]
-            letters = sumo.trafficlight_getRedYellowGreenState(plan.id)
+        """Codes of all signal groups; the same array until a light switches."""
+        for i, plan in enumerate(self._plans):
+            letters = self._sumo.trafficlight_getRedYellowGreenState(plan.id)
             if letters != self._letters[i]:
                 self._letters[i] = letters
-                if codes is self._signals:
-                    codes = codes.copy()
+                self._signals = self._signals.copy()
                 for group, link in zip(plan.groups, plan.links, strict=True):
-                    codes[group] = signal_code(letters[link])
-            if self._fixed[i]:
-                self._switch_s[i] = sumo.trafficlight_getNextSwitch(plan.id)
-        codes.setflags(write=False)
-        self._signals = codes
-        return codes
+                    self._signals[group] = signal_code(letters[link])
+        return self._signals
 
-    def _is_fixed(self, lights: str) -> bool:
-        """Whether lights follow one fixed-time programme, so that SUMO knows their next switch."""
-        programmes = self._sumo.trafficlight_getAllProgramLogics(lights)
-        return len(programmes) == 1 and programmes[0].type == TRAFFICLIGHT_TYPE_STATIC
+
+@in_place()
+def find_poses(
+    order: IntArray, rows: IntArray, front: FloatArray, angle: FloatArray, length: FloatArray,
+    pedestrian: BoolArray, areas: FloatArray, cells: Cells, axles: FloatArray, xy: FloatArray,
+    heading: FloatArray,
+) -> None:  # fmt: skip
+    """Centres and headings, from where the front bumpers are now and where they were before.
+
+    Args:
+        order: (n,) index of each agent in ``front`` and ``angle``, which are in SUMO's order.
+        rows: (n,) row of each agent in ``length``, ``pedestrian`` and ``axles``.
+        front: (2n,) centre of each front bumper, x and y alternating, m.
+        angle: (n,) SUMO's angle, degrees clockwise from north; used for pedestrians and for
+            vehicles that have just departed.
+        length: (N,) of every agent, m.
+        pedestrian: (N,) whether an agent is a pedestrian.
+        areas: (J, 4) west, south, east and north side of each place where the road turns, m.
+        cells: those of ``areas``, with at least `STRAIGHTENING_M` around them.
+        axles: (N, 4) front bumper and rear axle at the last call, m; NaN for vehicles that have
+            just departed. Updated in place.
+        xy: (n, 2) receives the centres, m.
+        heading: (n,) receives the headings, rad in (-pi, pi].
+    """
+    x0, y0, size, columns, lines, first, items = cells
+    for i in range(rows.size):
+        row, at = rows[i], order[i]
+        x, y = front[2 * at], front[2 * at + 1]
+        reach = AXLE_SHARE * length[row]
+        if pedestrian[row] or math.isnan(axles[row, 0]):
+            heading_east = math.radians(90.0 - angle[at])
+            east, north = math.cos(heading_east), math.sin(heading_east)
+        else:
+            fx, fy, ax, ay = axles[row, 0], axles[row, 1], axles[row, 2], axles[row, 3]
+            old_east, old_north = (fx - ax) / reach, (fy - ay) / reach
+            ahead = (x - fx) * old_east + (y - fy) * old_north
+            aside = (y - fy) * old_east - (x - fx) * old_north
+            column, line = math.floor((x - x0) / size), math.floor((y - y0) / size)
+            turning = False
+            if 0 <= column < columns and 0 <= line < lines:
+                cell = line * columns + column
+                for p in range(first[cell], first[cell + 1]):
+                    a = items[p]
+                    # how far outside the area the front is, and whether it drives away from it
+                    out_x = x - min(max(x, areas[a, 0]), areas[a, 2])
+                    out_y = y - min(max(y, areas[a, 1]), areas[a, 3])
+                    leaves = out_x * old_east + out_y * old_north >= 0.0
+                    turning |= leaves and max(abs(out_x), abs(out_y)) < STRAIGHTENING_M
+            most = (TURNING if turning else KEEPING) * max(ahead, 0.0)
+            slid = aside - min(max(aside, -most), most)
+            east, north = x - ax + slid * old_north, y - ay - slid * old_east
+            far = max(math.hypot(east, north), 1e-9)
+            east, north = east / far, north / far
+        axles[row, 0], axles[row, 1] = x, y
+        axles[row, 2], axles[row, 3] = x - reach * east, y - reach * north
+        xy[i, 0], xy[i, 1] = x - 0.5 * length[row] * east, y - 0.5 * length[row] * north
+        heading[i] = math.atan2(north, east)
+        if heading[i] == -math.pi:
+            heading[i] = math.pi

@@ -1,11 +1,17 @@
-"""SUMO's route file of an episode: one vehicle type per driver.
+"""How SUMO moves vehicles: settings of a run, and a route file with one vehicle type per driver.
 
-All drivers of a run have the same car-following model and SUMO's LC2013 lane-change model with the
-same imperfection (`SumoSettings`); they differ in what their `Profile` says.
+All drivers of a run have the same car-following law and SUMO's LC2013 lane-change model with the
+same imperfection (`SumoSettings`); they differ in what their `Profile` says. `law_attributes` says
+it in the words of each law of SUMO. Laws that have no number for something ignore it.
 
 References:
     Krauss (1998), Microscopic modeling of traffic flow, DLR-FB 98-08.
     Treiber, Hennecke, Helbing (2000), Phys. Rev. E 62, 1805: IDM.
+    Treiber, Helbing (2003), Memory effects in microscopic traffic models, Phys. Rev. E 68: IDMM.
+    Salles, Kaufmann, Reuss (2022), Extending the Intelligent Driver Model in SUMO: EIDM.
+    Milanes, Shladover (2014), Transportation Research Part C 48: ACC and CACC.
+    Wiedemann (1974), Simulation des Strassenverkehrsflusses; VISSIM's law of 1999: W99.
+    Kerner, Klenov, Wolf (2002), J. Phys. A 35, 9971: BKerner.
     Erdmann (2015), SUMO's lane-changing model, Modeling Mobility with Open Data.
 """
 
@@ -13,14 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
-from behaviors.errors import InputError
+from behaviors.errors import InputError, lookup
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S, Profile
 from sim.frames import AgentKind
-from sim.scenario import KIND_LIMITS, WALK_START_M, AgentSpec
-from sim.sumo.settings import DEFAULT_SETTINGS, SumoSettings, law_attributes
+from sim.scenario import IMPERFECTION, KIND_LIMITS, WALK_START_M, AgentSpec
 
 VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
     AgentKind.CAR: "passenger",
@@ -32,48 +38,79 @@ VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
 }
 """SUMO's class of each kind."""
 
+LONGEST_STEP_S: Final = 0.1
+"""SUMO's own step is at most this long by default; frames further apart are made of several."""
 
-def driver_attributes(profile: Profile) -> dict[str, float]:
-    """The vType attributes that a driver's profile sets, by name."""
-    return {
-        "speedFactor": profile.speed_factor,
-        "speedDev": 0.0,
-        "tau": profile.time_headway_s,
-        "minGap": profile.min_gap_m,
-        "accel": profile.max_accel_mps2,
-        "decel": profile.comfort_decel_mps2,
-        "startupDelay": profile.startup_delay_s,
-        "impatience": profile.insistence,
-        "lcCooperative": min(profile.politeness, 1.0),
-        "lcSpeedGain": profile.lane_change_gain,
-        "lcSpeedGainRemainTime": profile.lane_change_patience_s,
-        "lcAssertive": profile.lane_change_assertiveness,
-        "jmTimegapMinor": profile.gap_acceptance_s,
-        "jmCrossingGap": profile.crossing_gap_s,
-        "jmDriveAfterYellowTime": profile.yellow_run_s,
-    }
+LANE_CHANGE_S: Final = 2.5
+"""Default duration of a lane change, s (Toledo and Zohar 2007, Transportation Research Record
+1999)."""
+
+REFERENCE_MPS: Final = 13.89
+"""Speed at which a law without a time headway gets the same gap as one with it: 50 km/h, the
+limit that the profiles were made for."""
+
+LAWS: Final = (
+    "Krauss", "KraussOrig1", "KraussPS", "Daniel1", "IDM", "IDMM", "EIDM", "ACC", "CACC", "W99",
+    "Wiedemann", "BKerner",
+)  # fmt: skip
+"""SUMO's car-following laws for road vehicles. SmartSK and PWagner2009 are left out, because their
+drivers collide or stand on a free road."""
 
 
-def perception_parameters(profile: Profile) -> dict[str, float]:
-    """Parameters of SUMO's driver-state device for a driver's error of perception; none without.
+def law_attributes(law: str, profile: Profile) -> dict[str, float]:
+    """The vType attributes of one of ``LAWS`` that differ from those of Krauss's law, by name."""
+    headway_s, accel = profile.time_headway_s, profile.max_accel_mps2
+    match law:
+        case "Daniel1" | "BKerner":  # no safe braking of the own step: headways exceed a step
+            return {"tau": 0.25 + 0.9 * headway_s}
+        case "ACC" | "CACC":  # both collide at headways below a second (measured)
+            return {"tau": 0.7 + 0.75 * headway_s, "minGap": max(profile.min_gap_m, 1.5)}
+        case "Wiedemann":  # its gap is minGap + (1 + 7 security) sqrt(v)
+            wanted = headway_s * REFERENCE_MPS**0.5
+            return {"security": min(max((wanted - 1.0) / 7.0, 0.05), 1.2), "estimation": 0.5}
+        case "W99":  # cc1 is the time headway, cc8 the acceleration from standstill
+            return {"cc1": headway_s, "cc2": 4.0, "cc8": accel, "cc9": 0.6 * accel}
+        case _:
+            return {}
 
-    The device's error is an Ornstein-Uhlenbeck process. With half of its awareness and twice its
-    usual coefficients, the process has standard deviation 1 and the correlation time
-    `ERROR_TIME_S`.
+
+@dataclass(frozen=True, slots=True)
+class SumoSettings:
+    """Settings that all vehicles of a run share.
+
+    Attributes:
+        law: the car-following law, one of ``LAWS``.
+        imperfection: sigma of Krauss's law and its relatives, 0 to 1.
+        keep_right: SUMO's lcKeepRight: 0 never returns to the right lane for its own sake, 1 is
+            SUMO's default.
+        lane_change_s: how long a lane change takes, s; 0 is a jump.
+        longest_step_s: SUMO's own step is at most this long, s.
+        options: further options of SUMO, such as those of its outputs, after the product's own.
     """
-    noise = profile.perception_noise
-    if not noise:
-        return {}
-    return {
-        "initialAwareness": 0.5,
-        "minAwareness": 0.1,
-        "errorTimeScaleCoefficient": 2.0 * ERROR_TIME_S,
-        "errorNoiseIntensityCoefficient": 2.0,
-        "headwayErrorCoefficient": noise,
-        "speedDifferenceErrorCoefficient": noise * CLOSING_ERROR_PER_S,
-        "headwayChangePerceptionThreshold": 0.0,
-        "speedDifferenceChangePerceptionThreshold": 0.0,
-    }
+
+    law: str = "Krauss"
+    imperfection: float = IMPERFECTION
+    keep_right: float = 0.0
+    lane_change_s: float = LANE_CHANGE_S
+    longest_step_s: float = LONGEST_STEP_S
+    options: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what SUMO would silently take."""
+        lookup(dict.fromkeys(LAWS), self.law, "car-following law")
+        for name, least, most in (
+            ("imperfection", 0.0, 1.0),
+            ("keep_right", 0.0, 100.0),
+            ("lane_change_s", 0.0, 60.0),
+            ("longest_step_s", 0.001, 1.0),
+        ):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise InputError(f"{name}: found {value}, expected {least:g} to {most:g}")
+
+
+DEFAULT_SETTINGS: Final = SumoSettings()
+"""The settings of the engine ``sumo``."""
 
 
 def alternative_name(agent: AgentSpec) -> str:
@@ -84,11 +121,7 @@ def alternative_name(agent: AgentSpec) -> str:
 def vehicle_type(
     agent: AgentSpec, settings: SumoSettings = DEFAULT_SETTINGS, name: str | None = None
 ) -> dict[str, str]:
-    """All vType attributes of one agent, with the settings of the run.
-
-    Raises:
-        InputError: if a driver has no profile.
-    """
+    """All vType attributes of one agent, with the settings of the run."""
     words = {"id": str(agent.id) if name is None else name, "vClass": VEHICLE_CLASS[agent.kind]}
     numbers = {"length": agent.length_m, "width": agent.width_m}
     profile = agent.profile
@@ -110,7 +143,21 @@ def vehicle_type(
             "lcKeepRight": settings.keep_right,
             "lcOpposite": 0.0,
             "lcMaxSpeedLatStanding": 0.0,
-            **driver_attributes(profile),
+            "speedFactor": profile.speed_factor,
+            "speedDev": 0.0,
+            "tau": profile.time_headway_s,
+            "minGap": profile.min_gap_m,
+            "accel": profile.max_accel_mps2,
+            "decel": profile.comfort_decel_mps2,
+            "startupDelay": profile.startup_delay_s,
+            "impatience": profile.insistence,
+            "lcCooperative": min(profile.politeness, 1.0),
+            "lcSpeedGain": profile.lane_change_gain,
+            "lcSpeedGainRemainTime": profile.lane_change_patience_s,
+            "lcAssertive": profile.lane_change_assertiveness,
+            "jmTimegapMinor": profile.gap_acceptance_s,
+            "jmCrossingGap": profile.crossing_gap_s,
+            "jmDriveAfterYellowTime": profile.yellow_run_s,
             **law_attributes(settings.law, profile),
         }
         if profile.reaction_time_s > 0:
@@ -120,20 +167,14 @@ def vehicle_type(
 
 def route_file(
     agents: Sequence[AgentSpec],
-    jaywalking: Mapping[int, float] | None = None,
-    settings: SumoSettings = DEFAULT_SETTINGS,
+    jaywalking: Mapping[int, float],
+    settings: SumoSettings,
     alternatives: Sequence[AgentSpec] = (),
 ) -> Iterator[str]:
-    """The lines of a SUMO route file, in order of departure.
+    """The lines of a SUMO route file, in order of departure, without line ends.
 
-    Args:
-        agents: all agents of the episode, in any order.
-        jaywalking: where along their first edge jaywalkers cross the road, m, by agent id.
-        settings: what is the same for all drivers.
-        alternatives: drivers with other behaviours, whose vehicle types are added.
-
-    Yields:
-        Lines of XML, without line ends.
+    Jaywalkers cross the road so far along their first edge, m, by agent id. The vehicle types of
+    the alternatives, drivers with other behaviours, are added.
     """
     yield "<routes>"
     ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
@@ -143,20 +184,15 @@ def route_file(
         yield _element(vehicle_type(agent, settings, alternative_name(agent)), agent)
     for agent in ordered:
         edges = quoteattr(" ".join(agent.route))
-        depart = f"{agent.depart_s:.3f}"
+        named = f' id="{agent.id}" type="{agent.id}" depart="{agent.depart_s:.3f}"'
         if agent.kind is AgentKind.PEDESTRIAN:
-            at = (jaywalking or {}).get(agent.id)
+            at = jaywalking.get(agent.id)
             start = -WALK_START_M if at is None else max(at - WALK_START_M, 0.0)
-            yield (
-                f'<person id="{agent.id}" type="{agent.id}" depart="{depart}" '
-                f'departPos="{start:g}">'
-            )
+            yield f'<person{named} departPos="{start:g}">'
             yield f"<walk edges={edges}/></person>"
         else:
-            yield (
-                f'<vehicle id="{agent.id}" type="{agent.id}" depart="{depart}" '
-                f'departLane="best" departSpeed="max"><route edges={edges}/></vehicle>'
-            )
+            yield f'<vehicle{named} departLane="best" departSpeed="max">'
+            yield f"<route edges={edges}/></vehicle>"
     yield "</routes>"
 
 
@@ -167,12 +203,26 @@ def type_element(agent: AgentSpec, name: str, probability: float) -> str:
 
 
 def _element(attributes: dict[str, str], agent: AgentSpec) -> str:
-    """The vType of an agent, with the parameters of its driver's state if it errs."""
-    named = {} if agent.profile is None else perception_parameters(agent.profile)
-    if not named:
+    """The vType of an agent, with SUMO's driver-state device if the driver errs.
+
+    Half of the device's awareness and twice its usual coefficients make its Ornstein-Uhlenbeck
+    process one of standard deviation 1 and correlation time `ERROR_TIME_S`.
+    """
+    noise = 0.0 if agent.profile is None else agent.profile.perception_noise
+    if not noise:
         return f"<vType{_attributes(attributes)}/>"
+    numbers = {
+        "initialAwareness": 0.5,
+        "minAwareness": 0.1,
+        "errorTimeScaleCoefficient": 2.0 * ERROR_TIME_S,
+        "errorNoiseIntensityCoefficient": 2.0,
+        "headwayErrorCoefficient": noise,
+        "speedDifferenceErrorCoefficient": noise * CLOSING_ERROR_PER_S,
+        "headwayChangePerceptionThreshold": 0.0,
+        "speedDifferenceChangePerceptionThreshold": 0.0,
+    }
     parameters = {"has.driverstate.device": "true"}
-    parameters |= {f"device.driverstate.{name}": f"{value:.6g}" for name, value in named.items()}
+    parameters |= {f"device.driverstate.{name}": f"{value:.6g}" for name, value in numbers.items()}
     inner = "".join(
         f"<param{_attributes({'key': key, 'value': value})}/>" for key, value in parameters.items()
     )

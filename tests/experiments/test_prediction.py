@@ -27,7 +27,7 @@ from experiments.training.predictor import calibrate_drivers
 from graphrqi.networks.weights import load_weights
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS
-from graphrqi.predict.networks.futures import MODES
+from graphrqi.predict.networks import MODES
 from graphrqi.predict.rollout.driver_table import load_table
 from scenarios import SCENARIOS
 from sim.engines import get_engine

@@ -21,7 +21,7 @@ from experiments.training.recorded import (
 from experiments.training.recordings import CLASSES, history_of
 from graphrqi.posterior import Posterior
 from graphrqi.predict import predict
-from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.predict.networks import TIME_S
 from graphrqi.predict.recorded.network import SHIPPED
 from scenarios import SCENARIOS
 from sim.frames import Frame, Tracks

@@ -22,7 +22,7 @@ from experiments.generate.worlds import Sensor, draw_world
 from sim.frames import Tracks
 from sim.road.net import read_road
 from sim.store.dataset import Dataset, open_dataset
-from sim.sumo.settings import LAWS
+from sim.sumo.vehicle_types import LAWS
 
 CONFIG = GenerateConfig(scenarios=(RANDOM_WORLD,), episodes=5, seed=4, duration_s=15.0)
 

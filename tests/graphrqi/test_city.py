@@ -9,10 +9,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from graphrqi.predict.scene.priority import priority_of
+from graphrqi.predict.scene.paths import priority_of
 from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
-from scenarios.city import city_agents, city_scenario
+from scenarios.city import city_agents
 from sim.engines import get_engine
 from sim.episode.buffer import FrameBuffer
 from sim.frames import Tracks
@@ -22,7 +22,7 @@ from sim.road.lane_graph import LaneGraph
 
 @pytest.fixture(scope="module")
 def city() -> tuple[Road, Tracks]:
-    scenario = city_scenario(3, 60, seed=0, duration_s=30.0)
+    scenario = SCENARIOS["city"](duration_s=30.0)
     buffer = FrameBuffer(50)
     for frame in get_engine("sumo")(scenario, city_agents(scenario, 60, 0, within_s=20.0), 0):
         buffer.push(frame)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.graph import TrafficGraph
-from graphrqi.spectrum.rivals.changes import change_between
+from graphrqi.spectrum.rivals import change_between
 
 
 def brute_force_edges(

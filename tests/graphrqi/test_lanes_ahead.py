@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphrqi.predict.networks.futures import TIME_S, Futures
-from graphrqi.predict.networks.perceptron import Perceptron
-from graphrqi.predict.recorded.along_lanes import beside_paths, join_lanes
+from graphrqi.predict.networks import MODES, TIME_S, Futures, Perceptron
 from graphrqi.predict.recorded.features import feature_count
 from graphrqi.predict.recorded.lanes_ahead import (
     MOST,
@@ -19,14 +17,13 @@ from graphrqi.predict.recorded.lanes_ahead import (
 )
 from graphrqi.predict.recorded.motion import Motion
 from graphrqi.predict.recorded.network import (
-    MODES,
     PATH_OUTPUTS,
     PER_MODE,
     PER_PATH,
     RecordedNetwork,
     TrainedRange,
 )
-from graphrqi.predict.recorded.predictor import predict_recorded
+from graphrqi.predict.recorded.predictor import beside_paths, join_lanes, predict_recorded
 from scenarios import SCENARIOS
 from sim.frames import Frame, Tracks
 from sim.road.lane_graph import LaneGraph

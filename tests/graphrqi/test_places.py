@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from graphrqi.places.drivers import FULL_WEIGHT_S, LEAST_WEIGHT_S, PlaceDrivers, beside_others
-from graphrqi.places.network import PlaceNetwork
+from graphrqi.places.network import (
+    FULL_WEIGHT_S,
+    LEAST_WEIGHT_S,
+    PlaceDrivers,
+    PlaceNetwork,
+    beside_others,
+)
 from graphrqi.places.training import NetworkOptions, train_place_network
 from graphrqi.posterior import AGGRESSIVE
 from graphrqi.samples import Samples

@@ -21,8 +21,8 @@ from graphrqi.predict.rollout.driver_table import (
     load_table,
     save_table,
 )
+from graphrqi.predict.rollout.following import agreement
 from graphrqi.predict.rollout.rollout import positions, roll
-from graphrqi.predict.rollout.route import agreement
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.predict.scene.stop_constraints import PROCEED, STOP
 from scenarios import SCENARIOS
@@ -328,7 +328,7 @@ def test_driver_numbers_survive_their_file(tmp_path):
 
 def test_broken_driver_files_are_refused(tmp_path):
     save_weights(tmp_path / "drivers.safetensors", "drivers", {}, {})
-    with pytest.raises(InputError, match="expected calibrated drivers"):
+    with pytest.raises(InputError, match="expected weights of the kind 'drivers'"):
         load_table(tmp_path / "drivers.safetensors")
 
 

@@ -7,17 +7,18 @@ import pytest
 
 from graphrqi.predict.learned.lstm import TrajectoryLstm
 from graphrqi.predict.metrics import covered, log_density
-from graphrqi.predict.networks.futures import (
+from graphrqi.predict.networks import (
     ANCHORS,
     KNOT_S,
     KNOTS,
     MODES,
     PER_MODE,
+    Perceptron,
     PredictorInputs,
     _spline,
     decode,
+    load_futures_network,
 )
-from graphrqi.predict.networks.perceptron import Perceptron, load_futures_network
 from graphrqi.predict.training import fit
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
 

@@ -12,17 +12,17 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.posterior import Posterior
 from graphrqi.predict import PREDICTORS, predict
-from graphrqi.predict.networks.perceptron import Perceptron
+from graphrqi.predict.networks import MODES, Perceptron
 from graphrqi.predict.recorded.features import (
     QUEUE,
     feature_count,
     features_of,
+    inferred_leaders,
     neighbour_slots,
+    plausible,
 )
-from graphrqi.predict.recorded.gaps import inferred_leaders, plausible
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.recorded.network import (
-    MODES,
     PER_MODE,
     RecordedNetwork,
     TrainedRange,

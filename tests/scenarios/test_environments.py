@@ -90,6 +90,14 @@ def test_same_seed_same_episode_and_another_one_otherwise(name):
     assert not all(np.array_equal(a["agents"], b["agents"]) for a, b in pairs)
 
 
+def test_many_worlds_are_single_ones():
+    worlds = gymnasium.make_vec("graphrqi/TwoWayRoad-v0", num_envs=2, config=QUICK)
+    seen = [worlds.reset(seed=3)[0], worlds.step(np.array([1, 1]))[0]]
+    for i in range(2):
+        single, _ = drive(make("graphrqi/TwoWayRoad-v0"), 3 + i, steps=1, action=1)
+        assert_same([{key: values[i] for key, values in one.items()} for one in seen], single)
+
+
 def test_true_behaviours_are_one_hot_and_those_of_the_mix():
     env = make("graphrqi/StraightRoad-v0", observation="behavior", mix="timid=1", flow="dense")
     observation, _ = env.reset(seed=0)

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from experiments.cli.commands import app
 from experiments.generate.world_roads import straight_net
 from scenarios.networks.build import find_program
-from scenarios.networks.convert import kind_of
+from scenarios.networks.convert import open_map
 from scenarios.own.own_road import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
@@ -150,7 +150,7 @@ def everybody_leaves(net: Path, engine: str, flow: str | float = 900.0, **option
 def test_every_kind_of_map_is_surveyed_and_left_by_everybody(name, kind, tmp_path):
     path = tmp_path / name
     path.write_text(MAPS[name])
-    assert kind_of(path) == kind
+    assert open_map(path).kind == kind
     found = survey(path)
     assert {row["what"]: row["value"] for row in found.rows()}["routes"] > 0
     assert found.warnings == ()

@@ -10,7 +10,7 @@ from behaviors.labels import BEHAVIORS, Behavior
 from scenarios import SCENARIOS, get_scenario
 from scenarios.demand import PopulationOptions, parse_flow, parse_kinds, parse_mix
 from scenarios.networks import build
-from scenarios.networks.geometries import FourWayGeometry
+from scenarios.networks.geometries import four_way_sources
 from sim.engines import get_engine
 from sim.frames import AgentKind
 from sim.scenario import sample_agents
@@ -98,8 +98,8 @@ def test_flow_mix_and_kinds():
 
 
 def test_the_shipped_sources_are_those_of_the_geometries():
-    for name, geometry in build.SHIPPED.items():
-        for file, text in geometry.sources().items():
+    for name, sources in build.SHIPPED.items():
+        for file, text in sources.items():
             assert (build.FOLDER / name / file).read_text(encoding="utf-8") == text
         net = (build.FOLDER / name / build.NET).read_text(encoding="utf-8")
         assert "<!--" not in net  # where and when it was built
@@ -107,7 +107,7 @@ def test_the_shipped_sources_are_those_of_the_geometries():
 
 def test_another_geometry_is_built_and_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    geometry = FourWayGeometry(lanes=3, arm_m=120.0)
-    net = build.net_of(geometry)
+    sources = four_way_sources(lanes=3, arm_m=120.0)
+    net = build.net_of(sources)
     assert net.is_relative_to(tmp_path)
-    assert build.net_of(geometry) == net
+    assert build.net_of(sources) == net

@@ -10,8 +10,7 @@ from scenarios import get_scenario
 from sim.engines import get_engine
 from sim.frames import AgentKind
 from sim.scenario import AgentSpec, sample_agents
-from sim.sumo.settings import SumoSettings
-from sim.sumo.vehicle_types import vehicle_type
+from sim.sumo.vehicle_types import SumoSettings, vehicle_type
 
 
 def pair(scenario) -> list[AgentSpec]:

@@ -14,22 +14,17 @@ import numpy as np
 
 from graphrqi.arrays import FloatArray
 from graphrqi.predict.extrapolation import inertial_distance
-from graphrqi.predict.networks.futures import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
+from graphrqi.predict.networks import ANCHORS, KNOT_S, KNOTS, TIME_S, PredictorInputs
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.rollout.car_following import Rollout
 from graphrqi.predict.rollout.driver_table import (
+    DriverParameters,
     DriverTable,
     expected_parameters,
     parameters_of_each,
 )
-from graphrqi.predict.rollout.rollout import (
-    in_own_frame,
-    on_lane_beside,
-    roll,
-    roll_each,
-    steady,
-)
-from graphrqi.predict.rollout.route import agreement, candidates, path_probability
+from graphrqi.predict.rollout.following import agreement, candidates, path_probability
+from graphrqi.predict.rollout.rollout import in_own_frame, on_lane_beside, roll, roll_each, steady
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
@@ -66,13 +61,7 @@ FEATURES: Final = AROUND.stop + STOPS * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTI
 
 
 def features_of(scene: Scene) -> FloatArray:
-    """(n, FEATURES) all known numbers of each driver but its behaviour.
-
-    The own state comes first: speed, acceleration, limit, position on the lane, lanes beside,
-    desired speeds. The own past follows at each time of `PAST_S`: observed or not, speed
-    difference, turn since. The neighbours and the next stop constraints come next. The next lower
-    limit and the turn of the path are last.
-    """
+    """(n, FEATURES) all known numbers of each driver but its behaviour."""
     parts = [_own_states(scene), _past(scene), _neighbors(scene), _stops(scene), _way(scene)]
     return np.concatenate(parts, axis=1)
 
@@ -121,10 +110,7 @@ def _neighbors(scene: Scene) -> FloatArray:
 
 
 def _stops(scene: Scene) -> FloatArray:
-    """(n, STOPS (1 + 2 AHEAD_S)) the next stop constraints on the path, and their states to come.
-
-    They are looked for among those of the path in order, up to `FAR_M` ahead.
-    """
+    """(n, STOPS (1 + 2 AHEAD_S)) the next stop constraints up to `FAR_M`, and their states."""
     paths, n = scene.paths, scene.ids.size
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
     front = scene.s + scene.history.length / 2
@@ -160,18 +146,10 @@ _COMPARED: Final = [0, 1, 4]
 
 
 def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) -> PredictorInputs:
-    """Inputs for beliefs (n, 6) about the drivers' behaviours.
+    """Inputs for beliefs (n, 6) about the drivers' behaviours, uniform for unknown drivers.
 
     The anchor trajectories are rollouts along the likeliest path, the second likeliest one, to the
-    lanes on the left and on the right, and inertia.
-
-    Args:
-        scene: the present.
-        probability: (n, 6) beliefs; uniform rows for unknown drivers.
-        table: calibrated driver parameters.
-
-    Returns:
-        The inputs of every agent of the scene; rows of pedestrians are not valid.
+    lanes on the left and on the right, and inertia. Rows of pedestrians are not valid.
     """
     drivers = expected_parameters(scene, probability, table)
     choice, likely = path_probability(scene, drivers)
@@ -189,15 +167,13 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
         driven = roll(second, drivers, table.decay_s, KNOTS, KNOT_S)
         anchors[open_to, 1] = _at_knots(second, driven)[open_to]
     beside = on_lane_beside(first, 1), on_lane_beside(first, -1)
-    following, ignores = parameters_of_each(scene, table)
-    each = roll_each(
-        first,
-        [moving for moving, _ in beside] + [first] * len(following),
-        np.concatenate([drivers.following[None], drivers.following[None], following]),
-        np.concatenate([drivers.ignores[None], drivers.ignores[None], ignores]),
-        table.decay_s,
-        main,
+    by_behavior = parameters_of_each(scene, table)
+    variants = DriverParameters(
+        np.concatenate([drivers.following[None], drivers.following[None], by_behavior.following]),
+        np.concatenate([drivers.ignores[None], drivers.ignores[None], by_behavior.ignores]),
     )
+    ways = [moving for moving, _ in beside] + [first] * len(by_behavior.following)
+    each = roll_each(first, ways, variants, table.decay_s, main)
     seen = in_own_frame(first, each.lane[:2], each.s[:2], each.offset[:2], TIME_S)
     for way, (_, there) in enumerate(beside):
         anchors[:, 2 + way] = np.where(there[:, None, None], seen[way], anchors[:, 0])
@@ -212,7 +188,7 @@ def predictor_inputs(scene: Scene, probability: FloatArray, table: DriverTable) 
             likeliest[:, None],
             second_likely[:, None],
             probability,
-            ahead.transpose(1, 0, 2).reshape(row.size, 2 * len(following)),
+            ahead.transpose(1, 0, 2).reshape(row.size, 2 * len(by_behavior.following)),
             agreement(scene, probability, each.asked[2:], table),
         ],
         axis=1,
@@ -225,12 +201,6 @@ def unlabelled_inputs(scene: Scene) -> PredictorInputs:
 
     The anchor trajectories are the road itself, driven at constant speed: the likeliest path
     (straight on where several are open), the next one, the lanes beside and inertia.
-
-    Args:
-        scene: the present.
-
-    Returns:
-        The same features of road, past, neighbours, signals and pedestrians as `predictor_inputs`.
     """
     choice, real = candidates(scene)
     likely = np.where(real, scene.paths.probability[choice], 0.0)

@@ -18,13 +18,12 @@ import numpy as np
 from graphrqi.arrays import BoolArray
 from graphrqi.posterior import Posterior
 from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
-from graphrqi.predict.learned.lstm import TrajectoryLstm
-from graphrqi.predict.networks.futures import spread_out
-from graphrqi.predict.networks.perceptron import (
+from graphrqi.predict.networks import (
     WEIGHTS,
     FuturesNetwork,
     Perceptron,
     load_futures_network,
+    spread_out,
 )
 from graphrqi.predict.prediction import Prediction
 from graphrqi.predict.recorded.network import RecordedNetwork, trained_network
@@ -82,7 +81,8 @@ def trained_for(scene: Scene) -> BoolArray:
     These are on roads with known limits, lights and priority. The limit is in the trained range, or
     a stop constraint is near.
     """
-    if not knows_everything(scene):
+    knows = scene.road.knows
+    if knows.unknown or not knows.limits_rule or not limits_known(scene.graph):
         return np.zeros(scene.ids.size, bool)
     low, high = TRAINED_LIMITS_MPS
     lane = np.maximum(scene.lane, 0)
@@ -94,17 +94,15 @@ def trained_for(scene: Scene) -> BoolArray:
     return np.asarray(~scene.on_path | usual | stopped | scene.graph.internal[lane])
 
 
-def knows_everything(scene: Scene) -> bool:
-    """Whether the map gives limits, lights and priority."""
-    knows = scene.road.knows
-    return not knows.unknown and knows.limits_rule and limits_known(scene.graph)
-
-
 @functools.cache
 def _shipped(name: str) -> FuturesNetwork:
     """A network that ships in the package."""
-    read = TrajectoryLstm.read if name == "lstm" else Perceptron.read
-    return load_futures_network(WEIGHTS / f"{name}.safetensors", read)
+    path = WEIGHTS / f"{name}.safetensors"
+    if name == "lstm":
+        from graphrqi.predict.learned.lstm import TrajectoryLstm
+
+        return load_futures_network(path, TrajectoryLstm.read)
+    return load_futures_network(path, Perceptron.read)
 
 
 def _corrected(scene: Scene, posterior: Posterior) -> Prediction:
@@ -119,14 +117,7 @@ def graphrqi_predict(scene: Scene | Unmapped, posterior: Posterior) -> Predictio
 
 
 def with_weights(folder: Path) -> Callable[[Scene | Unmapped, Posterior], Prediction]:
-    """`graphrqi_predict` with weights for recordings that ``graphrqi train --predictor`` wrote.
-
-    Args:
-        folder: as given to the command as ``--out``.
-
-    Raises:
-        InputError: if there are no such weights.
-    """
+    """`graphrqi_predict` with weights for recordings that ``graphrqi train --predictor`` wrote."""
     network = trained_network(folder)
     return lambda scene, posterior: _where_trained(_corrected, scene, posterior, network)
 

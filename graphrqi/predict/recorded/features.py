@@ -2,6 +2,9 @@
 
 Everything is given in the agent's own frame and as the difference from what the base says, so that
 an agent that moves as the base expects looks the same at any speed.
+
+Some recordings in circulation have tracks that are shifted in time: vehicles overlap, and what a
+neighbour does says nothing. Then the network is told of no neighbours.
 """
 
 from __future__ import annotations
@@ -11,12 +14,69 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.recorded.motion import Motion
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+HALF_LANE_M: Final = 1.5
+"""A vehicle this close to the line along which another one drives is in its lane, m (half of a 3 m
+lane)."""
+
+AHEAD_M: Final = 100.0
+"""Leaders count up to this distance, m."""
+
+MOST_OVERLAPS: Final = 0.01
+"""Share of followers that may overlap their leader before gaps count as implausible."""
+
+STANDING_MPS: Final = 0.5
+"""Vehicles slower than this stand."""
+
+
+def _relative(xy: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, 2) unit vectors, (n, n) distances ahead of each agent to the others, and to its left."""
+    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    apart = xy[None] - xy[:, None]
+    along = (apart * facing[:, None]).sum(axis=-1)
+    return facing, along, facing[:, None, 0] * apart[..., 1] - facing[:, None, 1] * apart[..., 0]
+
+
+def inferred_leaders(history: Tracks, column: int = -1) -> tuple[IntArray, FloatArray]:
+    """(n,) row of each vehicle's leader, -1 for none, and (n,) gap, m, without a map.
+
+    Gaps are from bumper to bumper at one column of the tracks, +inf without a leader.
+    """
+    n = history.ids.size
+    drives = (history.kind != PEDESTRIAN) & history.valid[:, column]
+    heading = history.heading[:, column]
+    _, along, across = _relative(history.xy[:, column], heading)
+    same = np.cos(heading[None] - heading[:, None]) > 0.85
+    ahead = (along > 0) & (along < AHEAD_M) & (np.abs(across) < HALF_LANE_M) & same
+    ahead &= drives[:, None] & drives[None]
+    distance = np.where(ahead, along, np.inf)
+    if not n:
+        return np.empty(0, np.int64), np.empty(0)
+    leader = np.where(ahead.any(axis=1), distance.argmin(axis=1), -1)
+    row = np.arange(n)
+    gap = distance[row, np.maximum(leader, 0)]
+    gap = np.where(leader >= 0, gap - (history.length + history.length[leader]) / 2, np.inf)
+    return leader, gap
+
+
+def plausible(history: Tracks) -> bool:
+    """Whether hardly any follower overlaps its leader, over the history.
+
+    Pairs that both stand are left out: parked cars do not show whether tracks are shifted in time.
+    """
+    overlaps = followers = 0
+    every = 1 if history.time_s.size < 2 else max(1, round(1.0 / history.step_s))
+    for column in range(history.time_s.size - 1, -1, -every):
+        leader, gap = inferred_leaders(history, column)
+        moves = history.speed[:, column] > STANDING_MPS
+        counts = (leader >= 0) & (moves | moves[leader])
+        followers += int(counts.sum())
+        overlaps += int((counts & (gap < 0)).sum())
+    return overlaps <= MOST_OVERLAPS * followers
+
 
 AGES_S: Final = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
 """Ages of the places of the own past that are described, s."""
@@ -52,20 +112,14 @@ TWO_WHEELS: Final = tuple(KINDS.index(k) for k in (AgentKind.MOTORCYCLE, AgentKi
 
 
 def scale_of(speed: NDArray[np.floating]) -> FloatArray:
-    """(n,) m: the size of what the network corrects.
-
-    Grows with the speed up to 12 m/s only: without that bound errors were doubled on motorways.
-    """
+    """(n,) m: the size of what the network corrects; it grows with the speed up to 12 m/s."""
     return np.asarray(1.0 + 0.15 * np.minimum(speed, 12.0))
 
 
 def features_of(history: Tracks, motion: Motion, believable: bool = True) -> FloatArray:
     """(n, F) inputs of the network, for every agent of a history.
 
-    Args:
-        history: tracks whose last column is the present, everyone seen there.
-        motion: theirs.
-        believable: whether the gaps between vehicles can be trusted; if not, nobody has neighbours.
+    All are seen in its last column. Where gaps are not ``believable``, nobody has neighbours.
     """
     around = _neighbours(history, motion)
     if not believable:
@@ -127,23 +181,17 @@ def _past(history: Tracks, motion: Motion) -> FloatArray:
 
 
 def neighbour_slots(history: Tracks, motion: Motion) -> tuple[IntArray, FloatArray]:
-    """The neighbours that drive the same way.
+    """(n, 6) rows of the neighbours that drive the same way, -1 for none, and (n, 6) gaps, m.
 
-    Lanes are unknown: an agent is ahead in the own lane when it is within half a lane's width of
-    the line on which the base says this one will go, and beside when within one and a half.
-
-    Returns:
-        (n, 6) rows in the order of `SLOTS`, -1 where nobody is, and (n, 6) bumper-to-bumper gaps,
-        m, +inf there.
+    The order is that of `SLOTS`; gaps are from bumper to bumper. Lanes are unknown: an agent is
+    ahead in the own lane when it is within half a lane's width of the line on which the base says
+    this one will go, and beside when within one and a half.
     """
     n = history.ids.size
     rows, gaps = np.full((n, 6), -1), np.full((n, 6), np.inf)
     if n < 2:
         return rows, gaps
-    facing = np.stack([np.cos(motion.heading), np.sin(motion.heading)], axis=1)
-    apart = motion.xy[None] - motion.xy[:, None]
-    along = (apart * facing[:, None]).sum(axis=-1)
-    left = facing[:, None, 0] * apart[..., 1] - facing[:, None, 1] * apart[..., 0]
+    facing, along, left = _relative(motion.xy, motion.heading)
     bend = motion.yaw_rate / np.maximum(motion.speed, 2.0)
     ahead_only = np.clip(along, -30.0, 30.0)
     left = left - bend[:, None] * ahead_only**2 / 2.0

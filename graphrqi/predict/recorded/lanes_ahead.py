@@ -11,14 +11,14 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from graphrqi.predict.networks.futures import TIME_S
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from graphrqi.predict.networks import TIME_S
 from graphrqi.predict.recorded.features import scale_of
 from graphrqi.predict.recorded.motion import Motion, fading
 from graphrqi.predict.scene.paths import REACH_M, PathTable
@@ -27,10 +27,6 @@ from sim.geometry import to_own_frame
 from sim.road import Road
 from sim.road.cells import Cells, cells_of, members
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 LANE_REACH_M: Final = 5.0
 """Agents may be on lanes this near, m (maps and positions may be off by a metre or two, and the
@@ -56,7 +52,7 @@ POINTS: Final = 25
 """Points along each path within the first `HORIZON_S`, evenly spaced from beside the agent on."""
 
 HORIZON_S: Final = 5.0
-"""How far ahead paths are described to the network, s."""
+"""How far ahead the networks were trained, and paths are described to them, s."""
 
 LONGER, FURTHER_M = 1.6, 20.0
 """Paths reach this many times as far as the base goes, and by so much farther, m (3 m/s2 beyond the
@@ -80,8 +76,7 @@ PATH_FEATURES: Final = 42
 _AT: Final = np.searchsorted(TIME_S, np.asarray(KNOTS_S) - 1e-9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LanesAhead:
+class LanesAhead(NamedTuple):
     """Paths of n agents along lanes.
 
     Attributes:
@@ -109,18 +104,16 @@ class LanesAhead:
     @classmethod
     def join(cls, parts: Sequence[LanesAhead]) -> LanesAhead:
         """The agents of all parts, one part after the other."""
-        return cls(*(np.concatenate([getattr(one, k) for one in parts]) for k in cls.__slots__))
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
     def of(self, which: NDArray[Any]) -> LanesAhead:
         """Some of the agents."""
-        return LanesAhead(*(getattr(self, name)[which] for name in self.__slots__))
+        return LanesAhead._make(column[which] for column in self)
 
     def in_single_precision(self) -> LanesAhead:
         """The same in half the memory."""
-        return LanesAhead(
-            self.exists,
-            *(getattr(self, name).astype(np.float32) for name in self.__slots__[1:]),
-        )
+        single = (column.astype(np.float32) for column in self[1:])
+        return LanesAhead._make([self.exists, *single])
 
 
 class _Candidates(NamedTuple):
@@ -142,10 +135,7 @@ class _Candidates(NamedTuple):
 
     def of(self, which: IntArray) -> _Candidates:
         """Some of them."""
-        return _Candidates(
-            self.agent[which], self.path[which], self.s[which], self.offset[which],
-            self.turned[which],
-        )  # fmt: skip
+        return _Candidates._make(column[which] for column in self)
 
 
 class _Steady(NamedTuple):
@@ -181,16 +171,9 @@ def _lane_pieces(graph: LaneGraph) -> tuple[Cells, IntArray, FloatArray]:
 def lanes_ahead(
     history: Tracks, motion: Motion, road: Road, horizon_s: float = HORIZON_S
 ) -> LanesAhead:
-    """The paths that every agent may follow.
+    """The paths that every agent may follow; pedestrians have none.
 
-    Args:
-        history: tracks whose last column is the present, everyone seen there.
-        motion: theirs.
-        road: where.
-        horizon_s: how far ahead places along the paths are wanted, s.
-
-    Returns:
-        The paths; pedestrians have none.
+    Places along the paths are given for as far ahead as ``horizon_s``.
     """
     stretches = max(1, math.ceil(horizon_s / HORIZON_S - 1e-9))
     found = LanesAhead.none(history.ids.size, 1 + stretches * (POINTS - 1))

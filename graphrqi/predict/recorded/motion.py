@@ -17,13 +17,10 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from graphrqi.arrays import BoolArray, FloatArray
 from sim.frames import PEDESTRIAN, Tracks
 from sim.geometry import from_own_frame, to_own_frame
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 PAST_S: Final = 4.0
 """Past that the filter goes over, s."""
@@ -183,42 +180,21 @@ class Motion:
 
 
 def fading(motion: Motion, time_s: FloatArray) -> FloatArray:
-    """(n, H, 2) the base: acceleration and yaw rate fade; in each agent's frame, m.
+    """(n, H, 2) the base at increasing times (H,), s: acceleration and yaw rate fade.
 
-    Args:
-        motion: of the agents.
-        time_s: (H,) increasing, s; integrated in steps of at most 0.1 s.
+    Places are in each agent's frame, m. Nobody reverses: vehicles that brake to a standstill stay
+    there. Steps are 0.1 s at most.
     """
-    accel = np.where(motion.stands, -motion.speed / STOP_S, motion.accel)
-    fade_s = np.where(motion.stands, STOP_S, ACCEL_FADE_S)
-    yaw_rate = YAW_SHARE * motion.yaw_rate
-    return bent(motion.speed, accel, fade_s, yaw_rate, YAW_FADE_S, time_s)
-
-
-def bent(
-    speed: FloatArray, accel: FloatArray, accel_fade_s: FloatArray, yaw_rate: FloatArray,
-    yaw_fade_s: float, time_s: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """(n, H, 2) where agents come whose acceleration and yaw rate fade; in their frames, m.
-
-    Nobody reverses: vehicles that brake to a standstill stay there.
-
-    Args:
-        speed: (n,) m/s.
-        accel: (n,) m/s2.
-        accel_fade_s: (n,) time in which it falls to 1/e, s.
-        yaw_rate: (n,) rad/s.
-        yaw_fade_s: likewise.
-        time_s: (H,) increasing, s.
-    """
+    speed, yaw_rate = motion.speed[:, None], YAW_SHARE * motion.yaw_rate[:, None]
+    accel = np.where(motion.stands, -motion.speed / STOP_S, motion.accel)[:, None]
+    fade_s = np.where(motion.stands, STOP_S, ACCEL_FADE_S)[:, None]
     steps = max(1, round(float(time_s[-1]) / 0.1))
     fine = np.linspace(0.0, float(time_s[-1]), steps + 1)
-    fade_s = accel_fade_s[:, None]
-    gained = accel[:, None] * fade_s * (1.0 - np.exp(-fine / fade_s))
-    fast = np.maximum(speed[:, None] + gained, 0.0)
+    gained = accel * fade_s * (1.0 - np.exp(-fine / fade_s))
+    fast = np.maximum(speed + gained, 0.0)
     braked = np.minimum.accumulate(np.where(fast > 0.0, 1.0, 0.0), axis=1)
-    fast = fast * np.where(accel[:, None] < 0.0, braked, 1.0)
-    angle = yaw_rate[:, None] * yaw_fade_s * (1.0 - np.exp(-fine / yaw_fade_s))
+    fast = fast * np.where(accel < 0.0, braked, 1.0)
+    angle = yaw_rate * YAW_FADE_S * (1.0 - np.exp(-fine / YAW_FADE_S))
     step_s = np.diff(fine)
     mean, middle = (fast[:, 1:] + fast[:, :-1]) / 2, (angle[:, 1:] + angle[:, :-1]) / 2
     moved = (mean * step_s)[..., None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
@@ -269,8 +245,7 @@ def filtered(
         noise_mps: (m,) of rates, m/s.
         accel_mps2: (m,) of accelerations before anything is seen, m/s2.
         fade_s: time in which accelerations fall to 1/e, s.
-        wander: power of the white jerk that drives them, m2/s5; None for the one that keeps their
-            standard deviation.
+        wander: power of the white jerk that drives them, m2/s5; None keeps their deviation.
 
     Returns:
         (m, T, 3) places, rates and accelerations at each time, and the (m,) variance of the last

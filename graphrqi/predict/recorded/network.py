@@ -8,7 +8,7 @@ speed, noise and rate that it was trained on, the futures come down to the base.
 
 Where there is a map, a second perceptron looks at each path that an agent may follow
 (`graphrqi.predict.recorded.lanes_ahead`), and once at leaving them all. It gives each path a
-score and `PER_PATH` futures, which `graphrqi.predict.recorded.along_lanes` joins with the others.
+score and `PER_PATH` futures, which `graphrqi.predict.recorded.predictor` joins with the others.
 
 References:
     Guzman-Rivera et al. (2012), "Multiple choice learning", NeurIPS (winner takes all).
@@ -17,37 +17,32 @@ References:
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.networks.weights import save_weights
-from graphrqi.predict.networks.futures import TIME_S, Futures
-from graphrqi.predict.networks.perceptron import (
+from graphrqi.arrays import FloatArray, softmax
+from graphrqi.networks.weights import Arrays, restored, save_weights
+from graphrqi.predict.networks import (
     KIND,
+    LEAST_SPREAD_M,
+    MODES,
+    TIME_S,
     WEIGHTS,
+    Futures,
     Perceptron,
-    load_predictor,
-    refused,
+    spread_scale_of,
     standardized,
 )
 from graphrqi.predict.recorded.features import feature_count, scale_of
-from graphrqi.predict.recorded.lanes_ahead import MOST, PATH_FEATURES, LanesAhead
+from graphrqi.predict.recorded.lanes_ahead import HORIZON_S, MOST, PATH_FEATURES, LanesAhead
 from graphrqi.predict.recorded.motion import Motion
-
-FloatArray = NDArray[np.float64]
-
-MODES: Final = 6
-"""Futures per agent: what Argoverse 2 scores."""
 
 POWERS: Final = 4
 """Powers of time, from 2 on, in the polynomial of each axis: all futures begin with the base."""
-
-HORIZON_S: Final = 5.0
-"""Horizon that the network was trained for, s; its corrections stay constant after it."""
 
 PER_MODE: Final = 2 * POWERS + 3
 """Numbers per future: coefficients, two for the spread, a score."""
@@ -62,11 +57,7 @@ LIKELIEST: Final = 1.05
 """The first future is as likely as this many times the likeliest other one."""
 
 CLIP: Final = 3.0
-"""Standardised inputs are clipped here: larger ones mislead the network at places that it was not
-trained on."""
-
-LEAST_SPREAD_M: Final = 0.05
-"""Spreads are no smaller, m."""
+"""Standardised inputs are clipped here, since larger ones mislead the network."""
 
 SPEEDS_MPS: Final = (0.5, 5.0, 12.0, 20.0)
 """Where the classes of speed begin after the first, that of who stands, m/s."""
@@ -82,8 +73,7 @@ MARGIN: Final = 0.15
 
 
 LEAST: Final = 1e-9
-"""The trained range reaches at least this far (training recordings without noise would let it end
-at 0)."""
+"""The trained range reaches at least this far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +96,9 @@ class TrainedRange:
         self, speed: FloatArray, noise_m: FloatArray, noise_mps: FloatArray, step_s: float
     ) -> FloatArray:
         """(n,) 1 inside the range, 0 beyond its margin."""
-        out = np.ones_like(speed)
-        for value, most in (
-            (speed, self.speed_mps), (noise_m, self.noise_m), (noise_mps, self.noise_mps),
-            (np.full_like(speed, step_s), self.step_s),
-        ):  # fmt: skip
-            out = np.minimum(
-                out, np.clip(1.0 - (value / max(most, LEAST) - 1.0) / MARGIN, 0.0, 1.0)
-            )
-        return out
+        values = np.stack([speed, noise_m, noise_mps, np.full_like(speed, step_s)])
+        most = np.maximum(astuple(self), LEAST)[:, None]
+        return np.asarray(np.clip(1.0 - (values / most - 1.0) / MARGIN, 0.0, 1.0).min(axis=0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,25 +177,16 @@ def decode(
     raw: NDArray[np.floating], base: FloatArray, speed: FloatArray, trust: FloatArray,
     time_s: FloatArray,
 ) -> Futures:  # fmt: skip
-    """The network's numbers as futures in each agent's frame.
+    """The network's numbers (n, MODES, PER_MODE) as futures at times (H,), in each agent's frame.
 
-    Args:
-        raw: (n, MODES, PER_MODE).
-        base: (n, H, 2) the base, m.
-        speed: (n,) m/s.
-        trust: (n,) how much of each correction counts, 0 to 1.
-        time_s: (H,) s.
-
-    Returns:
-        The futures at these times, the first being the likeliest; spreads are not scaled yet.
+    They correct the base (n, H, 2) as far as trust (n,) allows, 0 to 1. The first is the likeliest.
+    Spreads are not scaled yet.
     """
     n = len(raw)
     size = scale_of(speed)[:, None, None, None] * trust[:, None, None, None]
     bend = raw[..., : 2 * POWERS].reshape(n, MODES, POWERS, 2).astype(np.float64)
     own = base[:, None] + size * np.einsum("nkpc,pt->nktc", bend, powers(time_s), optimize=True)
-    score = raw[..., 1:, -1].astype(np.float64)
-    other = np.exp(score - score.max(axis=1, keepdims=True))
-    other /= other.sum(axis=1, keepdims=True)
+    other = softmax(raw[..., 1:, -1].astype(np.float64))
     chance = np.concatenate([LIKELIEST * other.max(axis=1, keepdims=True), other], axis=1)
     return Futures(own, spreads(raw, speed, time_s), chance / chance.sum(axis=1, keepdims=True))
 
@@ -228,22 +203,19 @@ def spreads(raw: NDArray[np.floating], speed: FloatArray, time_s: FloatArray) ->
 
 
 def load_network(path: Path) -> RecordedNetwork:
-    """Read a network.
+    """Read a network; `InputError` if the file is missing, broken or of another version."""
+    return restored(path, KIND, _read)
 
-    Raises:
-        InputError: if the file is missing, broken or of another version.
-    """
-    about, arrays = load_predictor(path)
-    with refused(path):
-        free, lanes = Perceptron.read(arrays, most=CLIP), None
-        if "lanes_mean" in arrays:
-            lanes = Perceptron.read(arrays, "lanes_", CLIP)
-        earned = np.array(about["earned"], dtype=np.float64).reshape(EARNED)
-        trained = TrainedRange(**about["trained"])
-    free.check(path, feature_count(), MODES * PER_MODE)
-    if lanes is not None:
-        lanes.check(path, feature_count() + PATH_FEATURES, PATH_OUTPUTS)
-    return RecordedNetwork(free, about["spread_scale"], trained, lanes, earned)
+
+def _read(about: dict[str, Any], arrays: Arrays) -> RecordedNetwork:
+    free, lanes = Perceptron.read(arrays, most=CLIP), None
+    free.check(feature_count(), MODES * PER_MODE)
+    if "lanes_mean" in arrays:
+        lanes = Perceptron.read(arrays, "lanes_", CLIP)
+        lanes.check(feature_count() + PATH_FEATURES, PATH_OUTPUTS)
+    earned = np.array(about["earned"], dtype=np.float64).reshape(EARNED)
+    trained = TrainedRange(**about["trained"])
+    return RecordedNetwork(free, spread_scale_of(about), trained, lanes, earned)
 
 
 SHIPPED: Final = "recorded.safetensors"
@@ -252,9 +224,5 @@ SHIPPED: Final = "recorded.safetensors"
 
 @functools.lru_cache(maxsize=4)
 def trained_network(folder: Path = WEIGHTS) -> RecordedNetwork:
-    """The network that ships, or that ``graphrqi train --predictor`` wrote into a folder.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The network that ships, or that ``graphrqi train --predictor`` wrote into a folder."""
     return load_network(folder / SHIPPED)

@@ -149,8 +149,8 @@ def simulate(
 
     Args:
         present: the drivers.
-        path: (M, n) row of ``paths`` of each driver; -1 minus it for a driver that is present but
-            not simulated. The next three may have a first axis of 1.
+        path: (M, n) row of ``paths`` of each driver; -1 minus it for one that is not simulated. The
+            next three may have a first axis of 1.
         lateral: (M, n, 2) distance left of the lane's centre, m, and speed of return, m/s.
         following: (M, n, 5) numbers in the order of `DRIVER_FIELDS`.
         ignores: (M, n, 2) whether each ignores red lights, and pedestrians at crossings.
@@ -159,9 +159,6 @@ def simulate(
         others: `Others`; with (0, 0) arrays if all move together.
         steps: number, duration, s, columns of ``stop_state`` per step, and decay time of the
             residual acceleration, s.
-
-    Returns:
-        The M futures.
     """
     m, n = path.shape
     s, offset, speed, travelled = np.zeros((4, m, n, steps[0]))

@@ -12,10 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.arrays import BoolArray, FloatArray
-from graphrqi.networks.weights import load_weights, save_weights
+from graphrqi.networks.weights import restored, save_weights
 from graphrqi.predict.scene.scene import Scene
 
 DRIVER_FIELDS: Final = (
@@ -94,22 +93,22 @@ def load_table(path: Path = SHIPPED) -> DriverTable:
     Raises:
         InputError: if the file is missing, broken, of another kind or of another version.
     """
-    about, arrays = load_weights(path, KIND)
-    try:
-        return DriverTable(
+    return restored(
+        path,
+        KIND,
+        lambda about, arrays: DriverTable(
             arrays["behavior"], arrays["average"], about["decay_s"], about["average_decay_s"]
-        )
-    except KeyError as error:
-        raise InputError(f"{path}: found no {error}, expected calibrated drivers") from None
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriverParameters:
-    """How n drivers drive.
+    """How n drivers drive, or (M, n).
 
     Attributes:
-        following: (n, 5) car-following parameters, columns as ``DRIVER_FIELDS``.
-        ignores: (n, 2) whether each ignores red lights, and pedestrians at crossings.
+        following: (..., 5) car-following parameters, columns as ``DRIVER_FIELDS``.
+        ignores: (..., 2) whether each ignores red lights, and pedestrians at crossings.
     """
 
     following: FloatArray
@@ -126,15 +125,11 @@ def expected_parameters(
     )
 
 
-def parameters_of_each(scene: Scene, table: DriverTable) -> tuple[FloatArray, BoolArray]:
-    """The parameters of each driver under each behaviour.
-
-    Returns:
-        (6, n, 5) car-following parameters. (6, n, 2) kinds of stop constraints ignored.
-    """
+def parameters_of_each(scene: Scene, table: DriverTable) -> DriverParameters:
+    """The parameters of (6, n) drivers: of each under each behaviour."""
     each = (len(BEHAVIORS), scene.ids.size)
     runs, yields = (np.broadcast_to(x[:, None], each) for x in (RUNS_RED, YIELDS))
-    return _personal(scene, table.behavior[:, None]), _ignored(runs, yields)
+    return DriverParameters(_personal(scene, table.behavior[:, None]), _ignored(runs, yields))
 
 
 def average_parameters(scene: Scene, table: DriverTable) -> DriverParameters:

@@ -33,93 +33,56 @@ def roll(
     step_s: float = STEP_S,
     planned: int | None = None,
 ) -> Rollout:
-    """Simulate the scene's drivers along their paths, all together.
+    """Simulate the scene's drivers along their paths, all together, up to the horizon.
 
-    Args:
-        scene: the present.
-        drivers: how each drives.
-        decay_s: decay time of the residual acceleration, s.
-        steps: number of steps; up to the horizon if not given.
-        step_s: time between them, s.
-        planned: row of a vehicle without residual acceleration.
-
-    Returns:
-        The drivers' future.
+    The residual acceleration decays with ``decay_s``; the vehicle of row ``planned`` has none. The
+    number of steps may be another one, and their length, s.
     """
-    present = _present(scene)
+    accel = scene.accel.copy()
     if planned is not None:
-        present.accel[planned] = UNKNOWN_ACCELERATION
+        accel[planned] = UNKNOWN_ACCELERATION
     count = steps or round(scene.steps * STEP_S / step_s)
-    found = simulate(
-        present, scene.path[None], _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], scene.stop_state, scene.paths.columns,
-        _MOVE_TOGETHER, (count, step_s, step_s / STEP_S, decay_s),
-    )  # fmt: skip
-    return found.of(0)
+    started = scene.replaced(accel=accel)
+    return _rolled(started, scene.path[None], [scene], drivers, decay_s, count, step_s).of(0)
 
 
 def roll_each(
-    scene: Scene,
-    ways: Sequence[Scene],
-    following: FloatArray,
-    ignores: BoolArray,
-    decay_s: float,
-    others: Rollout,
+    scene: Scene, ways: Sequence[Scene], drivers: DriverParameters, decay_s: float, others: Rollout
 ) -> Rollout:
-    """Simulate each driver alone among the others, in M variants.
+    """Simulate each driver alone among the others, whose future is assumed, in M variants.
 
-    Args:
-        scene: the present.
-        ways: M scenes with other paths, offsets and lateral speeds.
-        following: (M, n, 5) as in `DriverParameters`.
-        ignores: (M, n, 2) likewise.
-        decay_s: as to `roll`.
-        others: the assumed future of the others.
-
-    Returns:
-        The drivers' futures, (M, n, H).
+    The variants are M scenes with other paths, offsets and lateral speeds, and parameters of
+    (M, n) drivers.
     """
-    path, offset, lateral_speed = (
-        np.stack([getattr(way, name) for way in ways])
-        for name in ("path", "offset", "lateral_speed")
-    )
-    count, step_s = others.s.shape[1], others.step_s
-    return simulate(
-        _present(scene), path, _lateral(offset, lateral_speed), following, ignores,
-        scene.stop_state, scene.paths.columns, Others(others.lane, others.s, others.speed),
-        (count, step_s, step_s / STEP_S, decay_s),
-    )  # fmt: skip
+    path, known = np.stack([way.path for way in ways]), Others(others.lane, others.s, others.speed)
+    return _rolled(scene, path, ways, drivers, decay_s, others.s.shape[1], others.step_s, known)
 
 
 def asked_on(scene: Scene, path: IntArray, drivers: DriverParameters) -> FloatArray:
-    """(C, n) the car-following law's acceleration at present on each of C paths, m/s2.
+    """(C, n) the law's acceleration at present on each of C paths (C, n), m/s2.
 
-    Args:
-        scene: the present.
-        path: (C, n) paths; -1 minus a path where the result is to be 0.
-        drivers: how each drives.
+    It is 0 where -1 minus a path is given.
     """
+    return _rolled(scene, path, [scene], drivers, 0.0, 1, STEP_S).asked
+
+
+def _rolled(
+    scene: Scene, path: IntArray, ways: Sequence[Scene], drivers: DriverParameters,
+    decay_s: float, count: int, step_s: float, others: Others = _MOVE_TOGETHER,
+) -> Rollout:  # fmt: skip
+    """Simulate; see `graphrqi.predict.rollout.car_following.simulate`."""
+    present = Present(
+        scene.s, np.maximum(scene.speed, 0.0), scene.accel, scene.history.length / 2, scene.on_path
+    )
+    offset = np.stack([way.offset for way in ways])
+    back = np.stack([np.maximum(np.abs(way.lateral_speed), RETURN_MPS) for way in ways])
+    following, ignores = drivers.following, drivers.ignores
+    if following.ndim == 2:
+        following, ignores = following[None], ignores[None]
     return simulate(
-        _present(scene), path, _lateral(scene.offset, scene.lateral_speed)[None],
-        drivers.following[None], drivers.ignores[None], scene.stop_state,
-        scene.paths.columns, _MOVE_TOGETHER, (1, STEP_S, 1.0, 0.0),
-    ).asked  # fmt: skip
-
-
-def _present(scene: Scene) -> Present:
-    """What a rollout starts from."""
-    return Present(
-        scene.s, np.maximum(scene.speed, 0.0), scene.accel.copy(), scene.history.length / 2,
-        scene.on_path,
+        present, path, np.stack([offset, back], axis=-1), following, ignores, scene.stop_state,
+        scene.paths.columns, others, (count, step_s, step_s / STEP_S, decay_s),
     )  # fmt: skip
-
-
-def _lateral(offset: FloatArray, lateral_speed: FloatArray) -> FloatArray:
-    """(..., 2) distance to the left, m, and lateral speed at which drivers return to it, m/s."""
-    out = np.empty((*offset.shape, 2))
-    out[..., 0] = offset
-    np.maximum(np.abs(lateral_speed), RETURN_MPS, out=out[..., 1])
-    return out
 
 
 def positions(scene: Scene, rollout: Rollout) -> FloatArray:
@@ -127,8 +90,9 @@ def positions(scene: Scene, rollout: Rollout) -> FloatArray:
     on = scene.on_path
     out = on_lanes(scene, rollout.lane, rollout.s, rollout.offset)
     if not on.all():
-        time_s = np.arange(1, out.shape[1] + 1) * rollout.step_s
-        out[~on] = scene.straight_on(~on, time_s)
+        gone = scene.speed[~on, None] * (np.arange(1, out.shape[1] + 1) * rollout.step_s)
+        facing = np.stack([np.cos(scene.heading[~on]), np.sin(scene.heading[~on])], axis=1)
+        out[~on] = scene.xy[~on, None] + gone[..., None] * facing[:, None]
     return out
 
 
@@ -143,12 +107,8 @@ def in_own_frame(
 ) -> FloatArray:
     """(..., n, J, 2) places on lanes in the drivers' frames, ahead and to the left, m.
 
-    Args:
-        scene: the present.
-        lane: (..., n, J) lanes.
-        s: (..., n, J) distances along, m.
-        offset: (..., n, J) distances to the left, m.
-        time_s: (J,) when, s; agents without a path go straight on.
+    Lanes, distances along them and to their left, m, are (..., n, J). Agents without a path go
+    straight on, to where they are at times (J,), s.
     """
     xy = np.moveaxis(on_lanes(scene, lane, s, offset), -3, 0)
     own = np.moveaxis(to_own_frame(xy, scene.xy, scene.heading), 0, -3)
@@ -163,19 +123,17 @@ def steady(scene: Scene) -> Rollout:
     lane, s = scene.paths.along(scene.path, scene.s[:, None] + travelled)
     speed = np.repeat(scene.speed[:, None], scene.steps, axis=1)
     asked = np.zeros(scene.ids.size)
-    return Rollout(lane, s, scene.offsets(), speed, travelled, asked, STEP_S)
+    back = np.maximum(np.abs(scene.lateral_speed), RETURN_MPS)[:, None] * scene.time_s[None]
+    offset = np.maximum(np.abs(scene.offset)[:, None] - back, 0.0)
+    offset *= np.sign(scene.offset)[:, None]
+    return Rollout(lane, s, offset, speed, travelled, asked, STEP_S)
 
 
 def on_lane_beside(scene: Scene, side: int, other_ways: bool = True) -> tuple[Scene, BoolArray]:
-    """Every driver on its way to the lane beside, where there is one.
+    """Every driver on its way to the lane on the left (1) or right (-1), where there is one.
 
-    Args:
-        scene: the present.
-        side: 1: to the left, -1: to the right.
-        other_ways: whether a lane with another destination than the path counts.
-
-    Returns:
-        The scene, and (n,) whether a driver has such a lane; the others stay.
+    Without ``other_ways``, lanes with another destination than the path do not count. (n,) says who
+    has such a lane; the others stay.
     """
     paths = scene.paths
     number, sign = (0, 1.0) if side > 0 else (1, -1.0)

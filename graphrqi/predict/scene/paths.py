@@ -1,20 +1,126 @@
-"""Paths that lead on from lanes, with the stop constraints along them."""
+"""Paths that lead on from lanes, the stop constraints along them, and priority at junctions.
+
+Movements are compared only where their lanes come near each other, so the cost grows with the
+number of lanes and not with its square.
+"""
 
 from __future__ import annotations
 
 import functools
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from graphrqi.arrays import FloatArray, IntArray
-from graphrqi.predict.scene.priority import priority_of
+from graphrqi.arrays import BoolArray, FloatArray, IntArray
+from sim.geometry import meeting
 from sim.road import Road
-from sim.road.cells import members
-from sim.road.lane_graph import DIRECTIONS, LaneGraph
+from sim.road.cells import boxes_of, members, near_pairs
+from sim.road.lane_graph import CELL_M, DIRECTIONS, NEAR_M, LaneGraph
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Priority:
+    """The yielding places of a road, and the lanes of those that have priority there.
+
+    Attributes:
+        lane: (Y,) lane on which others have priority.
+        entry: (Y,) whether it is where a junction is entered.
+        foe_first: (L + 1,) where the conflicts of each lane with priority begin in the next two.
+        foe_place: (F,) yielding place that each conflict belongs to.
+        foe_s: (F,) distance along the lane with priority at which the two movements cross, m.
+    """
+
+    lane: IntArray
+    entry: BoolArray
+    foe_first: IntArray
+    foe_place: IntArray
+    foe_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Movements:
+    """The junction lanes: where each comes from and leads to, how it turns, whether it yields."""
+
+    lane: IntArray
+    origin: IntArray
+    target: IntArray
+    direction: IntArray
+    yields: BoolArray
+    entry: BoolArray
+
+
+def priority_of(road: Road, graph: LaneGraph) -> Priority:
+    """Find the yielding places of a road.
+
+    At signals turning vehicles yield; at other junctions the road defines priority. A movement has
+    priority over a yielding one if it does not yield itself, or turns right where the other turns
+    left.
+    """
+    moves = _movements(road)
+    places = np.flatnonzero(moves.yields)
+    place, other = _may_conflict(road, moves, places)
+    one = places[place]
+    right, left = DIRECTIONS.index("right"), DIRECTIONS.index("left")
+    first = ~moves.yields[other]
+    first |= (moves.direction[other] == right) & (moves.direction[one] == left)
+    keep = first & (moves.origin[other] != moves.origin[one])
+    place, other, one = place[keep], other[keep], one[keep]
+    lines = [road.lanes[i].centerline for i in moves.lane.tolist()]
+    met = [meeting(lines[i], lines[j]) for i, j in zip(one.tolist(), other.tolist(), strict=True)]
+    at = np.array([np.nan if each is None else each.along_other for each in met])
+    merges = np.isnan(at) & (moves.target[other] == moves.target[one])
+    at[merges] = graph.length[moves.lane[other[merges]]]
+    meets = ~np.isnan(at)
+    foe, place, at = moves.lane[other[meets]], place[meets], at[meets]
+    order = np.argsort(foe, kind="stable")
+    return Priority(
+        lane=moves.lane[places],
+        entry=moves.entry[places],
+        foe_first=np.searchsorted(foe[order], np.arange(len(road.lanes) + 1)),
+        foe_place=place[order],
+        foe_s=at[order],
+    )
+
+
+def _movements(road: Road) -> _Movements:
+    index = road.lane_index
+    ways: dict[int, tuple[int, int, int, int, bool]] = {}
+    entries: list[int] = []
+    for connection in road.connections:
+        via = [index[v] for v in connection.via if v in index]
+        if not via or connection.from_lane not in index or connection.to_lane not in index:
+            continue
+        entries.append(via[0])
+        signalled = connection.signal >= 0
+        yields = connection.direction != "straight" if signalled else connection.must_yield
+        way = index[connection.from_lane], index[connection.to_lane]
+        direction = DIRECTIONS.index(connection.direction)
+        ways |= {lane: (lane, *way, direction, yields) for lane in via}
+    table = np.array(list(ways.values()), dtype=np.int64).reshape(-1, 5).T
+    yields, entry = table[4].astype(np.bool_), np.isin(table[0], entries)
+    return _Movements(table[0], table[1], table[2], table[3], yields, entry)
+
+
+def _may_conflict(road: Road, moves: _Movements, places: IntArray) -> tuple[IntArray, IntArray]:
+    """Yielding places and movements that come near them or end on the same lane, in order."""
+    boxes = boxes_of([road.lanes[i].centerline for i in moves.lane.tolist()], NEAR_M)
+    near = near_pairs(boxes[places], boxes, CELL_M)
+    by_target = np.argsort(moves.target, kind="stable")
+    ordered = moves.target[by_target]
+    begin = np.searchsorted(ordered, moves.target[places])
+    count = np.searchsorted(ordered, moves.target[places], side="right") - begin
+    place, number = members(begin, count)
+    same = by_target[number]
+    most = max(moves.lane.size, 1)
+    pairs = np.unique(
+        np.concatenate([near[:, 0] * most + near[:, 1], place * most + same]).astype(np.int64)
+    )
+    return pairs // most, pairs % most
+
 
 REACH_M: Final = 150.0
 """Paths continue at least this far beyond their first lane, unless more is asked for (5 s at 30
@@ -67,14 +173,9 @@ class PathTable:
 
     Rows are paths, in the order in which they were needed; those of one lane follow each other.
     Lanes and stop constraints are padded at the end. A row never changes once it is there; arrays
-    are replaced by larger ones.
-
-    Args:
-        road: whose paths they are.
-        reach_m: how far they continue beyond their first lane, m.
+    are replaced by larger ones. Paths continue ``reach_m`` beyond their first lane.
 
     Attributes:
-        road: as given.
         lane: (Q, P) lanes in order, -1 after the end.
         start: (Q, P) distance from the start of the first lane at which each begins, m; +inf after.
         limit: (Q, P) speed limit, m/s.
@@ -86,10 +187,8 @@ class PathTable:
         first: (L,) first path of each lane.
         options: (L,) how many paths each lane has; 0 where they have not been needed yet.
         groups: number of signal groups.
-        kinds: (2,) number of signal groups, and of these and the places where lanes and crossings
-            meet: where each kind of stop constraint ends among the rows.
-        priority: the yielding places; drivers slow down at those where a junction is entered until
-            they can see.
+        kinds: (2,) where signal groups, and where crossings, end among the rows of ``stop_state``.
+        priority: the yielding places; drivers slow down where a junction is entered.
         beside: (2, L) lanes to the left and to the right of each, -1: none.
         lane_spacing: (2, L) distance between the two centre lines, m.
         by_turn: (L, D) likeliest path from each lane that turns each way, -1: none.

@@ -55,32 +55,20 @@ BESIDE_CROSSING_M, BEYOND_CROSSING_M = 1.0, 0.5
 
 
 def stop_states(
-    history: Tracks, road: Road, paths: PathTable, lane: IntArray, s: FloatArray, path: IntArray,
-    steps: int,
-) -> StateArray:  # fmt: skip
-    """The state of every stop constraint now and at each coming step.
+    history: Tracks, paths: PathTable, lane: IntArray, s: FloatArray, path: IntArray, steps: int
+) -> StateArray:
+    """(R, steps + 1) states of signals, crossings and yielding places, now and at each step.
 
+    Lanes (n,), distances along them, m, and paths are the agents'; a lane is -1 off the road.
     Signals that no driver can reach stay as they are now.
-
-    Args:
-        history: tracks whose last column is the present.
-        road: where it happens.
-        paths: its paths.
-        lane: (n,) lane of each agent, -1 off the road.
-        s: (n,) distance along it, m.
-        path: (n,) path that each takes.
-        steps: how many steps of `STEP_S` are foreseen.
-
-    Returns:
-        (R, steps + 1) states of signals, of crossings and of yielding places, in this order.
     """
-    graph = LaneGraph.of(road)
+    road, graph = paths.road, LaneGraph.of(paths.road)
     groups, crossed = paths.kinds.tolist()
     entry = paths.priority.entry
     # constraint tables are padded with row 0, which there must be
     state = np.zeros((max(crossed + entry.size, 1), steps + 1), dtype=np.int8)
     if groups:
-        _follow_programs(history, road, paths, lane, state[:groups])
+        _follow_programs(history, paths, lane, state[:groups])
     if crossed > groups:
         _block_crossings(history, road, graph, state[groups:crossed])
     if entry.size:
@@ -89,9 +77,7 @@ def stop_states(
     return state
 
 
-def _follow_programs(
-    history: Tracks, road: Road, paths: PathTable, lane: IntArray, state: StateArray
-) -> None:
+def _follow_programs(history: Tracks, paths: PathTable, lane: IntArray, state: StateArray) -> None:
     """Write the states of the signal groups: by their programmes if these explain the past."""
     shown = min(len(state), history.signals.shape[0])
     state[:shown] = OF_SIGNAL[history.signals[:shown, -1:]]
@@ -100,7 +86,7 @@ def _follow_programs(
     met = set(ahead[ahead < shown].tolist())
     time_s = history.time_s[-PROGRAMME_FRAMES:]
     coming = time_s[-1] + np.arange(state.shape[1]) * STEP_S
-    for plan in road.signal_plans:
+    for plan in paths.road.signal_plans:
         groups = list(plan.groups)
         if met.isdisjoint(groups) or max(groups) >= shown:
             continue

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
 from graphrqi.arrays import BoolArray, FloatArray
+from graphrqi.posterior import Posterior
 from graphrqi.predict.rollout.driver_table import DRIVER_FIELDS, DriverTable, initial_table
-from graphrqi.predict.rollout.following import aware_with, blind_with, certain
+from graphrqi.predict.rollout.following import aware, blind, certain
 from graphrqi.predict.scene.scene import Scene
 
 EVERY: Final = 5
@@ -70,7 +71,8 @@ def by_behavior(samples: Sequence[Sample], table: DriverTable) -> FloatArray:
     """(6,) mean displacement of each behaviour's drivers when their behaviour is known, m."""
     total, count = np.zeros(len(BEHAVIORS)), np.zeros(len(BEHAVIORS))
     for sample in samples:
-        error = displacement(sample, aware_with(sample.scene, certain(sample.behavior), table).best)
+        beliefs = Posterior(sample.scene.ids, certain(sample.behavior))
+        error = displacement(sample, aware(sample.scene, beliefs, table).best)
         kept = sample.counts & (sample.behavior >= 0)
         total += np.bincount(sample.behavior[kept], error[kept], len(BEHAVIORS))
         count += np.bincount(sample.behavior[kept], minlength=len(BEHAVIORS))
@@ -79,23 +81,16 @@ def by_behavior(samples: Sequence[Sample], table: DriverTable) -> FloatArray:
 
 def without_behavior(samples: Sequence[Sample], table: DriverTable) -> float:
     """Mean displacement of all drivers by the average driver's numbers, m."""
-    errors = [displacement(s, blind_with(s.scene, table).best)[s.counts] for s in samples]
+    errors = [displacement(s, blind(s.scene, None, table).best)[s.counts] for s in samples]
     return float(np.concatenate(errors).mean())
 
 
 def calibrate(
     samples: Sequence[Sample], iterations: int = 80, seed: int = 0, start: DriverTable | None = None
 ) -> DriverTable:
-    """Search the numbers of every behaviour and of the average driver.
+    """Search the numbers of every behaviour and of the average driver, on training episodes only.
 
-    Args:
-        samples: of training episodes only.
-        iterations: perturbations tried.
-        seed: of the perturbations.
-        start: where to begin; the profiles' own numbers by default.
-
-    Returns:
-        The best numbers found.
+    The search begins at ``start``, the profiles' own numbers by default.
     """
     rng = np.random.default_rng(seed)
     origin = initial_table()

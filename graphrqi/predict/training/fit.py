@@ -11,33 +11,32 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from graphrqi.arrays import FloatArray
-from graphrqi.predict.learned.lstm import TrajectoryLstm, make_module
+from graphrqi.networks.portable_torch import Descent, root
+from graphrqi.predict.learned.lstm import Recurrent, TrajectoryLstm
 from graphrqi.predict.metrics import covered
-from graphrqi.predict.networks.futures import (
+from graphrqi.predict.networks import (
     ANCHORS,
     KNOT_S,
     KNOTS,
     MODES,
     PER_MODE,
+    FuturesNetwork,
+    Layers,
+    Perceptron,
     PredictorInputs,
     decode,
+    standardized,
 )
-from graphrqi.predict.networks.perceptron import FuturesNetwork, Layers, Perceptron
-from graphrqi.predict.networks.perceptron import standardized as standardized_features
 
-if TYPE_CHECKING:
-    import torch
-
-    Module = TypeVar("Module", bound=torch.nn.Module)
-
+Module = TypeVar("Module", bound=torch.nn.Module)
 
 HIDDEN: Final = (256, 256, 256)
 """Widths of the hidden layers (as in the first study)."""
@@ -57,8 +56,7 @@ SCORE_WEIGHT, SPREAD_WEIGHT = 0.2, 0.1
 """Weights of the scores' and the spreads' losses against displacement in metres."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Examples:
+class Examples(NamedTuple):
     """Inputs of drivers, and where they went.
 
     Attributes:
@@ -76,21 +74,13 @@ class Examples:
         """One after the other."""
         if not parts:
             raise InputError("examples: found none, expected at least one episode")
-        return cls(
-            np.concatenate([p.features for p in parts]),
-            np.concatenate([p.anchors for p in parts]),
-            np.concatenate([p.truth for p in parts]),
-        )
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def displacement_loss(
     raw: torch.Tensor, anchors: torch.Tensor, truth: torch.Tensor
 ) -> torch.Tensor:
     """The loss of a batch: (m, K PER_MODE) outputs, (m, ANCHORS, KNOTS, 2), (m, KNOTS, 2)."""
-    import torch
-
-    from graphrqi.networks.portable_torch import root
-
     n, b = raw.shape[0], ANCHORS
     each = raw.view(n, MODES, PER_MODE)
     time_s = torch.arange(1, KNOTS + 1) * KNOT_S
@@ -114,8 +104,6 @@ def displacement_loss(
 
 def validation_ade(module: torch.nn.Module, examples: Examples) -> float:
     """Mean distance of the best guess, m."""
-    import torch
-
     module.eval()
     with torch.no_grad():
         raw = module(torch.from_numpy(examples.features)).numpy().astype(np.float64)
@@ -130,11 +118,6 @@ def standardization(features: NDArray[np.floating]) -> tuple[FloatArray, FloatAr
     return mean, np.where(scale > 1e-4, scale, 1.0)
 
 
-def standardized(examples: Examples, mean: FloatArray, scale: FloatArray) -> Examples:
-    """The same examples with standardised features, clipped as at inference."""
-    return replace(examples, features=standardized_features(examples.features, mean, scale))
-
-
 def train_perceptron(
     training: Examples | Callable[[int], Examples],
     validation: Examples,
@@ -143,19 +126,11 @@ def train_perceptron(
     seed: int = 0,
     on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
 ) -> FuturesNetwork:
-    """Train the network of `graphrqi.predict.networks.perceptron`.
+    """Train the network of `graphrqi.predict.networks`.
 
-    Args:
-        training: examples of training episodes, or a function that draws them for each epoch.
-        validation: examples of other episodes, to choose the epoch and to scale the spreads.
-        epochs: passes over the training examples.
-        seed: of weights and order.
-        on_epoch: called with each epoch and its validation ADE, m.
-
-    Returns:
-        The trained network.
+    Examples may be drawn anew for each epoch. Those of validation episodes choose the epoch and
+    scale the spreads. ``on_epoch`` is called with each epoch and its validation ADE, m.
     """
-    import torch
 
     def made(features: int) -> torch.nn.Sequential:
         module = silu_module((features, *HIDDEN, MODES * PER_MODE))
@@ -177,7 +152,7 @@ def train_lstm(
     on_epoch: Callable[[int, float], None] = lambda epoch, ade: None,
 ) -> FuturesNetwork:
     """Train the network of `graphrqi.predict.learned.lstm`; see `train_perceptron`."""
-    found = _trained(make_module, training, validation, epochs, seed, on_epoch)
+    found = _trained(Recurrent, training, validation, epochs, seed, on_epoch)
     return _scaled(TrajectoryLstm(*found), validation)
 
 
@@ -190,15 +165,12 @@ def _trained(
     on_epoch: Callable[[int, float], None],
 ) -> tuple[Module, FloatArray, FloatArray]:
     """A module in its best epoch on validation, and the standardisation of its features."""
-    import torch
-
-    from graphrqi.networks.portable_torch import Descent
-
     torch.manual_seed(seed)
     draw = training if callable(training) else lambda epoch: training
     drawn = draw(0)
     mean, scale = standardization(drawn.features)
-    module, checked = make(mean.size), standardized(validation, mean, scale)
+    module = make(mean.size)
+    checked = validation._replace(features=standardized(validation.features, mean, scale))
     steps = max(1, len(drawn.features) // BATCH) * epochs
     descent = Descent(module, steps + 1, LEARNING_RATE, WEIGHT_DECAY, 0.1, 5.0)
     generator = torch.Generator().manual_seed(seed)
@@ -206,9 +178,9 @@ def _trained(
     for epoch in range(epochs):
         module.train()
         if epoch == 0 or callable(training):
-            now = standardized(draw(epoch), mean, scale)
-            features, anchors = torch.from_numpy(now.features), torch.from_numpy(now.anchors)
-            truth = torch.from_numpy(now.truth)
+            now = draw(epoch)
+            features = torch.from_numpy(standardized(now.features, mean, scale))
+            anchors, truth = torch.from_numpy(now.anchors), torch.from_numpy(now.truth)
         order = torch.randperm(len(features), generator=generator)
         whole = max(1, len(order) // BATCH) * BATCH
         for batch in torch.split(order[:whole], BATCH):
@@ -235,12 +207,8 @@ def _scaled(network: Perceptron | TrajectoryLstm, validation: Examples) -> Futur
 def silu_module(sizes: Sequence[int], dropout: float = 0.0) -> torch.nn.Sequential:
     """Fully connected layers of these widths with SiLU between them; the last one starts near 0.
 
-    Args:
-        sizes: widths of the inputs, the hidden layers, and the outputs.
-        dropout: share of each hidden layer's answers that are left out while it is trained.
+    ``dropout`` is the share of each hidden layer's answers that are left out while it is trained.
     """
-    import torch
-
     linears = [torch.nn.Linear(inside, outside) for inside, outside in itertools.pairwise(sizes)]
     with torch.no_grad():
         linears[-1].weight.mul_(0.05)
@@ -252,8 +220,6 @@ def silu_module(sizes: Sequence[int], dropout: float = 0.0) -> torch.nn.Sequenti
 
 def layers_of(module: torch.nn.Sequential) -> tuple[Layers, Layers]:
     """The weights and the biases of a module's linear layers, as networks in numpy keep them."""
-    import torch
-
     linears = [m for m in module if isinstance(m, torch.nn.Linear)]
     return (
         tuple(np.ascontiguousarray(m.weight.detach().numpy().T) for m in linears),
@@ -264,13 +230,9 @@ def layers_of(module: torch.nn.Sequential) -> tuple[Layers, Layers]:
 def spread_factor(
     own: FloatArray, spread: FloatArray, probability: FloatArray, ended: FloatArray
 ) -> float:
-    """Factor for the spreads with which nominal 90 % sets cover 90 %.
+    """Factor for the spreads (m, MODES) with which nominal 90 % sets cover 90 %.
 
-    Args:
-        own: (m, MODES, 2) futures at one time, m.
-        spread: (m, MODES) their spreads, m.
-        probability: (m, MODES) their probabilities.
-        ended: (m, 2) where everyone was, m.
+    The futures (m, MODES, 2) are those at one time, ``ended`` (m, 2) is where everyone was, m.
     """
     low, high = 0.1, 10.0
     for _ in range(20):

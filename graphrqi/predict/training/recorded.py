@@ -1,53 +1,245 @@
 """Trains the networks for recordings, with torch.
 
 The first future is trained on its mean distance, the others winner-takes-all. The scores name the
-nearest of these. The spreads maximise the likelihood of the truth under the nearest future. Futures
-along lanes are trained at the same time (`graphrqi.predict.training.recorded_loss`). Each example
-is weighed by the error of constant velocity in its dataset. Small datasets are drawn more often.
-Spreads are scaled on recordings apart to their nominal coverage.
+nearest of these. The spreads maximise the likelihood of the truth under the nearest future.
+
+Where there are paths along lanes, the path that a vehicle stayed nearest to is the true one, unless
+it was farther than `OFF_PATH_M` from all of them: then it left them. The scores name the true path,
+and its futures are trained as those without a map. The weighted mean of all best guesses is trained
+on its distance to the truth.
+
+Each example is weighed by the error of constant velocity in its dataset. Small datasets are drawn
+more often. Spreads are scaled on recordings apart to their nominal coverage.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.predict.networks.futures import TIME_S, Futures
-from graphrqi.predict.networks.perceptron import Perceptron, standardized
-from graphrqi.predict.recorded.along_lanes import join_lanes
+from graphrqi.arrays import FloatArray, IntArray
+from graphrqi.networks.portable_torch import Descent, root
+from graphrqi.predict.networks import MODES, TIME_S, Futures, Perceptron, standardized
 from graphrqi.predict.recorded.features import scale_of
-from graphrqi.predict.recorded.lanes_ahead import PATH_FEATURES, LanesAhead
+from graphrqi.predict.recorded.lanes_ahead import HORIZON_S, MOST, PATH_FEATURES, LanesAhead
 from graphrqi.predict.recorded.network import (
     CLIP,
     EARNED,
-    MODES,
     NOISY_M,
     PATH_OUTPUTS,
     PER_MODE,
+    PER_PATH,
+    POWERS,
     RecordedNetwork,
     TrainedRange,
     decode,
     kind_of,
     lane_answers,
+    lane_inputs,
+    powers,
 )
+from graphrqi.predict.recorded.predictor import beginnings, join_lanes
 from graphrqi.predict.training.fit import layers_of, silu_module, spread_factor, standardization
-from graphrqi.predict.training.recorded_loss import (
-    free_loss,
-    futures_of,
-    lane_loss,
-    path_examples,
-)
 
-if TYPE_CHECKING:
-    import torch
+RELAXATION: Final = 0.05
+"""Share of the loss that also pulls on futures that did not win."""
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+WINNER_WEIGHT, SCORE_WEIGHT, SPREAD_WEIGHT = 0.5, 0.1, 0.03
+"""Weights of the losses against the best guess's error over constant velocity's."""
+
+
+OFF_PATH_M: Final = 1.75
+"""A vehicle that is farther than this from every path, on average over the second half of the
+horizon, follows none, m (half a lane's width)."""
+
+PATH_WEIGHT, MEAN_WEIGHT = 0.5, 1.0
+"""Weights of the scores of the paths and of the mean's error over constant velocity's (chosen on
+datasets left out)."""
+
+CHUNK: Final = 2_000
+"""Examples whose true paths are found at once."""
+
+
+class PathExamples(NamedTuple):
+    """Paths of m examples as tensors.
+
+    Attributes:
+        inputs: (m, MOST + 1, PATH_FEATURES) standardised, without the agent's own.
+        exists: (m, MOST) which there are.
+        points: (m, MOST, POINTS, 2) m.
+        spacing: (m,) m.
+        kept: (m, MOST) distance to the left that is kept, m.
+        fading: (m, MOST, KNOTS, 2) how vehicles come to their paths, m.
+        true: (m,) the path that was followed, MOST for none.
+    """
+
+    inputs: torch.Tensor
+    exists: torch.Tensor
+    points: torch.Tensor
+    spacing: torch.Tensor
+    kept: torch.Tensor
+    fading: torch.Tensor
+    true: torch.Tensor
+
+    def of(self, batch: torch.Tensor) -> PathExamples:
+        """Some of them."""
+        return PathExamples(*(column[batch] for column in self))
+
+
+def bends(raw: torch.Tensor) -> torch.Tensor:
+    """(..., KNOTS, 2) corrections over their size, from a network's numbers (..., PER_MODE)."""
+    ways = torch.from_numpy(powers(TIME_S).astype(np.float32))
+    bend = raw[..., : 2 * POWERS].reshape(*raw.shape[:-1], POWERS, 2)
+    return torch.einsum("...pc,pt->...tc", bend, ways)
+
+
+def futures_of(raw: torch.Tensor, base: torch.Tensor, size: torch.Tensor) -> torch.Tensor:
+    """(m, MODES, KNOTS, 2) futures, m, of outputs (m, MODES PER_MODE)."""
+    each = raw.view(len(raw), MODES, PER_MODE)
+    return base[:, None] + size[:, None, None, None] * bends(each)
+
+
+def free_loss(
+    raw: torch.Tensor, own: torch.Tensor, truth: torch.Tensor, size: torch.Tensor,
+    weight: torch.Tensor,
+) -> torch.Tensor:  # fmt: skip
+    """The loss of a batch of the network without a map.
+
+    Outputs are (m, MODES PER_MODE), their futures (m, MODES, KNOTS, 2) and the truth (m, KNOTS, 2),
+    m. ``size`` (m,) is `scale_of` the speeds, m; each counts by ``weight`` (m,), 1/m.
+    """
+    apart = distances(own, truth)
+    covering = covering_loss(raw.view(len(raw), MODES, PER_MODE), apart, size, weight)
+    return covering + (weight * apart[:, 0].mean(-1)).mean()
+
+
+def distances(own: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    """(m, K, KNOTS) from futures (m, K, KNOTS, 2) to what happened (m, KNOTS, 2), m."""
+    return root(((own - truth[:, None]) ** 2).sum(-1) + 1e-3)
+
+
+def covering_loss(
+    each: torch.Tensor, apart: torch.Tensor, size: torch.Tensor, weight: torch.Tensor
+) -> torch.Tensor:
+    """The loss of all futures but the first, of the scores, and of the spreads.
+
+    ``each`` are a network's numbers (m, K, PER_MODE), ``apart`` distances to what happened (m, K,
+    KNOTS), m.
+    """
+    if not len(each):
+        return each.sum()
+    mean = apart.mean(-1)
+    others = mean[:, 1:]
+    winner = (1 - RELAXATION) * others.min(dim=1).values + RELAXATION * others.mean(dim=1)
+    score = torch.nn.functional.cross_entropy(each[:, 1:, -1], others.argmin(dim=1))
+    row, nearest = torch.arange(len(each)), mean.argmin(dim=1)
+    log_time = torch.log(torch.from_numpy(TIME_S.astype(np.float32)) / HORIZON_S)
+    slope = (1.2 + each[row, nearest, -2]).clamp(0.3, 3.0)[:, None]
+    log_spread = each[row, nearest, -3].clamp(-4.0, 4.0)[:, None] + slope * log_time
+    log_spread = log_spread + torch.log(size)[:, None]
+    squared = apart.detach()[row, nearest] ** 2
+    spread = (2 * log_spread + 0.5 * squared * torch.exp(-2 * log_spread)).mean()
+    return WINNER_WEIGHT * (weight * winner).mean() + SCORE_WEIGHT * score + SPREAD_WEIGHT * spread
+
+
+def path_examples(
+    ahead: LanesAhead, truth: NDArray[np.floating], speed: NDArray[np.floating],
+    mean: FloatArray, scale: FloatArray,
+) -> PathExamples:  # fmt: skip
+    """The paths of training examples, who went to ``truth`` (m, KNOTS, 2), m."""
+    arrays = (
+        lane_inputs(np.empty((len(truth), 0)), ahead, mean, scale), ahead.exists, ahead.points,
+        ahead.spacing_m, *beginnings(ahead, speed, TIME_S.astype(np.float32)),
+        true_paths(ahead, truth),
+    )  # fmt: skip
+    return PathExamples(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
+
+
+def lane_loss(
+    module: torch.nn.Module, features: torch.Tensor, paths: PathExamples, guess: torch.Tensor,
+    truth: torch.Tensor, size: torch.Tensor, weight: torch.Tensor,
+) -> torch.Tensor:  # fmt: skip
+    """The loss of a batch of the network that looks at paths.
+
+    Features (m, F) are standardised; ``guess`` (m, KNOTS, 2) is the best one without a map, m. The
+    others are those of `free_loss`.
+    """
+    some = torch.nonzero(paths.exists.any(dim=1))[:, 0]
+    if not len(some):
+        return guess.sum() * 0.0
+    features, paths, guess = features[some], paths.of(some), guess[some]
+    truth, size, weight = truth[some], size[some], weight[some]
+    agent = features[:, None].expand(-1, MOST + 1, -1)
+    raw = module(torch.cat([agent, paths.inputs], dim=2))
+    each = raw[:, :-1, :-1].reshape(len(some), MOST, PER_PATH, PER_MODE)
+    own = along_paths(each, paths, guess.detach(), size)
+    there = torch.cat([paths.exists, torch.ones_like(paths.exists[:, :1])], dim=1)
+    score = raw[..., -1].masked_fill(~there, -1e4)
+    named = torch.nn.functional.cross_entropy(score, paths.true)
+    chance = torch.softmax(score, dim=1)[..., None, None]
+    mean = (chance[:, :-1] * own[:, :, 0]).sum(1) + chance[:, -1] * guess
+    off_mean = (weight * distances(mean[:, None], truth).mean((1, 2))).sum()
+    on = torch.nonzero(paths.true < MOST)[:, 0]
+    true = paths.true[on]
+    apart = distances(own[on, true], truth[on])
+    first = (weight[on] * apart[:, 0].mean(-1)).sum()
+    followed = covering_loss(each[on, true], apart, size[on], weight[on]) * len(on)
+    total = MEAN_WEIGHT * off_mean + first + followed + PATH_WEIGHT * named * len(some)
+    return total / len(some)
+
+
+def along_paths(
+    each: torch.Tensor, paths: PathExamples, guess: torch.Tensor, size: torch.Tensor
+) -> torch.Tensor:
+    """(m, MOST, PER_PATH, KNOTS, 2) futures along paths, m, as `beside_paths` gives them.
+
+    ``guess`` (m, KNOTS, 2), the best one without a map, says how far the agent gets.
+    """
+    before = torch.cat([torch.zeros_like(guess[:, :1]), guess[:, :-1]], dim=1)
+    gone = torch.cumsum((guess - before).norm(dim=-1), dim=1)
+    moved = size[:, None, None, None, None] * bends(each)
+    along = (gone[:, None, None] + moved[..., 0]).clamp(min=0.0)
+    along = along / paths.spacing[:, None, None, None]
+    piece = along.detach().long().clamp(max=paths.points.shape[2] - 2)
+    m, most, futures, knots = piece.shape
+    index = piece.reshape(m, most, futures * knots, 1).expand(-1, -1, -1, 2)
+    begin, end = (
+        torch.gather(paths.points, 2, at).reshape(m, most, futures, knots, 2)
+        for at in (index, index + 1)
+    )
+    step = end - begin
+    unit = step / step.norm(dim=-1, keepdim=True).clamp(min=1e-3)
+    aside = paths.kept[:, :, None, None] + moved[..., 1]
+    left = torch.stack([-unit[..., 1], unit[..., 0]], dim=-1)
+    along_lane = begin + (along - piece)[..., None] * step + aside[..., None] * left
+    return along_lane + paths.fading[:, :, None]
+
+
+def true_paths(ahead: LanesAhead, truth: NDArray[np.floating]) -> IntArray:
+    """(m,) the path that each vehicle stayed nearest to, MOST where it left them all."""
+    late = truth[:, truth.shape[1] // 2 :].astype(np.float64)
+    found = np.full(len(truth), MOST)
+    for begin in range(0, len(truth), CHUNK):
+        rows = slice(begin, begin + CHUNK)
+        points = ahead.points[rows].astype(np.float64)
+        start, step = points[:, :, :-1], np.diff(points, axis=2)
+        size = np.maximum((step**2).sum(axis=-1), 1e-9)
+        apart = late[rows][:, None, :, None] - start[:, :, None]
+        along = np.clip((apart * step[:, :, None]).sum(axis=-1) / size[:, :, None], 0.0, 1.0)
+        off = np.linalg.norm(apart - along[..., None] * step[:, :, None], axis=-1).min(axis=-1)
+        mean = np.where(ahead.exists[rows], off.mean(axis=-1), np.inf)
+        nearest = mean.argmin(axis=1)
+        followed = mean[np.arange(len(mean)), nearest] < OFF_PATH_M
+        found[rows] = np.where(followed, nearest, MOST)
+    return found
+
+
 Float32Array = NDArray[np.float32]
 
 HIDDEN: Final = (128, 128)
@@ -72,15 +264,13 @@ MOST_EXAMPLES: Final = 12_000
 left out)."""
 
 DROPOUT: Final = 0.1
-"""Share of each hidden layer's answers left out in training (chosen on datasets left out; what
-is left out of the inputs, too, costs .04 on noisy pasts)."""
+"""Share of each hidden layer's answers left out in training (chosen on datasets left out)."""
 
 CHECKED: Final = 2000
 """Examples at most from which the spreads' scale is found."""
 
 AT_ONCE: Final = 2_000
-"""Examples that are answered at once: along the lanes of a map, the arrays of their futures take
-some 250 kB each."""
+"""Examples that are answered at once, to limit memory."""
 
 RANGE_QUANTILE: Final = 0.998
 """Quantile of the training examples at which the trained range ends (outliers are no range)."""
@@ -140,18 +330,8 @@ def train_recorded(
 ) -> RecordedNetwork:
     """Train the network of `graphrqi.predict.recorded.network`.
 
-    Args:
-        training: examples of training recordings.
-        validation: examples of other recordings, to scale the spreads.
-        epochs: draws of `PER_EPOCH` examples.
-        seed: of weights and order.
-        on_epoch: called with each epoch that ended.
-
-    Returns:
-        The trained network.
+    Examples of other recordings scale the spreads. An epoch is a draw of `PER_EPOCH` examples.
     """
-    import torch
-
     torch.manual_seed(seed)
     mean, scale = standardization(training.features)
     free = silu_module((mean.size, *HIDDEN, MODES * PER_MODE), DROPOUT)  # starts as the base
@@ -180,12 +360,7 @@ base's error."""
 
 
 def errors_by_share(network: RecordedNetwork, examples: RecordedExamples) -> FloatArray:
-    """(SHARES + 1, 2, EARNED[1:]) sums of errors of left-out examples by share, and their number.
-
-    Args:
-        network: one that was not trained on them.
-        examples: of one dataset.
-    """
+    """(SHARES + 1, 2, EARNED[1:]) sums of errors of left-out examples by share, and counts."""
     bins = kind_of(examples.measured[:, 0], examples.stands)
     noisy = (examples.measured[:, 1] > NOISY_M).astype(np.int64)
     found = np.zeros((len(SHARES) + 1, *EARNED))
@@ -202,11 +377,7 @@ def errors_by_share(network: RecordedNetwork, examples: RecordedExamples) -> Flo
 
 
 def earned_shares(errors: Sequence[FloatArray]) -> FloatArray:
-    """`EARNED` shares that are best on datasets left out, and cost little on any of them.
-
-    Args:
-        errors: of each dataset, from `errors_by_share`.
-    """
+    """`EARNED` shares that are best on datasets left out, and cost little on any of them."""
     sums, heard = np.stack([one[:-1] for one in errors]), np.stack([one[-1] for one in errors])
     over = np.log((sums + 1e-6) / (sums[:, :1] + 1e-6))
     over = np.where((heard >= LEAST_CASES)[:, None], over, 0.0)
@@ -237,10 +408,6 @@ def _fit(
     training: RecordedExamples, epochs: int, seed: int, on_epoch: Callable[[int], None],
 ) -> None:  # fmt: skip
     """Fit a module that maps features to outputs and, if there is one, that looks at paths."""
-    import torch
-
-    from graphrqi.networks.portable_torch import Descent
-
     features = torch.from_numpy(standardized(training.features, *moments[0], CLIP))
     base, truth = torch.from_numpy(training.base), torch.from_numpy(training.truth)
     speed = training.measured[:, 0]

@@ -10,9 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphrqi.spectrum.contract import Pairs, answer
-from graphrqi.spectrum.spectrum import Spectrum
-from graphrqi.spectrum.subspaces import laplacian_scale
+from graphrqi.spectrum.contract import Pairs, Spectrum, answer, laplacian_scale
 
 MAX_WORK = 1e9
 """Multiplications of a factorisation above which none is tried (a few seconds)."""
@@ -27,12 +25,10 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
 
     Returns:
         The same pairs, certified if they are converged, orthonormal, and a count of the eigenvalues
-        just beyond the last one finds no more than they are. Where more eigenvalues equal the last
-        one, a count just before it will do. The answer stays uncertified if a rounding error in the
-        count could matter.
+        beyond the last one finds no more than they are. The answer stays uncertified if a rounding
+        error in the count could matter.
     """
-    from graphrqi.spectrum.certified.factorization import Factor, factor_and_solve, new_counts
-    from graphrqi.spectrum.certified.prepared import prepare
+    from graphrqi.spectrum.certified.factorization import Counts, Factor, factor_and_solve, prepare
 
     graph = spectrum.graph
     values, vectors = spectrum.eigenvalues, spectrum.eigenvectors
@@ -49,7 +45,7 @@ def certify(spectrum: Spectrum, tol: float = 1e-8) -> Spectrum:
     last = values.min() if spectrum.end == "largest" else values.max()
     delta = min(tol * scale, max(floor, 1e-2 * abs(last)))
     steps = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8, -0.5 * delta / scale, 3e-4, 1e-3]) * scale
-    counts = new_counts()
+    counts = Counts(*np.empty((3, 1, 8)))
     counts.shift[0] = last + away * steps
     factor = Factor(np.empty((matrix.entries.size, 8)), np.empty((d, 8)), np.empty((d, 8)))
     factor_and_solve(matrix, counts, 1e-15 * scale, 0, factor, np.zeros((d, 8)))

@@ -47,13 +47,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from graphrqi.spectrum import arpack
 from graphrqi.spectrum.certified.certificate import MAX_WORK, certify
-from graphrqi.spectrum.certified.prepared import prepare
+from graphrqi.spectrum.certified.factorization import prepare
 from graphrqi.spectrum.certified.tracking import Goal, track
-from graphrqi.spectrum.contract import Pairs, Problem, eigensolver
-from graphrqi.spectrum.spectrum import Spectrum
-from graphrqi.spectrum.subspaces import carry_rows, null_space
+from graphrqi.spectrum.contract import Pairs, Problem, Spectrum, carry_rows, eigensolver, null_space
+from graphrqi.spectrum.libraries import arpack
 
 DENSE_BELOW = 32
 """Vehicles below which a dense solution is faster (measured)."""
@@ -129,6 +127,6 @@ def _fall_back(problem: Problem) -> Pairs:
     """The pairs where the tracker gave up."""
     if problem.graph.ids.size <= DENSE_UP_TO:
         return problem.dense("fell back on a dense solution")
-    found = arpack.solve(problem.graph, problem.asked, problem.end, None, problem.tol)
+    found = arpack(problem.graph, problem.asked, problem.end, None, problem.tol)
     certified = certify(found, problem.tol).certified
     return Pairs(found.eigenvalues, found.eigenvectors, certified, "fell back on ARPACK")

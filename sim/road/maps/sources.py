@@ -256,20 +256,19 @@ def _limit_lanes(section: ET.Element, end: float, limits: list[tuple[float, floa
         for i, (s, limit) in enumerate(limits)
         if s < end and (i + 1 == len(limits) or limits[i + 1][0] > begin)
     ]
-    for lane in section.iter("lane"):
-        for speed in lane.findall("speed"):
-            own = _limit(speed)
-            if own is None:
-                lane.remove(speed)
-            else:
-                _write(speed, own)
-        if lane.find("speed") is not None or lane.get("id") == "0":
-            continue
-        for offset, limit in inside:
+    for lane in (one for one in section.iter("lane") if one.get("id") != "0"):
+        written = lane.findall("speed")
+        own = [(float(one.get("sOffset", 0.0)), _limit(one)) for one in written]
+        own = [one for one in own if one[1] is not None]
+        for speed in written:
+            lane.remove(speed)
+        for offset, limit in own or inside:
             if limit is not None:
-                lane.append(_write(ET.Element("speed", sOffset=f"{offset:.4f}"), limit))
+                values = {"sOffset": f"{offset:.4f}", "unit": "m/s"}
+                ET.SubElement(lane, "speed", values, max=f"{min(limit, FREE_MPS):.4f}")
         driven = lane.get("type") in ("driving", "bidirectional", "entry", "exit", "onRamp")
-        missing |= driven and (not inside or any(limit is None for _, limit in inside))
+        bare = not own and (not inside or any(limit is None for _, limit in inside))
+        missing |= driven and bare
     return missing
 
 
@@ -281,13 +280,6 @@ def _limit(speed: ET.Element | None) -> float | None:
     if text in FREE_WORDS:
         return math.inf
     return _single(f"{text} {(speed.get('unit') or 'm/s').strip().lower()}")
-
-
-def _write(speed: ET.Element, limit: float) -> ET.Element:
-    """The element with a limit, m/s."""
-    speed.set("unit", "m/s")
-    speed.set("max", f"{min(limit, FREE_MPS):.4f}")
-    return speed
 
 
 def _begin(element: ET.Element) -> float:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from behaviors.driver_models import braking_speed
 from behaviors.profiles import Profile
@@ -43,14 +44,7 @@ class _YieldingDriver(RouteDriver):
 
 
 class Clearing(Controller[_YieldingDriver]):
-    """Keeps drivers before the line while others clear the junction.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents; drivers that never yield are left alone.
-        period_s: how often `step` is called, s.
-    """
+    """Keeps drivers before the line while others clear the junction, at a step of ``period_s``."""
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], period_s: float) -> None:
         self._foes = _foes(road)
@@ -76,23 +70,22 @@ class Clearing(Controller[_YieldingDriver]):
                 driver.next_check_s = math.inf if last else time_s + ELSEWHERE_S
                 self._go(name, driver)
                 continue
-            profile = driver.profile
-            brake, speed = profile.comfort_decel_mps2, sumo.vehicle_getSpeed(name)
+            brake, speed = driver.profile.comfort_decel_mps2, sumo.vehicle_getSpeed(name)
             away_m = lane.length_m - sumo.vehicle_getLanePosition(name)
             needs_m = speed * speed / (2.0 * brake)
             if not driver.waits:
                 spare_m = away_m - needs_m - 2 * BEFORE_LINE_M - 2 * speed * self._period_s
                 if spare_m > 0:
-                    driver.next_check_s = time_s + self._until_s(profile, speed, spare_m)
+                    driver.next_check_s = time_s + self._until_s(driver.profile, speed, spare_m)
                     continue
                 if away_m < needs_m:
                     continue  # too late to stop comfortably
-            if not any(map(sumo.lane_getLastStepVehicleNumber, foes)):
+            if any(map(sumo.lane_getLastStepVehicleNumber, foes)):
+                left_m = max(away_m - BEFORE_LINE_M - speed * self._period_s, 0.0)
+                sumo.vehicle_setSpeed(name, braking_speed(left_m, 0.0, brake))
+                driver.waits = True
+            else:
                 self._go(name, driver)
-                continue
-            left_m = max(away_m - BEFORE_LINE_M - speed * self._period_s, 0.0)
-            sumo.vehicle_setSpeed(name, braking_speed(left_m, 0.0, brake))
-            driver.waits = True
 
     def _yields(self, driver: _YieldingDriver, edge: str) -> bool:
         """Whether a driver waits for others at the junction that an edge leads to."""
@@ -131,7 +124,7 @@ def _foes(road: Road) -> dict[tuple[str, str], tuple[str, ...]]:
             for _, m in pairs
             if links[m][1].from_lane != link.from_lane
             and road.first_come(one, links[m][0])
-            and _apart_m(paths[k], paths[m]) < APART_M
+            and cdist(paths[k], paths[m]).min() < APART_M
             for lane in links[m][1].via
         ]
         if lanes:
@@ -144,8 +137,3 @@ def _points(road: Road, link: Connection) -> FloatArray:
     line = np.concatenate([road.lanes[road.lane_index[name]].centerline for name in link.via])
     length_m = distances_along(line)[-1]
     return points_at(line, np.linspace(0.0, length_m, math.ceil(length_m) + 1))
-
-
-def _apart_m(one: FloatArray, two: FloatArray) -> float:
-    """The least distance between points of two lines, m."""
-    return float(np.hypot(*(one[:, None] - two[None]).transpose(2, 0, 1)).min())

@@ -8,14 +8,19 @@ from typing import Any, Final
 from behaviors.errors import InputError
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.acting import Acting, Command
+from sim.sumo.control.acting import ACTION_S, Action, Change
 from sim.sumo.control.clearing import Clearing
 from sim.sumo.control.cutting_in import CuttingIn
-from sim.sumo.control.drivers import LANE_CHANGES, Controller
+from sim.sumo.control.drivers import (
+    FORCED_LANE_CHANGES,
+    NO_LANE_CHANGES,
+    Controller,
+    drivable,
+    release,
+)
 from sim.sumo.control.jaywalking import Jaywalking
-from sim.sumo.control.lapses import Lapses
 from sim.sumo.control.obedience import ORDINARY_SPEED_MODE, Obedience
-from sim.sumo.control.stopping import Stopping
+from sim.sumo.control.unprovoked import Lapses, Stopping
 from sim.sumo.control.wrong_way import WrongWay
 from sim.sumo.vehicle_types import alternative_name
 
@@ -27,14 +32,7 @@ DRIVERS_ACT_S: Final = 0.2
 
 
 class Controls:
-    """Steps all controllers.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents of the episode.
-        step_s: length of a simulation step, s.
-    """
+    """Steps all controllers, of an episode in libsumo's C module with steps of ``step_s``."""
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
         self._sumo = sumo
@@ -51,17 +49,24 @@ class Controls:
             self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
         )  # fmt: skip
         self._jaywalking = Jaywalking(sumo, road, agents, step_s)
-        self._acting = Acting(sumo, road)
+        self._lanes = {lane.id: lane for lane in road.lanes if not lane.internal}
+        self._drivable = drivable(road)
+        self._act_until_s: dict[str, float] = {}
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Act after a simulation step on the vehicles and persons that are on the road."""
         self._step += 1
-        ended = self._acting.end_due(time_s, vehicles)
+        ended = [name for name, end_s in self._act_until_s.items() if time_s >= end_s - 1e-9]
+        for name in ended:
+            del self._act_until_s[name]
+            if name in vehicles:
+                release(self._sumo, name)
         if ended or vehicles is not self._vehicles:
             self._vehicles = vehicles
             self._share_out(vehicles)
         self._jaywalking.step(time_s, vehicles, persons)
         self._look_away(time_s, vehicles)
+        self._wrong_way.removed = []
         if self._step % self._every == 0:
             self._obedience.step(time_s, persons)
             self._clearing.step(time_s)
@@ -69,69 +74,81 @@ class Controls:
         elif self._step % self._every == 1:
             self._cutting_in.step(time_s)
             self._wrong_way.step(time_s, vehicles)
-            return
-        self._wrong_way.removed = []
 
     def _share_out(self, vehicles: Sequence[str]) -> None:
         """Give the controllers the vehicles that they steer."""
-        others = self._acting.others(vehicles)
+        others = [one for one in vehicles if one not in self._act_until_s]
         self._lapses.set_vehicles([one for one in others if not self._wrong_way.overtakes(one)])
         away = self._lapses.away
-        steered = [one for one in others if one not in away] if away else others
         for controller in self._of_drivers:
-            controller.set_vehicles(steered)
+            controller.set_vehicles([one for one in others if one not in away])
 
     def _look_away(self, time_s: float, vehicles: Sequence[str]) -> None:
         """Begin and end lapses of attention; nobody else steers a driver who looks away."""
         before = self._lapses.away
         for agent in self._lapses.step(time_s):
-            for controller in self._of_drivers:
-                controller.change(agent, time_s)
-            self._set_back(str(agent.id))
+            self._begin_again(agent, time_s, self._of_drivers)
         if self._lapses.away != before:
             self._share_out(vehicles)
 
-    def change(self, to: AgentSpec | Command, time_s: float) -> None:
+    def change(self, to: Change, time_s: float) -> None:
         """Let a driver on the road go on with another behaviour, or carry out an action.
-
-        Args:
-            to: the driver as it is from now on, or what it does; the id says which driver.
-            time_s: simulated time, s.
 
         Raises:
             InputError: if the driver is not on the road, is overtaking on the wrong side, or has
                 no lane for the action.
         """
-        name = str(to.agent if isinstance(to, Command) else to.id)
-        if name not in self._sumo.vehicle_getIDList():
-            there = ", ".join(sorted(self._sumo.vehicle_getIDList(), key=int)[:NAMED])
+        name = str(to.id if isinstance(to, AgentSpec) else to[0])
+        present = self._sumo.vehicle_getIDList()
+        if name not in present:
+            there = ", ".join(sorted(present, key=int)[:NAMED])
             raise InputError(
                 f"agent {name}: found it not on the road at {time_s:g} s, expected one that is, "
                 f"such as {there or 'none yet'}"
             )
         if self._wrong_way.overtakes(name):
             raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
-        if isinstance(to, Command):
-            self._acting.begin(name, to.action, time_s)
+        if isinstance(to, AgentSpec):
+            assert to.profile is not None
+            self._sumo.vehicle_setType(name, alternative_name(to))
+            # a type's factor is drawn again
+            self._sumo.vehicle_setSpeedFactor(name, to.profile.speed_factor)
+            self._begin_again(to, time_s, (*self._of_drivers, self._lapses))
         else:
-            self._change_driver(name, to, time_s)
+            self._act(name, to[1], time_s)
         self._vehicles = ()  # the controllers are given the vehicles again at the next step
 
-    def _change_driver(self, name: str, agent: AgentSpec, time_s: float) -> None:
-        """Let a driver go on with another profile."""
-        assert agent.profile is not None
+    def _act(self, name: str, action: Action, time_s: float) -> None:
+        """Begin an action of a vehicle on the road."""
         sumo = self._sumo
-        for controller in (*self._of_drivers, self._lapses):
-            controller.change(agent, time_s)
-        sumo.vehicle_setType(name, alternative_name(agent))
-        sumo.vehicle_setSpeedFactor(name, agent.profile.speed_factor)  # a type's is drawn again
-        self._set_back(name)
+        if action in (Action.CHANGE_LEFT, Action.CHANGE_RIGHT):
+            side = 1 if action is Action.CHANGE_LEFT else -1
+            lane = self._lanes.get(sumo.vehicle_getLaneID(name))
+            if lane is None or (lane.edge, lane.index + side) not in self._drivable:
+                raise InputError(
+                    f"agent {name}: found no lane for {action} at {time_s:g} s, expected one beside"
+                )
+            sumo.vehicle_setSpeed(name, -1.0)
+            sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
+            sumo.vehicle_changeLane(name, lane.index + side, ACTION_S)
+        else:
+            speed = {
+                Action.BRAKE: 0.0,
+                Action.KEEP: sumo.vehicle_getSpeed(name),
+                Action.ACCELERATE: sumo.vehicle_getMaxSpeed(name),
+            }[action]
+            sumo.vehicle_setLaneChangeMode(name, NO_LANE_CHANGES)
+            sumo.vehicle_setSpeed(name, speed)
+        self._act_until_s[name] = time_s + ACTION_S
 
-    def _set_back(self, name: str) -> None:
-        """Let SUMO choose the speed and lane of a vehicle again, by all of its rules."""
-        self._sumo.vehicle_setSpeed(name, -1.0)
-        self._sumo.vehicle_setSpeedMode(name, ORDINARY_SPEED_MODE)
-        self._sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
+    def _begin_again(
+        self, agent: AgentSpec, time_s: float, controllers: Sequence[Controller[Any]]
+    ) -> None:
+        """Let some controllers begin again with a driver, who drives by all of SUMO's rules."""
+        for controller in controllers:
+            controller.change(agent, time_s)
+        self._sumo.vehicle_setSpeedMode(str(agent.id), ORDINARY_SPEED_MODE)
+        release(self._sumo, str(agent.id))
 
     @property
     def removed(self) -> Sequence[int]:

@@ -9,13 +9,14 @@ from typing import Any, Final
 from behaviors.profiles import Profile
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.approaches import approaches, drivable
 from sim.sumo.control.drivers import (
     FORCED_LANE_CHANGES,
     LANE_CHANGES,
     Controller,
     RandomTimeDriver,
+    drivable,
 )
+from sim.sumo.control.obedience import approaches
 
 LARGEST_HEADWAY_S: Final = 0.45
 """Largest time gap left to the victim when the vehicle touches the new lane, s; a lane change into
@@ -120,23 +121,19 @@ class CuttingIn(Controller[_CuttingInDriver]):
         if lane.length_m - sumo.vehicle_getLanePosition(name) < JUNCTION_M:
             return False
         onward = self._approaches.get((lane.edge, driver.following.get(lane.edge, "")))
-        for side in (1, -1):
+        for side, (behind, ahead) in _NEIGHBOURS.items():
             target = lane.index + side
-            if (lane.edge, target) not in self._drivable:
+            leads_on = onward is None or target in onward.lanes
+            if (lane.edge, target) not in self._drivable or not leads_on:
                 continue
-            if onward is not None and target not in onward.lanes:
-                continue
-            behind, ahead = _NEIGHBOURS[side]
             pace, near = self._pace(name, behind, speed)
-            if not pace or not self._room(name, driver, ahead, speed, pace):
-                continue
-            sumo.vehicle_setSpeed(name, pace)
-            if near:
-                sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
-                sumo.vehicle_changeLane(name, target, MANOEUVRE_S)
-                return True
-            driver.falls_back = True
-            return False
+            if pace and self._room(name, driver.profile, ahead, speed, pace):
+                sumo.vehicle_setSpeed(name, pace)
+                driver.falls_back = not near
+                if near:
+                    sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
+                    sumo.vehicle_changeLane(name, target, MANOEUVRE_S)
+                return near
         return False
 
     def _pace(self, name: str, side: int, speed: float) -> tuple[float, bool]:
@@ -157,15 +154,11 @@ class CuttingIn(Controller[_CuttingInDriver]):
                 return float(falling), False
         return 0.0, False
 
-    def _room(
-        self, name: str, driver: _CuttingInDriver, side: int, speed: float, pace: float
-    ) -> bool:
-        """Whether the front gap suffices at that pace."""
-        profile = driver.profile
+    def _room(self, name: str, profile: Profile, side: int, speed: float, pace: float) -> bool:
+        """Whether the gap to the new leader suffices at that pace."""
         for leader, net_gap in self._sumo.vehicle_getNeighbors(name, side):
-            gap = net_gap + profile.min_gap_m
             closing = max(speed - self._sumo.vehicle_getSpeed(leader), 0.0)
             wanted = SMALLEST_GAP_M + FRONT_SHARE * profile.time_headway_s * pace
             wanted += closing**2 / (2 * HARDEST_BRAKING_MPS2)
-            return bool(gap > wanted)
+            return bool(net_gap + profile.min_gap_m > wanted)
         return True

@@ -24,6 +24,17 @@ FORCED_LANE_CHANGES: Final = 256
 """SUMO's lane-change mode: changes by command only, refused only if vehicles would touch."""
 
 
+def release(sumo: Any, name: str) -> None:
+    """Let SUMO choose a vehicle's speed and lane again."""
+    sumo.vehicle_setSpeed(name, -1.0)
+    sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
+
+
+def drivable(road: Road) -> frozenset[tuple[str, int]]:
+    """Edge and index of every lane on which vehicles may drive."""
+    return frozenset((lane.edge, lane.index) for lane in road.lanes if not lane.walking)
+
+
 @dataclass(slots=True)
 class Driver:
     """A driver whom a controller steers.
@@ -54,12 +65,7 @@ class Driver:
 
 @dataclass(slots=True)
 class RouteDriver(Driver):
-    """A driver whose conduct is decided again on every edge of its route.
-
-    Attributes:
-        edge: the last edge on which something was decided.
-        next_check_s: when to look at the driver again, s.
-    """
+    """A driver that decides again on every edge, the last of them ``edge``, and looks at times."""
 
     edge: str = ""
     next_check_s: float = 0.0
@@ -67,12 +73,7 @@ class RouteDriver(Driver):
 
 @dataclass(slots=True)
 class RandomTimeDriver(Driver):
-    """A driver who acts at random times, with exponential pauses between them.
-
-    Attributes:
-        rate_per_min: how often, per minute.
-        next_s: when the driver next wants to act, s.
-    """
+    """A driver who acts so often per minute, next at ``next_s``, with exponential pauses."""
 
     rate_per_min: float
     next_s: float = field(init=False)
@@ -91,15 +92,11 @@ D = TypeVar("D", bound=Driver)
 
 
 class Controller(ABC, Generic[D]):
-    """Steers some drivers of a running simulation.
-
-    Args:
-        sumo: libsumo's C module.
-        road: the road.
-        agents: all agents; those that the controller does not concern are left alone.
+    """Steers some drivers of a running simulation, given as libsumo's C module.
 
     Attributes:
         _lanes: the lanes for vehicles outside junctions, by id.
+        _drivers: the drivers that it concerns, by name.
         _present: name and driver of those that are on the road, in SUMO's order.
     """
 
@@ -109,37 +106,28 @@ class Controller(ABC, Generic[D]):
             lane.id: lane for lane in road.lanes if not lane.internal and not lane.walking
         }
         self._drivers: dict[str, D] = {}
-        for agent in agents:
-            driver = None if agent.profile is None else self._driver(agent, agent.profile)
-            if driver is not None:
-                self._drivers[str(agent.id)] = driver
         self._present: list[tuple[str, D]] = []
+        for agent in agents:
+            self._take(agent)
 
     @abstractmethod
     def _driver(self, agent: AgentSpec, profile: Profile) -> D | None:
         """The controller's state of a driver; None for one without control."""
 
-    def _release(self, name: str) -> None:
-        """Let SUMO choose a vehicle's speed and lane again."""
-        self._sumo.vehicle_setSpeed(name, -1.0)
-        self._sumo.vehicle_setLaneChangeMode(name, LANE_CHANGES)
+    def _take(self, agent: AgentSpec) -> D | None:
+        """Begin with a driver, if it is of concern."""
+        driver = None if agent.profile is None else self._driver(agent, agent.profile)
+        if driver is not None:
+            self._drivers[str(agent.id)] = driver
+        return driver
 
     def set_vehicles(self, vehicles: Sequence[str]) -> None:
-        """Take the names of the vehicles on the road, whenever they change."""
+        """Take the names of the vehicles to steer, whenever they change."""
         self._present = [(name, self._drivers[name]) for name in vehicles if name in self._drivers]
 
     def change(self, agent: AgentSpec, time_s: float) -> None:
-        """Begin again with a driver whose speed and modes were set back to SUMO's own.
-
-        Args:
-            agent: the driver as it is now.
-            time_s: simulated time, s; a driver who acts at random times pauses from now on.
-        """
-        name = str(agent.id)
-        self._drivers.pop(name, None)
-        driver = None if agent.profile is None else self._driver(agent, agent.profile)
-        if driver is None:
-            return
+        """Begin again with a driver; one who acts at random times pauses from now on."""
+        self._drivers.pop(str(agent.id), None)
+        driver = self._take(agent)
         if isinstance(driver, RandomTimeDriver):
             driver.pause_from(time_s)
-        self._drivers[name] = driver

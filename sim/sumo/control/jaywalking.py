@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from sim.frames import AgentKind, FloatArray
-from sim.road import Lane, Road
+from sim.road import Road
 from sim.scenario import AgentSpec
 
 GAP_MARGIN_S: Final = 1.5
@@ -38,7 +38,6 @@ class _Jaywalker:
     """A pedestrian that is to jaywalk, and how far it has come."""
 
     agent: AgentSpec
-    edge: str
     at_m: float
     begin: tuple[float, float] = (0.0, 0.0)
     aim: tuple[float, float] = (0.0, 0.0)
@@ -62,11 +61,7 @@ class Jaywalking:
         self.speeds: dict[str, float] = {}
         self.moved = False
         at = jaywalking_places(road, agents)
-        self._walkers = {
-            str(agent.id): _Jaywalker(agent, agent.route[0], at[agent.id])
-            for agent in agents
-            if agent.id in at
-        }
+        self._walkers = {str(a.id): _Jaywalker(a, at[a.id]) for a in agents if a.id in at}
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Stop jaywalkers at the kerb until there is a gap, then move them over the road."""
@@ -76,47 +71,41 @@ class Jaywalking:
             walker = self._walkers.get(name)
             if walker is None or walker.done:
                 continue
-            if walker.walked_m >= 0:
-                self._walk(name, walker)
-                continue
-            if walker.waiting_since_s < 0 and time_s >= walker.next_check_s:
-                walker.waiting_since_s = time_s if self._arrived(name, walker, time_s) else -1.0
-            if walker.waiting_since_s >= 0:
-                self._wait(name, walker, time_s, vehicles)
+            if walker.walked_m < 0:
+                if walker.waiting_since_s < 0:
+                    if time_s < walker.next_check_s or not self._arrived(name, walker, time_s):
+                        continue
+                    walker.waiting_since_s = time_s
+                walker.done = time_s - walker.waiting_since_s > KERB_PATIENCE_S
+                if walker.done:
+                    continue
+                if not self._gap(walker, vehicles):
+                    self._place(name, walker, 0.0, 0.0)
+                    continue
+                walker.walked_m = 0.0
+            self._walk(name, walker)
 
     def _arrived(self, name: str, walker: _Jaywalker, time_s: float) -> bool:
         """Whether the pedestrian is at the chosen place; if so, sets both ends of the walk."""
-        sumo = self._sumo
-        if sumo.person_getRoadID(name) != walker.edge:
+        sumo, edge = self._sumo, walker.agent.route[0]
+        if sumo.person_getRoadID(name) != edge:
             walker.done = walker.reached_edge  # it has left the edge again
             return False
         walker.reached_edge = True
         place = np.array(sumo.person_getPosition(name))
-        lane = next(one for one in self._road.lanes if one.edge == walker.edge and one.walking)
+        lane = next(one for one in self._road.lanes if one.edge == edge and one.walking)
         line = lane.centerline
         direction = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
         along = float((place - line[0]) @ direction)
         if along < walker.at_m:
-            walker.next_check_s = time_s + (walker.at_m - along) / (
-                FASTEST_WALK * walker.agent.speed_mps
-            )
+            fastest_mps = FASTEST_WALK * walker.agent.speed_mps
+            walker.next_check_s = time_s + (walker.at_m - along) / fastest_mps
             return False
-        aim = _other_side(self._road, lane, place, direction)
-        if aim is None or abs(along - walker.at_m) > JUNCTION_MARGIN_M:
-            walker.done = True
-            return False
-        walker.begin, walker.aim = (float(place[0]), float(place[1])), aim
-        return True
-
-    def _wait(self, name: str, walker: _Jaywalker, time_s: float, vehicles: Sequence[str]) -> None:
-        if time_s - walker.waiting_since_s > KERB_PATIENCE_S:
-            walker.done = True
-            return
-        if self._gap(walker, vehicles):
-            walker.walked_m = 0.0
-            self._walk(name, walker)
-        else:
-            self._place(name, walker, 0.0, 0.0)
+        aim = _other_side(self._road, place, direction)
+        walker.done = aim is None or abs(along - walker.at_m) > JUNCTION_MARGIN_M
+        if aim is not None:
+            walker.begin, walker.aim = (float(place[0]), float(place[1])), aim
+        return not walker.done
 
     def _gap(self, walker: _Jaywalker, vehicles: Sequence[str]) -> bool:
         """Whether every vehicle will arrive after the pedestrian has left its lane."""
@@ -132,10 +121,8 @@ class Jaywalking:
                 continue
             angle = math.radians(sumo.vehicle_getAngle(name))
             ahead = dx * math.sin(angle) + dy * math.cos(angle)
-            if ahead < -20.0 or ahead > SEEN_M:
-                continue
             aside = -(dx * over[0] + dy * over[1])
-            if not -2.0 < aside < width + 2.0:
+            if not (-20.0 <= ahead <= SEEN_M and -2.0 < aside < width + 2.0):
                 continue
             leaves_s = (aside + 2.0) / walker.agent.speed_mps
             enters_s = (aside - 2.0) / walker.agent.speed_mps
@@ -168,14 +155,27 @@ class Jaywalking:
 
 
 def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, float]:
-    """Where along their first sidewalk jaywalkers cross the road, m, by agent id, if they can."""
+    """Where along their first sidewalk jaywalkers cross the road, m, by agent id, if they can.
+
+    The places are away from junctions, and in sight of where vehicles enter.
+    """
     walkers = [a for a in agents if a.jaywalks and a.kind is AgentKind.PEDESTRIAN]
     begun = {agent.route[0] for agent in walkers}
-    places = {
-        lane.edge: _places(road, lane)
+    reached = {link.to_lane for link in road.connections}
+    entries = [
+        lane.centerline[0]
         for lane in road.lanes
-        if lane.edge in begun and lane.walking and not lane.internal
-    }
+        if not (lane.walking or lane.internal or lane.id in reached)
+    ]
+    places: dict[str, FloatArray] = {}
+    for lane in road.lanes:
+        if lane.edge in begun and lane.walking and not lane.internal:
+            begin, end = lane.centerline[0], lane.centerline[-1]
+            along = np.arange(JUNCTION_MARGIN_M, lane.length_m - JUNCTION_MARGIN_M, 5.0)
+            points = begin + (end - begin) * along[:, None] / lane.length_m
+            away = points[:, None] - np.reshape(entries, (-1, 2))
+            seen = np.hypot(away[..., 0], away[..., 1]) >= SEEN_M
+            places[lane.edge] = along[seen.all(axis=1)]
     found = {}
     for agent in walkers:
         choice = places.get(agent.route[0])
@@ -185,26 +185,7 @@ def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, floa
     return found
 
 
-def _places(road: Road, sidewalk: Lane) -> FloatArray:
-    """Distances along a sidewalk, m, away from junctions and in sight of where vehicles enter."""
-    reached = {link.to_lane for link in road.connections}
-    entries = [
-        lane.centerline[0]
-        for lane in road.lanes
-        if not (lane.walking or lane.internal or lane.id in reached)
-    ]
-    begin, end = sidewalk.centerline[0], sidewalk.centerline[-1]
-    length_m = sidewalk.length_m
-    along = np.arange(JUNCTION_MARGIN_M, length_m - JUNCTION_MARGIN_M, 5.0)
-    points: FloatArray = begin + (end - begin) * along[:, None] / length_m
-    away = points[:, None] - np.reshape(entries, (-1, 2))
-    seen = np.hypot(away[..., 0], away[..., 1]) >= SEEN_M
-    return np.asarray(along[seen.all(axis=1)])
-
-
-def _other_side(
-    road: Road, sidewalk: Lane, place: np.ndarray, direction: np.ndarray
-) -> tuple[float, float] | None:
+def _other_side(road: Road, place: FloatArray, direction: FloatArray) -> tuple[float, float] | None:
     """End of a straight walk from a sidewalk over the road; None without a road."""
     over = np.array([-direction[1], direction[0]])  # to the left: sidewalks are on the right
     farthest = 0.0
@@ -213,13 +194,10 @@ def _other_side(
             continue
         begin, end = lane.centerline[0], lane.centerline[-1]
         line = (end - begin) / np.hypot(*(end - begin))
-        if abs(float(line @ direction)) < 0.99:
-            continue
-        along = float((place - begin) @ line)
-        if not JUNCTION_MARGIN_M / 2 < along < lane.length_m - JUNCTION_MARGIN_M / 2:
-            continue
-        aside = float((begin - place) @ over)
-        if 0.0 < aside < 40.0:
+        along, aside = float((place - begin) @ line), float((begin - place) @ over)
+        parallel = abs(float(line @ direction)) >= 0.99
+        within = JUNCTION_MARGIN_M / 2 < along < lane.length_m - JUNCTION_MARGIN_M / 2
+        if parallel and within and 0.0 < aside < 40.0:
             farthest = max(farthest, aside + lane.width_m / 2)
     if farthest == 0.0:
         return None

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from behaviors.profiles import Profile
-from sim.road import Road
+from sim.road import Connection, Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.approaches import Approach, approaches
 from sim.sumo.control.drivers import Controller, RouteDriver
 
 ORDINARY_SPEED_MODE: Final = 31
@@ -30,6 +29,49 @@ DECIDES_M: Final = 45.0
 FASTEST_LIMITS: Final = 2.5
 """An upper bound of speeds, in limits, for when a driver can be near a junction at the earliest
 (reckless drivers want 1.6 limits at most)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """The junction at the end of an edge, for one next edge.
+
+    Attributes:
+        lanes: indices of the edge's lanes from which the next edge can be reached.
+        signal: whether a signal controls it.
+        stop: whether there is a stop sign.
+        crossings: ids of the crossings on the way where pedestrians may walk at the same time.
+        on_red: ids of all crossings on the way, which vehicles that run a red light may meet.
+    """
+
+    lanes: frozenset[int]
+    signal: bool
+    stop: bool
+    crossings: frozenset[str]
+    on_red: frozenset[str]
+
+
+def approaches(road: Road) -> dict[tuple[str, str], Approach]:
+    """The approaches of a road, by edge and next edge."""
+    lanes = {lane.id: lane for lane in road.lanes}
+    links: dict[tuple[str, str], list[Connection]] = {}
+    for link in road.connections:
+        edges = (lanes[link.from_lane].edge, lanes[link.to_lane].edge)
+        links.setdefault(edges, []).append(link)
+    found = {}
+    for edges, ways in links.items():
+        crossed = [one for one in road.crossings if set(edges) & set(one.edges)]
+        found[edges] = Approach(
+            lanes=frozenset(lanes[link.from_lane].index for link in ways),
+            signal=any(link.signal >= 0 for link in ways),
+            stop=any(link.must_stop for link in ways),
+            crossings=frozenset(
+                one.id
+                for one in crossed
+                if any(road.green_together(link.signal, one.signal) for link in ways)
+            ),
+            on_red=frozenset(one.id for one in crossed),
+        )
+    return found
 
 
 @dataclass(slots=True)
@@ -73,7 +115,6 @@ class Obedience(Controller[_RuleBreaker]):
             if edge and edge != driver.edge:
                 self._enter(driver, edge)
             ahead = self._approaches.get((driver.edge, driver.following.get(driver.edge, "")))
-            mode = ORDINARY_SPEED_MODE
             if not driver.near:
                 away_m = 0.0
                 if lane is not None:
@@ -81,9 +122,9 @@ class Obedience(Controller[_RuleBreaker]):
                 away_m = away_m if ahead is None else away_m - DECIDES_M
                 driver.near = ahead is not None and away_m <= 0
                 last = edge == driver.agent.route[-1]
-                driver.next_check_s = (
-                    math.inf if last else time_s + max(away_m, 0.0) / self._fastest_mps
-                )
+                wait_s = math.inf if last else max(away_m, 0.0) / self._fastest_mps
+                driver.next_check_s = time_s + wait_s
+            mode = ORDINARY_SPEED_MODE
             if driver.near and ahead is not None:
                 if occupied is None:
                     occupied = self._occupied(persons)
@@ -94,18 +135,18 @@ class Obedience(Controller[_RuleBreaker]):
 
     def _enter(self, driver: _RuleBreaker, edge: str) -> None:
         """Draw what the driver will do at the next junction's signal and stop line."""
+
+        def draws(chance: float) -> bool:
+            return bool(driver.rng.random() < chance)
+
         profile = driver.profile
         driver.edge, driver.refuses, driver.near = edge, False, False
-        driver.runs_red = bool(driver.rng.random() < profile.red_run_probability)
-        driver.rolls = bool(driver.rng.random() < profile.stop_roll_probability)
-        driver.overlooks = self._overlooks(driver)
-        driver.runs_red |= self._overlooks(driver)
+        driver.runs_red = draws(profile.red_run_probability)
+        driver.rolls = draws(profile.stop_roll_probability)
+        chance = profile.overlook_probability  # of whom it has to yield to, and of the light
+        driver.overlooks = chance > 0 and draws(chance)
+        driver.runs_red |= chance > 0 and draws(chance)
         driver.decided.clear()
-
-    def _overlooks(self, driver: _RuleBreaker) -> bool:
-        """Draw whether a driver does not see a light, or whom it has to yield to at a junction."""
-        chance = driver.profile.overlook_probability
-        return chance > 0 and bool(driver.rng.random() < chance)
 
     def _decide(self, driver: _RuleBreaker, ahead: Approach, occupied: frozenset[str]) -> int:
         profile = driver.profile

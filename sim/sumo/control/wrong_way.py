@@ -72,10 +72,7 @@ class _OvertakingDriver(RandomTimeDriver):
 class WrongWay(Controller[_OvertakingDriver]):
     """Makes drivers overtake on the wrong side as often as their profiles say, where it is clear.
 
-    Args:
-        sumo: libsumo's C module.
-        road: the road; nothing happens on roads without opposite lanes.
-        agents: all agents; drivers whose profiles have no such overtaking are left alone.
+    Nothing happens on roads without opposite lanes.
 
     Attributes:
         removed: ids of the agents that the last step removed.
@@ -94,11 +91,16 @@ class WrongWay(Controller[_OvertakingDriver]):
         rate = profile.wrong_way_rate_per_min
         if not self._passable or rate <= 0:
             return None
-        return _OvertakingDriver(agent, 4, rate, self._oncoming_names(agent.route))
+        edges = {
+            self._every_lane[lane.opposite].edge
+            for lane in self._every_lane.values()
+            if lane.opposite and lane.edge in agent.route
+        }
+        oncoming = frozenset(str(a.id) for a in self._agents if edges & set(a.route))
+        return _OvertakingDriver(agent, 4, rate, oncoming)
 
     def step(self, time_s: float, vehicles: Sequence[str]) -> None:
         """Begin and end overtaking, and remove those of ``vehicles`` that block the wrong side."""
-        self.removed = []
         if not self._drivers:
             return
         if not self._closed:
@@ -124,15 +126,6 @@ class WrongWay(Controller[_OvertakingDriver]):
         """Whether a driver is on the wrong side, on its way there or back."""
         driver = self._drivers.get(name)
         return driver is not None and driver.since_s >= 0
-
-    def _oncoming_names(self, route: Sequence[str]) -> frozenset[str]:
-        """Names of the agents whose routes use the opposite lanes of a route."""
-        edges = {
-            self._every_lane[lane.opposite].edge
-            for lane in self._every_lane.values()
-            if lane.opposite and lane.edge in route
-        }
-        return frozenset(str(a.id) for a in self._agents if edges & set(a.route))
 
     def _close_other_lanes(self) -> None:
         """Close all lanes but the leftmost ones to overtaking vehicles."""
@@ -163,9 +156,9 @@ class WrongWay(Controller[_OvertakingDriver]):
     def _follow_up(
         self, name: str, driver: _OvertakingDriver, time_s: float, vehicles: Sequence[str]
     ) -> None:
+        """Let a driver return once it has passed or somebody comes, and remove one that stands."""
         sumo = self._sumo
         wrong = self._on_wrong_side(name)
-        speed = sumo.vehicle_getSpeed(name)
         if not driver.returning:
             distance, meeting = self._oncoming(name, driver, vehicles)
             leader = driver.overtaking
@@ -179,16 +172,14 @@ class WrongWay(Controller[_OvertakingDriver]):
             driver.pause_from(time_s)
             sumo.vehicle_setVehicleClass(name, VEHICLE_CLASS[driver.agent.kind])
             return
-        if wrong and speed < 0.1:
-            if driver.standing_s < 0:
-                driver.standing_s = time_s
-            elif time_s - driver.standing_s >= STAND_S:
-                sumo.vehicle_remove(name)
-                self.removed.append(driver.agent.id)
-                driver.since_s = -1.0
-                driver.next_s = math.inf
-        else:
+        if not wrong or sumo.vehicle_getSpeed(name) >= 0.1:
             driver.standing_s = -1.0
+        elif driver.standing_s < 0:
+            driver.standing_s = time_s
+        elif time_s - driver.standing_s >= STAND_S:
+            sumo.vehicle_remove(name)
+            self.removed.append(driver.agent.id)
+            driver.since_s, driver.next_s = -1.0, math.inf
 
     def _on_wrong_side(self, name: str) -> bool:
         """Whether a vehicle is on a lane of the opposite direction."""
@@ -214,9 +205,7 @@ class WrongWay(Controller[_OvertakingDriver]):
         self, name: str, driver: _OvertakingDriver, vehicles: Sequence[str]
     ) -> tuple[float, float]:
         """Distance to the nearest oncoming vehicle, m, and time until the first is met, s."""
-        sumo = self._sumo
-        pose = self._pose(name)
-        *_, east, north = pose
+        sumo, pose = self._sumo, self._pose(name)
         speed = sumo.vehicle_getSpeed(name)
         nearest, soonest = math.inf, math.inf
         for other in vehicles:
@@ -225,8 +214,8 @@ class WrongWay(Controller[_OvertakingDriver]):
             ahead = self._ahead_m(pose, other)
             if ahead <= 0 or sumo.vehicle_getLaneID(other) not in self._oncoming_lanes:
                 continue
-            *_, o_east, o_north = self._pose(other)
-            if o_east * east + o_north * north > -0.5 or self._on_wrong_side(other):
+            *_, east, north = self._pose(other)
+            if east * pose[2] + north * pose[3] > -0.5 or self._on_wrong_side(other):
                 continue
             nearest = min(nearest, ahead)
             closing = speed + sumo.vehicle_getSpeed(other)

@@ -1,10 +1,12 @@
-"""Gradient-boosted trees, grown by scikit-learn's histogram boosting and kept as plain arrays.
+"""Ensembles of trees, grown by scikit-learn and kept as plain arrays.
 
-Every inner node has the mask of the leaves that remain reachable when its comparison is true. A
-sample falls into the first leaf that remains after all masks. No step depends on another one, so a
-comparison is made for many samples at once. Features are compared in single precision.
+Boosted trees are evaluated as follows. Every inner node has the mask of the leaves that remain
+reachable when its comparison is true. A sample falls into the first leaf that remains after all
+masks. No step depends on another one, so a comparison is made for many samples at once. Features
+are compared in single precision.
 
 References:
+    Breiman (2001), Random forests, Machine Learning 45, 5.
     Friedman (2001), Ann. Statist. 29, 1189; Ke et al. (2017), LightGBM, NeurIPS.
     Lucchese et al. (2015), "QuickScorer: a fast algorithm to rank documents with additive
     ensembles of regression trees", SIGIR.
@@ -18,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from graphrqi.arrays import BoolArray, CodeArray, FloatArray
-from graphrqi.classify.contract import NEVER, Classifier, HeldOut, saved, softmax
+from graphrqi.arrays import BoolArray, CodeArray, FloatArray, softmax
+from graphrqi.classify.contract import NEVER, Classifier, HeldOut, saved
 
 PATIENCE: Final = 30
 """Growing stops after this many rounds without a smaller validation loss."""
@@ -47,11 +49,9 @@ class Boosted(Classifier):
         num_classes: C.
         rounds: largest number of trees per class; growing stops when the validation loss does
             not fall any more.
-        learning_rate: factor of each tree's leaves.
         max_leaves: of a tree, at most 32.
         max_depth: of a tree.
         min_leaf: fewest training samples in a leaf.
-        ridge: penalty of squared leaf values.
         feature_share: share of the features considered for each split.
     """
 
@@ -59,19 +59,17 @@ class Boosted(Classifier):
         self,
         num_classes: int,
         rounds: int = 120,
-        learning_rate: float = 0.1,
         max_leaves: int = 15,
         max_depth: int | None = None,
         min_leaf: int = 40,
-        ridge: float = 1.0,
         feature_share: float = 1.0,
     ) -> None:
         super().__init__(num_classes)
         if max_leaves > MOST_LEAVES:
             raise InputError(f"max_leaves: found {max_leaves}, expected at most {MOST_LEAVES}")
         self._options = {
-            "max_iter": rounds, "learning_rate": learning_rate, "max_leaf_nodes": max_leaves,
-            "max_depth": max_depth, "min_samples_leaf": min_leaf, "l2_regularization": ridge,
+            "max_iter": rounds, "learning_rate": 0.1, "max_leaf_nodes": max_leaves,
+            "max_depth": max_depth, "min_samples_leaf": min_leaf, "l2_regularization": 1.0,
             "max_features": feature_share,
         }  # fmt: skip
         self._trees = _joined([])
@@ -203,3 +201,83 @@ def _walked(nodes: NDArray[Any]) -> tuple[list[int], list[int], list[float]]:
 
     walk(0)
     return inner, masks, values
+
+
+class Forest(Classifier):
+    """Averaged decision trees on resampled data.
+
+    Args:
+        num_classes: C.
+        trees: number of trees.
+        min_leaf: fewest training samples in a leaf.
+        feature_share: share of the features considered for each split.
+    """
+
+    def __init__(
+        self, num_classes: int, trees: int = 100, min_leaf: int = 8, feature_share: float = 0.1
+    ) -> None:
+        super().__init__(num_classes)
+        self._options = {
+            "n_estimators": trees, "min_samples_leaf": min_leaf, "max_features": feature_share,
+        }  # fmt: skip
+        self._root, self._nodes = np.zeros(1, np.int64), np.array([[-1, 0, 0]])
+        self._threshold = np.zeros(1)
+        self._share: FloatArray = np.full((1, num_classes), 1.0 / num_classes)
+
+    def _learn(self, features: FloatArray, codes: CodeArray, held: HeldOut, seed: int) -> None:
+        from sklearn.ensemble import RandomForestClassifier
+
+        grown = RandomForestClassifier(random_state=seed, **self._options).fit(features, codes)
+        trees = [estimator.tree_ for estimator in grown.estimators_]
+        self._root = np.cumsum([0, *(tree.node_count for tree in trees)])[:-1]
+        nodes = [
+            np.stack([tree.feature, tree.children_left + root, tree.children_right + root], 1)
+            for tree, root in zip(trees, self._root, strict=True)
+        ]
+        self._nodes = np.concatenate(nodes)
+        self._threshold = np.concatenate([tree.threshold for tree in trees])
+        counts = np.concatenate([tree.value[:, 0, :] for tree in trees])
+        self._share = np.zeros((len(counts), self._num_classes))
+        self._share[:, grown.classes_] = counts / counts.sum(axis=1, keepdims=True)
+
+    @property
+    def _trained(self) -> NDArray[np.bool_]:
+        return np.asarray(self._share.any(axis=0))
+
+    def _untempered(self, features: FloatArray) -> FloatArray:
+        asked, left, right = self._nodes.T
+        x, rows = features.astype(np.float32), np.arange(len(features))
+        total = np.zeros((len(features), self._num_classes))
+        for root in self._root:
+            node = np.full(len(features), root)
+            while (inner := asked[node] >= 0).any():
+                goes_left = x[rows, asked[node]] <= self._threshold[node]
+                node = np.where(inner, np.where(goes_left, left[node], right[node]), node)
+            total += self._share[node]
+        return total / self._root.size
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Nodes and temperature."""
+        return {
+            "root": self._root, "nodes": self._nodes, "threshold": self._threshold,
+            "share": self._share, **super().arrays(),
+        }  # fmt: skip
+
+    def restore(self, arrays: dict[str, NDArray[Any]], num_features: int) -> None:
+        """See `Classifier.restore`."""
+        super().restore(arrays, num_features)
+        root, nodes = (np.asarray(arrays[name], np.int64) for name in ("root", "nodes"))
+        inner = nodes[:, 0] >= 0
+        reached = np.concatenate([root, nodes[inner, 1:].ravel()])
+        if (
+            not np.array_equal(np.sort(reached), np.arange(len(nodes)))
+            or (nodes[:, 0] >= num_features).any()
+            or (nodes[inner, 1:] <= np.flatnonzero(inner)[:, None]).any()
+        ):
+            raise InputError("nodes: found some that lead nowhere, expected whole trees")
+        self._root, self._nodes = root, nodes
+        self._threshold = saved(arrays, "threshold", (len(nodes),))
+        self._share = saved(arrays, "share", (len(nodes), self._num_classes))
+        shares = self._share[nodes[:, 0] < 0]
+        if (shares < 0.0).any() or (abs(shares.sum(axis=1) - 1.0) > 1e-6).any():
+            raise InputError("share: found leaves without probabilities, expected rows of sum 1")

@@ -1,1 +1,0 @@
-"""The eigenvalue algorithms of the paper's comparison, one per file."""
