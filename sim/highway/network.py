@@ -32,8 +32,8 @@ from sim.road.lane_graph import LaneGraph
 from sim.xml_tree import without_collection
 
 STUB_M, TIGHT_M = 0.1, 5.0
-"""A junction path between lanes that touch is this long. A path of a smaller mean radius is tight (a
-car's turning circle)."""
+"""A junction path between lanes that touch is this long. A path of a smaller mean radius is tight
+(a car's turning circle)."""
 
 CELL_M, ROUNDING_M = 50.0, 1e-3
 """Width of the cells in which lanes are looked for (`BEHIND_M` and a lane). Lanes are searched this
