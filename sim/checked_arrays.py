@@ -20,12 +20,7 @@ def frozen(array: NDArray[Any]) -> NDArray[Any]:
 def check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | None, ...]]]) -> None:
     """Cast, check shapes of, and make read-only the array fields of a frozen dataclass.
 
-    Args:
-        owner: the dataclass; its fields are replaced.
-        dtypes: type and shape of each field; None for any length.
-
-    Raises:
-        InputError: if a field has another shape.
+    A length of None in a shape stands for any.
     """
     for name, (dtype, shape) in dtypes.items():
         array = np.asarray(getattr(owner, name), dtype=dtype)
@@ -40,19 +35,7 @@ def check_and_freeze(owner: object, dtypes: dict[str, tuple[Any, tuple[int | Non
 
 
 def cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Numbers as another type, if none of them changes by that.
-
-    Args:
-        name: what they are, for messages.
-        values: an array, or what numpy makes one of.
-        dtype: the type wanted.
-
-    Returns:
-        The array.
-
-    Raises:
-        InputError: if a number would be another one, or there are lists of different lengths.
-    """
+    """An array, or what numpy makes one of, as another type, if no number changes by that."""
     try:
         found = np.asarray(values)
     except ValueError as error:  # lists of different lengths
@@ -69,8 +52,6 @@ def cast(name: str, values: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
             inside = (found >= limits.min).all() and (found <= limits.max).all()
         if found.dtype.kind == "f":  # beyond, a float stands for several whole numbers
             inside = inside and (np.abs(found) < 2.0 ** (np.finfo(found.dtype).nmant + 1)).all()
-        if inside:
-            whole = found.astype(dtype)
-            if (whole == found).all():
-                return whole
+        if inside and (found.astype(dtype) == found).all():
+            return found.astype(dtype)
     raise InputError(f"{name}: found {found.dtype} values, expected {dtype}")

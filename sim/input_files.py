@@ -7,7 +7,6 @@ import gzip
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Concatenate, Final, ParamSpec, TypeVar, cast
 
@@ -29,14 +28,9 @@ PACKED: Final = ".gz"
 
 @contextmanager
 def broken_as_one_line(path: Path, expected: str) -> Iterator[None]:
-    """Turn whatever a broken file raises in the block into one line that names the file.
+    """Turn whatever a broken file raises in the block into an `InputError` that names the file.
 
-    Args:
-        path: the file.
-        expected: what it is expected to be: "a SUMO net".
-
-    Raises:
-        InputError: instead of any other exception, which is its cause; a `MemoryError` stays.
+    ``expected`` is what the file is expected to be: "a SUMO net". A `MemoryError` stays.
     """
     try:
         yield
@@ -59,11 +53,7 @@ def broken_as_one_line(path: Path, expected: str) -> Iterator[None]:
 
 
 def opened(path: Path) -> IO[bytes]:
-    """A file to read, unpacked where its name ends in ``.gz``.
-
-    Raises:
-        InputError: if it is not a file, or is a pointer to a file that was not fetched.
-    """
+    """A file to read, unpacked where its name ends in ``.gz``."""
     if not path.is_file():
         raise InputError(f"{path}: found no file, expected one")
     with path.open("rb") as file:
@@ -77,15 +67,7 @@ def opened(path: Path) -> IO[bytes]:
 
 
 def read_bytes(path: Path, most: int | None = None) -> bytes:
-    """A file's content, unpacked where its name ends in ``.gz``.
-
-    Args:
-        path: the file.
-        most: bytes that it may have, unpacked; None for any number.
-
-    Raises:
-        InputError: if the file is missing, larger, or not packed as its name says.
-    """
+    """A file's content, unpacked where its name ends in ``.gz``, of at most so many bytes."""
     try:
         with opened(path) as file:
             data = file.read() if most is None else file.read(most + 1)
@@ -112,12 +94,7 @@ def plain_name(path: Path) -> str:
 
 
 def beside(path: Path, name: str) -> Path | None:
-    """The file of this name, or of this name packed, in a file's folder; None without one.
-
-    Args:
-        path: the file.
-        name: what the other is called, not packed.
-    """
+    """The file of this name, or of this name packed, in a file's folder; None without one."""
     files = (path.with_name(name), path.with_name(name + PACKED))
     return next((file for file in files if file.is_file() and file != path), None)
 
@@ -125,13 +102,12 @@ def beside(path: Path, name: str) -> Path | None:
 def read_once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[Path, P], T]:
     """A reader of maps that reads a file once, as long as the file stays as it is.
 
-    Args:
-        read: from a path, and options that can be hashed, what is in the file.
-
-    Returns:
-        The same function; it raises `InputError` for missing files.
+    Its options must be such that can be hashed.
     """
-    kept = functools.lru_cache(maxsize=16)(lambda path, changed_ns, size, call: call(path))
+
+    @functools.lru_cache(maxsize=16)
+    def kept(path: Path, changed_ns: int, size: int, args: Any, kwargs: Any) -> T:
+        return read(path, *args, **dict(kwargs))
 
     @functools.wraps(read)
     def once(path: Path, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -139,20 +115,6 @@ def read_once(read: Callable[Concatenate[Path, P], T]) -> Callable[Concatenate[P
         if not path.is_file():
             raise InputError(f"{path}: found no file, expected a map")
         stat = path.stat()
-        call = _Call(read, args, tuple(kwargs.items()))
-        found: T = kept(path.absolute(), stat.st_mtime_ns, stat.st_size, call)
-        return found
+        return kept(path.absolute(), stat.st_mtime_ns, stat.st_size, args, tuple(kwargs.items()))
 
     return cast("Callable[Concatenate[Path, P], T]", once)
-
-
-@dataclass(frozen=True)
-class _Call:
-    """A function with its options; equal calls are equal."""
-
-    function: Callable[..., Any]
-    args: tuple[Any, ...]
-    kwargs: tuple[tuple[str, Any], ...]
-
-    def __call__(self, path: Path) -> Any:
-        return self.function(path, *self.args, **dict(self.kwargs))

@@ -14,7 +14,6 @@ from behaviors.errors import InputError
 _ALTERNATIVE: Final = re.compile(r"str|float|int|bool|(dict|list|tuple)\[.*\]")
 """pydantic's location of a field that may be of several types."""
 
-
 _BOUNDS: Final = {
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
@@ -24,14 +23,9 @@ _BOUNDS: Final = {
 
 
 def first_wrong_field(error: ValidationError, known: Iterable[str] = ()) -> str:
-    """The first thing that is wrong, as "where: found this, expected that".
+    """The first thing that is wrong in one line, "where: found this, expected that".
 
-    Args:
-        error: what pydantic says.
-        known: the names of the fields that there are, to suggest the nearest to an unknown one.
-
-    Returns:
-        One line.
+    The names of the known fields are used to suggest the nearest to an unknown one.
 
     Examples:
         >>> from pydantic import BaseModel, ConfigDict, Field
@@ -47,8 +41,6 @@ def first_wrong_field(error: ValidationError, known: Iterable[str] = ()) -> str:
         'episodes: found 0, expected at least 1'
         >>> wrong(episodes=1, episode=2)
         "episode: found an unknown key, did you mean 'episodes'?"
-        >>> wrong()
-        'episodes: found none, expected one'
     """
     told = error.errors(include_url=False)
     same = [one for one in told if one["loc"][:1] == told[0]["loc"][:1]]

@@ -18,27 +18,13 @@ DECLARED: Final = re.compile(rb"<!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 def refuse_declarations(path: Path, data: bytes) -> None:
-    """Refuse XML that declares a document type or an entity, in any encoding.
-
-    Raises:
-        InputError: naming the file.
-    """
+    """Refuse XML that declares a document type or an entity, in any encoding."""
     if DECLARED.search(data) or DECLARED.search(data.replace(b"\0", b"")):
         raise InputError(f"{path}: found a document type or entity declaration, expected none")
 
 
 def read_tree(path: Path) -> ET.Element:
-    """The root element of an XML file.
-
-    Args:
-        path: the file, gzipped where its name ends in ``.gz``.
-
-    Returns:
-        The root; elements, attributes and texts as they are in the file.
-
-    Raises:
-        InputError: if the file is missing, no XML, or declares a document type.
-    """
+    """The root element of an XML file, gzipped where its name ends in ``.gz``."""
     data = read_bytes(path)
     refuse_declarations(path, data)
     try:
@@ -49,23 +35,7 @@ def read_tree(path: Path) -> ET.Element:
 
 
 def whole_number(path: Path, element: ET.Element, name: str) -> int:
-    """A whole number in an element's attribute.
-
-    Args:
-        path: the file, for messages.
-        element: which element.
-        name: of the attribute.
-
-    Returns:
-        The number, of at most 63 bits.
-
-    Raises:
-        InputError: naming the file, the element and the attribute.
-
-    Examples:
-        >>> whole_number(Path("a.xml"), ET.fromstring('<node id="7"/>'), "id")
-        7
-    """
+    """A whole number, of at most 63 bits, in an element's attribute."""
     text = element.get(name) or ""
     if not re.fullmatch(r"\s*[-+]?[0-9]{1,18}\s*", text):
         raise InputError(

@@ -27,9 +27,9 @@ from sim.formats import (
     new_index,
     read_formats,
 )
+from sim.formats.argoverse import NoWindowError
 from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
-from sim.formats.common.windows import NoWindowError
 from sim.formats.own_table import check_columns
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import open_dataset

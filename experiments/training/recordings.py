@@ -107,7 +107,7 @@ def _read(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
     """The recordings of a file or folder."""
     try:
         form = recognise(folder)
-        files = recording_files(folder, form)[0]
+        files = recording_files(folder, form)
     except InputError as error:
         sys.stderr.write(f"graphrqi: left out: {error}\n")
         return

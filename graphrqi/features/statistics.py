@@ -52,13 +52,6 @@ def spread(
 
     Values and conditions are (B, n), one row per block. Agents' durations are in ``rows`` (n,) of
     ``sums`` (m, S), on the blocks' nodes.
-
-    Examples:
-        >>> sums = np.zeros((1, 2))
-        >>> block = Block("gap", (0.0, 1.0))
-        >>> spread(np.array([[0.25]]), np.array([[True]]), (block,), 2.0, np.array([0]), sums)
-        >>> sums
-        array([[1.5, 0.5]])
     """
     from graphrqi.features.kernels import spread_on_nodes
 

@@ -34,20 +34,7 @@ class PriorShift:
 
     It assumes that drivers of a class drive as in the training data and that only the shares
     differ. Each driver counts once: with its present answer while it is present, with its last
-    answer afterwards.
-
-    Args:
-        trained: (C,) share of each class in the training data; a class of share 0 keeps
-            probability 0.
-
-    Examples:
-        Two classes have equal training shares. 70 of 80 drivers look like the first class, so a
-        driver that looks like either one is more likely of the first:
-
-        >>> shift = PriorShift(np.array([0.5, 0.5]))
-        >>> shift.observe(0.0, np.arange(80), np.repeat([[0.9, 0.1], [0.1, 0.9]], [70, 10], axis=0))
-        >>> shift.corrected(np.array([[0.5, 0.5]])).round(2)
-        array([[0.71, 0.29]])
+    answer afterwards. A class of training share 0 keeps probability 0.
     """
 
     def __init__(self, trained: FloatArray) -> None:

@@ -54,12 +54,6 @@ def change_between(before: TrafficGraph, after: TrafficGraph) -> tuple[NDArray[n
     Returns:
         (m, 2) ids of the edges that only one of them has; (m,) 1 for a new edge, -1 for one that is
         gone.
-
-    Examples:
-        >>> a = TrafficGraph.from_edges([1, 2, 3], [(1, 2)])
-        >>> edges, signs = change_between(a, TrafficGraph.from_edges([3, 2, 4], [(3, 2)]))
-        >>> edges.tolist(), signs.tolist()
-        ([[1, 2], [2, 3]], [-1.0, 1.0])
     """
     edges = np.sort(np.concatenate([before.edges, after.edges]), axis=1)
     signs = np.repeat([-1.0, 1.0], [len(before.edges), len(after.edges)])

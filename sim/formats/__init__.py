@@ -79,12 +79,9 @@ LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
 """Tables that accompany the tracks of inD, rounD and highD."""
 
 IND: Final = Format(
-    ("*_tracks.csv",),
-    reader="sim.formats.levelx:read_ind",
-    own_names=True,
-    beside=LEVELX_BESIDE,
-    columns=(("trackid", "xcenter", "ycenter", "heading"),),
-)
+    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind", own_names=True,
+    beside=LEVELX_BESIDE, columns=(("trackid", "xcenter", "ycenter", "heading"),),
+)  # fmt: skip
 """inD and rounD, which look the same."""
 
 FORMATS: Final[Registry[Format]] = Registry(
@@ -93,63 +90,47 @@ FORMATS: Final[Registry[Format]] = Registry(
     {
         "argoverse2": Format(
             ("scenario_*.parquet",),
-            reader="sim.formats.argoverse.forecasting2:read",
-            writer="sim.formats.argoverse.forecasting2:write",
-            own_names=True,
-            beside=("log_map_archive_*.json", "behavior_*.parquet"),
+            reader="sim.formats.argoverse:read_scenario",
+            writer="sim.formats.argoverse:write_scenarios",
+            own_names=True, beside=("log_map_archive_*.json", "behavior_*.parquet"),
             columns=(("track_id", "object_type", "timestep", "position_x"),),
         ),
         "argoverse2-log": Format(
             ("annotations.feather", "annotations_with_ego.feather"),
-            reader="sim.formats.argoverse.sensor_log:read",
-            clock=True,
-            own_names=True,
-            beside=("map/*.json", "log_map_archive_*.json"),
-            columns=(("timestamp_ns", "track_uuid", "category"),),
-            one=True,
+            reader="sim.formats.argoverse:read_log",
+            clock=True, own_names=True, beside=("map/*.json", "log_map_archive_*.json"),
+            columns=(("timestamp_ns", "track_uuid", "category"),), one=True,
         ),
         "argoverse1": Format(
             ("*.csv", "*.parquet"),
-            reader="sim.formats.argoverse.forecasting1:read",
-            writer="sim.formats.argoverse.forecasting1:write",
+            reader="sim.formats.argoverse:read_csv",
+            writer="sim.formats.argoverse:write_csv",
             columns=(("timestamp", "track_id", "object_type", "x", "y"),),
         ),
         "ngsim": Format(
             ("*.csv", "*.txt", "*.parquet"),
             re.compile(rb"^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"),
-            "sim.formats.ngsim:read",
-            clock=True,
-            columns=(("vehicle_id", "local_x", "local_y"),),
+            "sim.formats.recorded_tables:read_ngsim",
+            clock=True, columns=(("vehicle_id", "local_x", "local_y"),),
         ),
         "ind": IND,
         "round": IND,
         "highd": Format(
-            ("*_tracks.csv",),
-            reader="sim.formats.levelx:read_highd",
-            own_names=True,
-            beside=LEVELX_BESIDE,
-            columns=(("frame", "id", "width", "height", "xvelocity"),),
+            ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_highd", own_names=True,
+            beside=LEVELX_BESIDE, columns=(("frame", "id", "width", "height", "xvelocity"),),
         ),
         "interaction": Format(
             ("vehicle_tracks_*.csv", "*_train.csv", "*_val.csv", "*_obs.csv"),
-            reader="sim.formats.interaction:read",
+            reader="sim.formats.recorded_tables:read_interaction",
             own_names=True,
-            beside=(
-                "pedestrian_tracks_*.csv",
-                "map_*.xml",
-                "meta_data.csv",
-                "signal_phases_*.csv",
-                "log_map_archive_*.json",
-            ),
+            beside=("pedestrian_tracks_*.csv", "map_*.xml", "meta_data.csv", "signal_phases_*.csv",
+                    "log_map_archive_*.json"),
             columns=(("track_id", "timestamp_ms", "agent_type"),),
         ),
         "sumo-fcd": Format(
-            ("*.xml", "*.csv", "*.parquet"),
-            re.compile(rb"<fcd-export"),
-            "sim.formats.sumo_fcd:read",
-            "sim.formats.sumo_fcd:write",
-            beside=("*.types.xml",),
-            columns=tuple(("timestep_time", f"{one}_id") for one in ("vehicle", "person")),
+            ("*.xml", "*.csv", "*.parquet"), re.compile(rb"<fcd-export"),
+            "sim.formats.sumo_fcd:read", "sim.formats.sumo_fcd:write", beside=("*.types.xml",),
+            columns=(("timestep_time", "vehicle_id"), ("timestep_time", "person_id")),
         ),
         "commonroad": Format(
             ("*.xml",), re.compile(rb"<commonroad\b"), "sim.formats.commonroad:read"
@@ -157,8 +138,7 @@ FORMATS: Final[Registry[Format]] = Registry(
         "traf": Format(
             ("*.txt",),
             re.compile(rb"^\d+[ \t]*,[ \t]*\d+(?:[ \t]*,[ \t]*-?\d+)*[ \t,-]*(?:\r?\n|\Z)"),
-            "sim.formats.traf:read",
-            unit="px",
+            "sim.formats.traf:read", unit="px",
         ),
         "kitti": Format(
             ("*.txt",),
@@ -166,18 +146,14 @@ FORMATS: Final[Registry[Format]] = Registry(
                 rb"^\d+ (?:-1|\d+) "
                 rb"(?:car|van|truck|tram|cyclist|pedestrian|person|person_sitting|misc|dontcare) "
             ),
-            "sim.formats.kitti:read",
-            beside=("oxts/*.txt", "calib/*.txt"),
+            "sim.formats.kitti:read", beside=("oxts/*.txt", "calib/*.txt"),
         ),
         "argo": Format(
-            ("*.csv",),
-            re.compile(rb'^"?frame"?[,;\t]"?id"?[,;\t]"?x"?[,;\t]"?y"?\s*\n'),
-            "sim.formats.argo:read",
-            beside=("*_labels.csv",),
+            ("*.csv",), re.compile(rb'^"?frame"?[,;\t]"?id"?[,;\t]"?x"?[,;\t]"?y"?\s*\n'),
+            "sim.formats.argo:read", beside=("*_labels.csv",),
         ),
         "pairs": Format(
-            ("*.csv",),
-            reader="sim.formats.pairs:read",
+            ("*.csv",), reader="sim.formats.recorded_tables:read_pairs",
             columns=(("t", "x_follower", "v_follower", "x_leader", "v_leader"),),
         ),
         "womd": Format(
@@ -191,20 +167,17 @@ FORMATS: Final[Registry[Format]] = Registry(
         "scenarionet": Format(
             ("*.pkl",),
             re.compile(rb"(?s)^\x80[\x02-\x05].*(?:tracks|metadata|version|map_features)"),
-            "sim.formats.scenarionet:read",
-            "sim.formats.scenarionet:write",
-            index="sim.formats.scenarionet:Index",
-            beside=("dataset_summary.pkl", "dataset_mapping.pkl"),
+            "sim.formats.scenarionet:read", "sim.formats.scenarionet:write",
+            "sim.formats.scenarionet:Index", beside=("dataset_summary.pkl", "dataset_mapping.pkl"),
         ),
         "table": Format(
             ("*.csv", "*.txt", "*.tsv", "*.parquet", "*.feather"),
-            reader="sim.formats.own_table:read",
+            reader="sim.formats.own_table:read", columns=(("id", "t", "x", "y"),),
             example=b"id,t,x,y\n1,0.0,0.0,0.0\n1,0.1,1.0,0.0\n2,0.0,9.0,4.0\n2,0.1,9.0,4.0\n",
-            columns=(("id", "t", "x", "y"),),
         ),
         "openscenario": Format(("*.xosc",), writer="sim.formats.asam.openscenario:write"),
     },
-)
+)  # fmt: skip
 """Every format by name."""
 
 OTHERS: Final = (
@@ -262,7 +235,7 @@ def new_index(name: str) -> Any:
 
 
 def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
-    """The file itself, or a folder's files whose names match, in upper or lower case."""
+    """The file itself, or a folder's files whose names match."""
     if path.is_file():
         return [path]
     if not path.is_dir():
@@ -286,10 +259,7 @@ def recognise(path: Path) -> str:
 
 
 def formats_in(path: Path) -> list[str]:
-    """Every format of the files in a folder, told from their columns and their beginnings.
-
-    Args:
-        path: a file or a folder.
+    """Every format of a file or of the files in a folder, told from columns and beginnings.
 
     Returns:
         Keys of ``FORMATS`` in their order. A file that looks like several has the first of them:
@@ -320,10 +290,10 @@ def formats_in(path: Path) -> list[str]:
 
 def _what_it_is(path: Path) -> str:
     """What a file or folder is that no reader knows."""
-    if path.is_dir():
-        return "no known format" if any(path.iterdir()) else "an empty folder"
     from sim.formats.common.tables import beginning_of
 
+    if path.is_dir():
+        return "no known format" if any(path.iterdir()) else "an empty folder"
     head, names = beginning_of(path)
     if not head:
         return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
@@ -352,50 +322,40 @@ def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
     if path.is_file():
         return []
     beside = tuple(pattern for name in names for pattern in FORMATS[name].beside)
-    read = {file for name in names for file in recording_files(path, name)[0]}
+    read = {file for name in names for file in recording_files(path, name)}
     patterns = tuple(pattern for entry in FORMATS.values() for pattern in entry.files)
     return [
         file for file in _files(path, patterns) if file not in read and not _named(file, beside)
     ]
 
 
-def recording_files(path: Path, name: str) -> tuple[list[Path], list[Path]]:
-    """The files of a format, and files with such names whose contents are something else.
-
-    Args:
-        path: a file or a folder.
-        name: a key of ``FORMATS``.
-
-    Returns:
-        What is to be read, and what is to be left out, by name.
+def recording_files(path: Path, name: str) -> list[Path]:
+    """The files of a format in a folder, by name; a file is itself.
 
     Raises:
         InputError: if there is nothing to read.
     """
     entry = FORMATS[name]
     files = _files(path, entry.files)
-    others: list[Path] = []
     if path.is_dir():
-        files = [file for file in files if not _named(file, entry.beside)]
-        knows = entry.columns or entry.head is not NOTHING
-        # A file with the format's own name is read even if it is broken, but not as another's.
-        others = [
-            file
-            for file in files
-            if knows and not entry.recognises(file) and (not entry.own_names or _is_anothers(file))
-        ]
-        if entry.one:
-            first = {file.parent: file for file in reversed(files)}
-            others = [file for file in files if first[file.parent] != file]
-        files = [file for file in files if file not in set(others)]
+        files = [f for f in files if not _named(f, entry.beside) and _belongs(f, entry)]
+    if path.is_dir() and entry.one:
+        files = sorted({file.parent: file for file in reversed(files)}.values())
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
-    return files, others
+    return files
 
 
-def _is_anothers(file: Path) -> bool:
-    """Whether a file is named like one of some format, and looks like it."""
-    return any(_named(file, one.files) and one.recognises(file) for one in FORMATS.values())
+def _belongs(file: Path, entry: Format) -> bool:
+    """Whether a file that is named like those of a format is one.
+
+    A file with the format's own name is one even if it is broken, but not if it is another's.
+    """
+    if entry.recognises(file) or (entry.head is NOTHING and not entry.columns):
+        return True
+    return entry.own_names and not any(
+        _named(file, one.files) and one.recognises(file) for one in FORMATS.values()
+    )
 
 
 def read_recordings(path: Path, name: str | None = None, **options: Any) -> Iterator[Recording]:
@@ -455,7 +415,7 @@ def read_formats(
             options = {"types": types}
         if name == "table" and columns:
             options = {"columns": columns, "units": units or {}}
-        files = recording_files(path, name)[0]
+        files = recording_files(path, name)
         alike = Counter(file.name for file in files)
         for file in files:
             yield file

@@ -20,7 +20,7 @@ from behaviors.labels import Behavior, Style
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
 from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
-from sim.formats.common.tables import read_rows, read_table, words_in
+from sim.formats.common.tables import read_columns, read_table, rows_of, words_in
 from sim.frames import FloatArray, Tracks
 from sim.input_files import beside, plain_name, stem
 
@@ -45,7 +45,8 @@ MIN_AGENTS: Final = 3
 
 def read(path: Path) -> Iterator[Recording]:
     """The recording of one file, with the labels beside it."""
-    rows = read_rows(path, {"id": "id", "t": "frame", "x": "x", "y": "y"})
+    columns = {"id": "id", "t": "frame", "x": "x", "y": "y"}
+    rows = rows_of(read_columns(path, columns), columns)
     rows["t"] /= FRAME_RATE_HZ
     notes = [
         "the recording vehicle's motion was estimated from those that stand, and taken out",
@@ -78,15 +79,9 @@ def read_labels(path: Path) -> dict[str, DriverLabel]:
 
 
 def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The rotation and shift that most points follow from one frame to the next.
+    """The rotation and shift that most of (n, 2) points follow from one frame to the next.
 
-    Args:
-        before: (n, 2) m.
-        after: (n, 2) the same agents a step later, m.
-
-    Returns:
-        (2, 2) rotation and (2,) shift with ``after @ rotation.T + shift`` near ``before`` for at
-        least half of the points.
+    ``after @ rotation.T + shift`` is near ``before`` for at least half of the points.
 
     Examples:
         >>> still = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 9.0], [7.0, 7.0]])
@@ -112,11 +107,7 @@ def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, Flo
 def remove_ego_motion(tracks: Tracks) -> Tracks:
     """Bring tracks seen from a moving vehicle into the frame of the first instant.
 
-    Args:
-        tracks: positions relative to the recording vehicle, m.
-
-    Returns:
-        The same agents; headings and speeds are told anew from the motion.
+    Headings and speeds are told anew from the motion.
     """
     rows = tracks.rows
     agent, xy = rows.index.agent, rows.xy.copy()

@@ -33,16 +33,8 @@ IN_SECONDS: Final = frozenset({"2017a", "2018a"})
 """Versions that give obstacles' times in seconds."""
 
 TYPES: Final[dict[str, AgentKind]] = {
-    "car": AgentKind.CAR,
-    "taxi": AgentKind.CAR,
-    "parkedVehicle": AgentKind.CAR,
-    "priorityVehicle": AgentKind.CAR,
-    "truck": AgentKind.TRUCK,
-    "bus": AgentKind.BUS,
-    "motorcycle": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
-    "unknown": AgentKind.CAR,
+    **{kind.value: kind for kind in AgentKind},
+    **dict.fromkeys(("taxi", "parkedVehicle", "priorityVehicle", "unknown"), AgentKind.CAR),
 }
 """Types of obstacles that are road-agents; the others (buildings, pillars, ...) are left out."""
 
@@ -126,7 +118,7 @@ def _rows(path: Path, root: Element, unit_s: float) -> tuple[pandas.DataFrame, l
 
 
 def _states(path: Path, element: Element, name: str) -> tuple[FloatArray, bool]:
-    """(k, 5) the states of an obstacle as `_row` has them; does it move?"""
+    """(k, 5) time, x, y, heading and speed of an obstacle's states; does it move?"""
     parts = [
         np.reshape([_row(path, one, f"obstacle {name}") for one in element.iterfind(tag)], (-1, 5))
         for tag in ("initialState", "trajectory/state")
@@ -140,26 +132,23 @@ def _states(path: Path, element: Element, name: str) -> tuple[FloatArray, bool]:
     return table, not (static and len(table) == 1)
 
 
-def _row(path: Path, state: Element, what: str) -> tuple[float, float, float, float, float]:
+def _row(path: Path, state: Element, what: str) -> list[float]:
     """Time, x, y, heading and speed of a state; NaN for a heading or speed that it lacks."""
-    values = {
-        part: math.nan if (found := state.find(part)) is None else _value(path, found, what)
-        for part in ("time", "orientation", "velocity")
-    }
-    position = state.find("position")
-    place = (
-        None
-        if position is None
-        else next((one for tag in ("point", "center") for one in position.iter(tag)), None)
-    )  # of an uncertain position, a rectangle or a circle, the centre
-    if place is None or math.isnan(values["time"]):
+    # of an uncertain position, a rectangle or a circle, the centre
+    point, centre = state.find("position//point"), state.find("position//center")
+    place = centre if point is None else point
+    if place is None or state.find("time") is None:
         raise InputError(f"{path}: {what}: found a state without time or place")
     x, y = (real(path, place.findtext(axis), f"{what} {axis}") for axis in "xy")
-    return values["time"], x, y, values["orientation"], values["velocity"]
+    time, heading, speed = (_value(path, state.find(part), what)
+                            for part in ("time", "orientation", "velocity"))  # fmt: skip
+    return [time, x, y, heading, speed]
 
 
-def _value(path: Path, part: Element, what: str) -> float:
-    """An exact value, or the middle of an interval."""
+def _value(path: Path, part: Element | None, what: str) -> float:
+    """An exact value, or the middle of an interval; NaN where there is none."""
+    if part is None:
+        return math.nan
     exact = part.findtext("exact")
     bounds = [exact] if exact else [part.findtext(f"interval{end}") for end in ("Start", "End")]
     return sum(real(path, bound, f"{what} {part.tag}") for bound in bounds) / len(bounds)
@@ -167,14 +156,12 @@ def _value(path: Path, part: Element, what: str) -> float:
 
 def _size(path: Path, element: Element, name: str) -> tuple[float, float]:
     """Length and width, m; 0 where the file does not say them."""
-    box, circle = element.find("shape/rectangle"), element.find("shape/circle")
-    if box is None and circle is None:
-        return 0.0, 0.0
-    if box is None:
-        assert circle is not None
-        across = 2 * real(path, circle.findtext("radius"), f"obstacle {name} radius")
-        return across, across
-    length, width = (
-        real(path, box.findtext(side), f"obstacle {name} {side}") for side in ("length", "width")
-    )
-    return length, width
+    box, radius = element.find("shape/rectangle"), element.findtext("shape/circle/radius")
+    if box is not None:
+        length, width = (
+            real(path, box.findtext(side), f"obstacle {name} {side}")
+            for side in ("length", "width")
+        )
+        return length, width
+    across = 2 * real(path, radius, f"obstacle {name} radius") if radius is not None else 0.0
+    return across, across

@@ -29,14 +29,11 @@ PERIOD_S: Final = 0.1
 """Time between two frames, s."""
 
 TYPES: Final[dict[str, AgentKind]] = {
-    "Car": AgentKind.CAR,
-    "Van": AgentKind.CAR,
+    **dict.fromkeys(("Car", "Van"), AgentKind.CAR),
     "Truck": AgentKind.TRUCK,
     "Tram": AgentKind.BUS,
     "Cyclist": AgentKind.BICYCLE,
-    "Pedestrian": AgentKind.PEDESTRIAN,
-    "Person": AgentKind.PEDESTRIAN,
-    "Person_sitting": AgentKind.PEDESTRIAN,
+    **dict.fromkeys(("Pedestrian", "Person", "Person_sitting"), AgentKind.PEDESTRIAN),
 }
 """Types that are road-agents; ``Misc`` and ``DontCare`` are left out."""
 

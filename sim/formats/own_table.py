@@ -8,8 +8,7 @@ from typing import Final
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, recorded
-from sim.formats.common.tables import NEEDED, beginning_of, read_rows
-from sim.frames import AgentKind
+from sim.formats.common.tables import NEEDED, beginning_of, read_columns, rows_of
 from sim.input_files import stem
 from sim.units import PARTS
 
@@ -27,15 +26,6 @@ UNITS: Final[dict[str, dict[str, str]]] = {
 }
 """The units that each column may have, as `sim.units.in_si` takes them; the first is its usual."""
 
-KINDS: Final = {
-    **{kind.value: kind for kind in AgentKind},
-    **dict.fromkeys(("vehicle", "van"), AgentKind.CAR),
-    **dict.fromkeys(("cyclist", "bike"), AgentKind.BICYCLE),
-    **dict.fromkeys(("walker", "person"), AgentKind.PEDESTRIAN),
-    "motorbike": AgentKind.MOTORCYCLE,
-}
-"""The kind that each word of a column ``kind`` names."""
-
 
 def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
     """Refuse columns that are not known or missing, and units that a column cannot have.
@@ -43,9 +33,6 @@ def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
     Args:
         columns: name in the file of each of ``NUMBERS`` and ``WORDS``.
         units: of some of ``NUMBERS``.
-
-    Raises:
-        InputError: naming the first that is wrong.
     """
     for key in columns:
         if key not in (*NUMBERS, *WORDS):
@@ -86,7 +73,7 @@ def read(
         )
     known = {key: UNITS[key][unit] for key, unit in units.items()}
     optional = [name for key, name in names.items() if key not in NEEDED]
-    rows = read_rows(path, names, KINDS, known, optional, from_zero=True)
+    rows = rows_of(read_columns(path, names, (), optional), names, known, from_zero=True)
     missing = [key for key in ("heading", "speed", "kind", "length") if key not in columns]
     notes = [f"not in the table, taken from the motion or assumed: {', '.join(missing)}"]
     yield recorded(stem(path), rows, notes if missing else ())

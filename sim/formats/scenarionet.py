@@ -76,17 +76,7 @@ BEHAVIOR_CODES: Final = {str(behavior): code for code, behavior in enumerate(BEH
 
 
 def read(path: Path) -> Iterator[Recording]:
-    """Read the scenario of a file.
-
-    Args:
-        path: ``sd_*.pkl``.
-
-    Yields:
-        The recording, with its road.
-
-    Raises:
-        InputError: if the file is broken, or holds something else; the message names the field.
-    """
+    """The recording of the scenario in one ``sd_*.pkl``, with its road."""
     found = PlainUnpickler(io.BytesIO(read_bytes(path))).load()
     if not isinstance(found, Mapping) or not isinstance(found.get("tracks"), Mapping):
         raise InputError(f"{path}: found no tracks, expected a dictionary of ScenarioNet")
@@ -217,56 +207,45 @@ def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]
     numbers = {name: number for number, name in enumerate(lanes)}
     if all(name.isascii() and name.isdecimal() and len(name) < 16 for name in numbers):
         numbers = {name: int(name) for name in numbers}
+
+    def known(names: Any) -> tuple[int, ...]:
+        """Numbers of lanes by their names, or by Waymo's records of them."""
+        words = [_word(one.get("feature_id") if isinstance(one, Mapping) else one) for one in names]
+        return tuple(numbers[word] for word in words if word in numbers)
+
     for name, lane in lanes.items():
-        unstructured = lane["type"] == "LANE_SURFACE_UNSTRUCTURE"
-        beside = [_first(lane, f"{side}_neighbor", numbers) for side in ("left", "right")]
-        before, after = (
-            tuple(numbers[_word(i)] for i in tuple(lane.get(key) or ())[:16] if _word(i) in numbers)
-            for key in ("entry_lanes", "exit_lanes")
+        before, after, left, right = (
+            known(tuple(lane.get(key) or ())[:16])
+            for key in ("entry_lanes", "exit_lanes", "left_neighbor", "right_neighbor")
         )
+        # converters write none or 0 for an unknown limit, and mostly a width at every point
+        limit_mph, limit_kmh = (
+            float(lane.get(f"speed_limit_{unit}") or math.nan) for unit in ("mph", "kmh")
+        )
+        limits = in_si(limit_mph, "mph"), in_si(limit_kmh, "km/h")
+        width = lane.get("width")
+        width_m = math.nan if width is None or np.ndim(width) else float(width)
+        if not (math.isnan(width_m) or 0.0 < width_m <= 100.0):
+            raise InputError(f"map_features: found a width of {width_m:g} m, expected up to 100")
+        unstructured = lane["type"] == "LANE_SURFACE_UNSTRUCTURE"
         scene.lanes.append(
             Lanelet(
                 id=numbers[name],
                 centerline=_points(lane["polyline"]),
-                limit_mps=_limit_mps(lane),
+                limit_mps=limits[1] if math.isnan(limit_mph) else limits[0],
                 cars=lane["type"] != BIKE_LANE,
                 internal=unstructured or bool(lane.get("interpolating", False)),
                 predecessors=before,
                 successors=after,
-                left=beside[0],
-                right=beside[1],
-                width_m=_width(lane.get("width")),
+                left=left[0] if left else None,
+                right=right[0] if right else None,
+                width_m=width_m,
             )
         )
     for name, feature in features.items():
         if _word(feature["type"]) == "CROSSWALK" and "polygon" in feature:
             scene.crosswalks[_word(name)] = _points(feature["polygon"])
     return numbers
-
-
-def _width(width: Any) -> float:
-    """The lane's width, which ours says and converters mostly give at every point, m."""
-    if width is None or np.ndim(width) != 0:
-        return math.nan
-    if not 0.0 < float(width) <= 100.0:
-        raise InputError(f"map_features: found a width of {float(width):g} m, expected up to 100")
-    return float(width)
-
-
-def _limit_mps(feature: Mapping[str, Any]) -> float:
-    """The limit, m/s; NaN where it is unknown (converters write none or 0)."""
-    if feature.get("speed_limit_mph"):
-        return in_si(float(feature["speed_limit_mph"]), "mph")
-    return in_si(float(feature.get("speed_limit_kmh") or math.nan), "km/h")
-
-
-def _first(feature: Mapping[str, Any], key: str, numbers: Mapping[str, int]) -> int | None:
-    """The first neighbour: a name, or Waymo's record of one."""
-    beside = feature.get(key) or ()
-    one = beside[0] if isinstance(beside, Sequence) and len(beside) else None
-    if isinstance(one, Mapping):
-        one = one.get("feature_id")
-    return numbers.get(_word(one))
 
 
 # --- writing ------------------------------------------------------------------------------------
@@ -293,6 +272,7 @@ TYPES: Final[dict[AgentKind, str]] = {
 
 
 def _flat(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(P, 3) points of height 0."""
     return np.concatenate([points, np.zeros((len(points), 1))], axis=1)
 
 
@@ -309,22 +289,21 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
     """
     heading, speed, valid = tracks.heading, tracks.speed, tracks.valid
     velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=2)
-    heights = np.zeros((*valid.shape, 1))
-    series = {
-        "position": np.concatenate([tracks.xy, heights], axis=2),
-        "heading": heading,
-        "velocity": velocity,
-        "length": tracks.length[:, None],
-        "width": tracks.width[:, None],
-        "height": np.full((1, 1), HEIGHT_M),
-    }
+    steps = int(tracks.time_s.size)
     agents: dict[str, Any] = {}
     for i, label in enumerate(tracks.names):
         code = -1 if tracks.behavior is None else int(tracks.behavior[i])
+        series = {
+            "position": _flat(tracks.xy[i]),
+            "heading": heading[i],
+            "velocity": velocity[i],
+            "length": tracks.length[i],
+            "width": tracks.width[i],
+            "height": HEIGHT_M,
+        }
         state: dict[str, Any] = {}
-        for field, values in series.items():
-            own = values[i % len(values)]
-            seen = valid[i].reshape(-1, *[1] * (own.ndim - 1))
+        for field, own in series.items():
+            seen = valid[i][:, None] if np.ndim(own) == 2 else valid[i]
             state[field] = np.where(seen, own, 0.0).astype(np.float32)
             if field == "velocity":
                 state["valid"] = valid[i].copy()
@@ -332,7 +311,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
             "type": TYPES[KINDS[tracks.kind[i]]],
             "state": state,
             "metadata": {
-                "track_length": int(tracks.time_s.size),
+                "track_length": steps,
                 "type": TYPES[KINDS[tracks.kind[i]]],
                 "object_id": label,
                 "behavior": str(tracks.classes[code]) if code >= 0 else None,
@@ -344,7 +323,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
     return {
         "id": name,
         "version": VERSION,
-        "length": int(tracks.time_s.size),
+        "length": steps,
         "metadata": {
             "id": name,
             "ts": np.asarray(tracks.time_s, dtype=np.float32),
@@ -364,20 +343,18 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
 
 def _object_summary(name: str, agent: Mapping[str, Any]) -> dict[str, Any]:
     """What the format says in short of one agent."""
-    state = agent["state"]
-    valid: NDArray[np.bool_] = state["valid"]
+    valid: NDArray[np.bool_] = agent["state"]["valid"]
     seen = np.flatnonzero(valid)
     # how long it is seen from the first time on, until it is lost for the first time
-    lost = np.flatnonzero(~valid[seen[0] :]) if seen.size else seen
-    whole = 0 if not seen.size else int(lost[0]) if lost.size else int(valid.size - seen[0])
-    moved = np.diff(state["position"][seen, :2].astype(np.float64), axis=0)
+    first = valid[seen[0] :] if seen.size else valid[:0]
+    moved = np.diff(agent["state"]["position"][seen, :2].astype(np.float64), axis=0)
     return {
         "type": agent["type"],
         "object_id": name,
         "track_length": int(valid.size),
         "moving_distance": float(np.hypot(moved[:, 0], moved[:, 1]).sum()),
         "valid_length": int(seen.size),
-        "continuous_valid_length": whole,
+        "continuous_valid_length": int(np.cumprod(first).sum()),
     }
 
 
@@ -453,17 +430,7 @@ def _map_features(road: Road) -> dict[str, Any]:
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
-    """Write an episode as ``sd_graphrqi_<name>.pkl``.
-
-    Args:
-        folder: where; it must exist.
-        name: the episode's id.
-        tracks: the episode.
-        road: where it happened, if known.
-
-    Returns:
-        The file written.
-    """
+    """Write an episode as ``sd_graphrqi_<name>.pkl``; gives the file."""
     path = folder / f"sd_graphrqi_{name}.pkl"
     write_whole(path, pickle.dumps(description(name, tracks, road), protocol=4))
     return [path]

@@ -26,7 +26,7 @@ from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import Recording, default_size, recorded
 from sim.formats.common.tables import beginning_of, codes_in, read_table, words_in
-from sim.frames import KINDS, PEDESTRIAN, AgentKind, Tracks
+from sim.frames import PEDESTRIAN, AgentKind, Tracks
 from sim.input_files import opened, stem
 from sim.xml_tree import refuse_declarations
 
@@ -35,35 +35,16 @@ HEAD_BYTES: Final = 2**16
 
 CLASSES: Final[dict[str, AgentKind]] = {
     "passenger": AgentKind.CAR,
-    "private": AgentKind.CAR,
-    "taxi": AgentKind.CAR,
-    "bus": AgentKind.BUS,
+    **{kind.value: kind for kind in AgentKind if kind is not AgentKind.CAR},
     "coach": AgentKind.BUS,
-    "truck": AgentKind.TRUCK,
     "trailer": AgentKind.TRUCK,
     "delivery": AgentKind.TRUCK,
-    "motorcycle": AgentKind.MOTORCYCLE,
     "moped": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
 }
 """SUMO's vehicle classes; others are taken for cars."""
 
-WRITTEN_CLASSES: Final = {AgentKind.CAR: "passenger"}
-"""The vehicle class of a kind, where it is called otherwise."""
-
 TYPES_SUFFIX: Final = ".types.xml"
 """Ending of the file of vTypes that is written beside a recording."""
-
-
-def angle_of(heading: float) -> float:
-    """Heading as SUMO's angle, degrees in [0, 360).
-
-    Examples:
-        >>> angle_of(0.0), angle_of(math.pi / 2)
-        (90.0, 0.0)
-    """
-    return (90.0 - math.degrees(heading)) % 360.0
 
 
 def _elements(path: Path, tag: str) -> Iterator[ET.Element]:
@@ -232,16 +213,7 @@ def _kind_in(name: str) -> AgentKind:
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:
-    """Write an episode, with its behaviours, and its vTypes beside it.
-
-    Args:
-        folder: where; it must exist.
-        name: the file's name without its ending.
-        tracks: the episode.
-        road: not used; lanes are left out.
-
-    Returns:
-        The files written.
+    """Write an episode, with its behaviours, and its vTypes beside it; lanes are left out.
 
     Raises:
         InputError: if an agent has a name that XML cannot hold.
@@ -266,13 +238,13 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
             x, y = front[at].tolist()
             lines.append(
                 f'        <{element[row]} id={ids[row]} x="{x!r}" y="{y!r}" '
-                f'angle="{angle_of(float(seen.heading[at]))!r}" type={types[row]} '
+                f'angle="{(90.0 - math.degrees(seen.heading[at])) % 360.0!r}" type={types[row]} '
                 f'speed="{float(seen.speed[at])!r}"{labels[row]}/>'
             )
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")
-    kinds = [KINDS[code] for code in tracks.kind]
-    classes = [WRITTEN_CLASSES.get(kind, kind.value) for kind in kinds]
+    usual = {kind.code: name for name, kind in reversed(CLASSES.items())}
+    classes = [usual[code] for code in tracks.kind.tolist()]
     known = ['<?xml version="1.0" encoding="UTF-8"?>', "<additional>"]
     known += [
         f'    <vType id={types[i]} vClass="{classes[i]}" '

@@ -44,22 +44,12 @@ MAX_TWINS: Final = 32
 frame before."""
 
 TRAIT_CODES: Final[dict[int, Trait]] = {
-    100: Trait.OVERTAKING,
-    101: Trait.OVER_SPEEDING,
-    102: Trait.TAILGATING,
-    103: Trait.WEAVING,
-    104: Trait.CUTTING_IN,
-    105: Trait.DRIVING_CLOSE,
-    106: Trait.WRONG_DIRECTION,
-    107: Trait.JAYWALKING,
-    108: Trait.BREAKING_RULES,
-    0: Trait.KEEPING_NEIGHBORS,
-    1: Trait.UNIFORM_SPEED,
-    2: Trait.FOLLOWING_RULES,
-    3: Trait.NOT_MOVING,
-    4: Trait.SLOWING,
+    100: Trait.OVERTAKING, 101: Trait.OVER_SPEEDING, 102: Trait.TAILGATING, 103: Trait.WEAVING,
+    104: Trait.CUTTING_IN, 105: Trait.DRIVING_CLOSE, 106: Trait.WRONG_DIRECTION,
+    107: Trait.JAYWALKING, 108: Trait.BREAKING_RULES, 0: Trait.KEEPING_NEIGHBORS,
+    1: Trait.UNIFORM_SPEED, 2: Trait.FOLLOWING_RULES, 3: Trait.NOT_MOVING, 4: Trait.SLOWING,
     5: Trait.WAITING,
-}
+}  # fmt: skip
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 
@@ -107,22 +97,21 @@ def _boxes(path: Path) -> IntArray:
         for number, line in enumerate(file, 1):
             if not line.strip():
                 continue
-            where = f"{path}: line {number}"
             try:
                 frame, count, *fields = map(int, line.split(b","))
-                found = np.array(fields, dtype=np.int64)
+                found = np.array(fields, dtype=np.int64).reshape(count, 5)
             except (ValueError, OverflowError):
-                raise InputError(f"{where}: found {line[:40]!r}, expected whole numbers") from None
-            if found.size != 5 * count:
                 raise InputError(
-                    f"{where}: found {found.size} fields of {count} boxes, expected 5 for each"
-                )
+                    f"{path}: line {number}: found {line[:40]!r}, expected whole numbers: a frame, "
+                    "a count, and five for each box"
+                ) from None
             if parts and frame <= parts[-1][0, 0]:
                 raise InputError(
-                    f"{where}: found frame {frame}, expected one after {parts[-1][0, 0]}"
+                    f"{path}: line {number}: found frame {frame}, expected one after "
+                    f"{parts[-1][0, 0]}"
                 )
             if count:
-                parts.append(np.insert(found.reshape(-1, 5), 0, frame, axis=1))
+                parts.append(np.insert(found, 0, frame, axis=1))
     if not parts:
         raise InputError(f"{path}: found no boxes, expected some")
     return np.concatenate(parts)
@@ -139,14 +128,11 @@ def _tracks_of(boxes: IntArray) -> list[IntArray]:
 
     Each box continues the nearest track; a box without a track begins a new one.
     """
-    frames, counts = np.unique(boxes[:, 0], return_counts=True)
+    _, counts = np.unique(boxes[:, 0], return_counts=True)
     if counts.max() == 1:
         return [boxes]
     if counts.max() > MAX_TWINS:
-        raise InputError(
-            f"frame {frames[counts.argmax()]}: found more than {MAX_TWINS} boxes of id "
-            f"{boxes[0, 5]}, expected one"
-        )
+        raise InputError(f"found {counts.max()} boxes of id {boxes[0, 5]} in a frame, expected one")
     centres = _centres(boxes)
     tracks: list[list[int]] = []
     for here in np.split(np.arange(len(boxes)), np.cumsum(counts)[:-1]):
@@ -186,7 +172,7 @@ class Sheet:
 
 
 def read_sheet(path: Path) -> Sheet:
-    """Read one annotator's sheet, ``<letter><video>.xlsx``.
+    """One annotator's sheet, ``<letter><video>.xlsx``.
 
     Raises:
         InputError: naming file and row, if the sheet is broken.
@@ -198,32 +184,22 @@ def read_sheet(path: Path) -> Sheet:
         table = pandas.read_excel(path, header=None, engine="openpyxl").dropna(how="all")
     traits: dict[int, tuple[Trait, ...]] = {}
     for number, cells in zip(table.index + 1, table.to_numpy(object).tolist(), strict=True):
-        where = f"{path}: row {number}"
-        agent = _whole(where, "A", cells)
-        count = 0 if len(cells) < 4 or pandas.isna(cells[3]) else _whole(where, "D", cells)
-        if agent in traits:
-            raise InputError(f"{where}: found agent {agent} a second time, expected it once")
-        if not 0 <= count <= max(len(cells) - 4, 0):
+        try:
+            agent, said = int(float(cells[0])), float(cells[3]) if len(cells) > 3 else math.nan
+            count = 0 if math.isnan(said) else int(said)  # rows of agents that nobody annotated
+            noted = tuple(TRAIT_CODES[int(cell)] for cell in map(float, cells[4 : 4 + count]))
+        except (ValueError, KeyError, OverflowError):
+            noted, agent, count = (), 0, 1
+        if len(noted) != count or agent in traits:
             raise InputError(
-                f"{where}, column D: found {count} traits, expected 0 to {max(len(cells) - 4, 0)}"
+                f"{path}: row {number}: found {cells!r:.80}, expected an agent that is not above, "
+                "a type, a flag, a number of traits and their codes"
             )
-        codes = [_whole(where, chr(ord("E") + i), cells) for i in range(count)]
-        unknown = [code for code in codes if code not in TRAIT_CODES]
-        if unknown:
-            raise InputError(f"{where}: found trait code {unknown[0]}, expected one of the table")
-        traits[agent] = tuple(TRAIT_CODES[code] for code in codes)
+        traits[agent] = noted
     return Sheet(name[1], int(name[2]), {agent: noted for agent, noted in traits.items() if noted})
 
 
-def _whole(where: str, column: str, cells: list[object]) -> int:
-    """A cell of a row as a whole number."""
-    text = str(cells[ord(column) - ord("A")]).strip()
-    if not re.fullmatch(r"-?[0-9]{1,9}(\.0+)?", text):
-        raise InputError(f"{where}, column {column}: found {text!r:.60}, expected a number")
-    return int(float(text))
-
-
-def sheets_of(folder: Path, video: int) -> tuple[Sheet, ...]:
+def sheets_of(folder: Path, video: int | None) -> tuple[Sheet, ...]:
     """All annotators' sheets on one video, in alphabetical order; empty if there are none."""
     return tuple(read_sheet(path) for path in sorted(folder.glob(f"[a-z]{video}.xlsx")))
 
@@ -241,22 +217,19 @@ def video_number(path: Path) -> int | None:
 
 def sheets_beside(path: Path) -> tuple[Sheet, ...]:
     """The sheets of a video: beside its tracks, or in a folder ``annotations`` there or nearby."""
-    number, folder = video_number(path), path.resolve().parent
+    folder = path.resolve().parent
     places = (folder, folder / "annotations", folder.parent / "annotations")
-    every = () if number is None else (sheets_of(place, number) for place in places)
+    every = (sheets_of(place, video_number(path)) for place in places)
     return next((found for found in every if found), ())
 
 
 def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:
-    """The resolved label of each agent of a video.
+    """(N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
 
     Args:
         tracks: of the video; agents are found by their names.
         sheets: of the same video.
         rule: how conflicts are resolved.
-
-    Returns:
-        (N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
     """
     out = np.full(tracks.ids.size, -1, dtype=np.int8)
     for row, name in enumerate(tracks.names):

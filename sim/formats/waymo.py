@@ -48,11 +48,7 @@ KINDS: Final = {1: AgentKind.CAR, 2: AgentKind.PEDESTRIAN, 3: AgentKind.BICYCLE}
 BIKE_LANE: Final = 3
 """The type of lanes for bicycles."""
 
-WORDS: Final = {
-    "vehicle": AgentKind.CAR,
-    "pedestrian": AgentKind.PEDESTRIAN,
-    "cyclist": AgentKind.BICYCLE,
-}
+WORDS: Final = dict(zip(("vehicle", "pedestrian", "cyclist"), KINDS.values(), strict=True))
 """The same in Nocturne's words."""
 
 _EXAMPLE: Final = re.compile(
@@ -129,47 +125,32 @@ _PLAIN: Final = ("double", "float", "int32", "int64", "bool", "string")
 
 MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
     "ObjectState": {
-        "center_x": (2, "double"),
-        "center_y": (3, "double"),
-        "length": (5, "float"),
-        "width": (6, "float"),
-        "heading": (8, "float"),
-        "velocity_x": (9, "float"),
-        "velocity_y": (10, "float"),
-        "valid": (11, "bool"),
+        "center_x": (2, "double"), "center_y": (3, "double"), "length": (5, "float"),
+        "width": (6, "float"), "heading": (8, "float"), "velocity_x": (9, "float"),
+        "velocity_y": (10, "float"), "valid": (11, "bool"),
     },
     "Track": {"id": (1, "int32"), "object_type": (2, "ObjectType"), "states": (3, "*ObjectState")},
     "MapPoint": {"x": (1, "double"), "y": (2, "double")},
     "LaneNeighbor": {"feature_id": (1, "int64")},
     "LaneCenter": {
-        "speed_limit_mph": (1, "double"),
-        "type": (2, "LaneType"),
-        "interpolating": (3, "bool"),
-        "polyline": (8, "*MapPoint"),
-        "entry_lanes": (9, "*int64"),
-        "exit_lanes": (10, "*int64"),
-        "left_neighbors": (11, "*LaneNeighbor"),
-        "right_neighbors": (12, "*LaneNeighbor"),
+        "speed_limit_mph": (1, "double"), "type": (2, "LaneType"), "interpolating": (3, "bool"),
+        "polyline": (8, "*MapPoint"), "entry_lanes": (9, "*int64"), "exit_lanes": (10, "*int64"),
+        "left_neighbors": (11, "*LaneNeighbor"), "right_neighbors": (12, "*LaneNeighbor"),
     },
     "StopSign": {"lane": (1, "*int64")},
     "Crosswalk": {"polygon": (1, "*MapPoint")},
     "MapFeature": {
-        "id": (1, "int64"),
-        "lane": (3, "LaneCenter"),
-        "stop_sign": (7, "StopSign"),
+        "id": (1, "int64"), "lane": (3, "LaneCenter"), "stop_sign": (7, "StopSign"),
         "crosswalk": (8, "Crosswalk"),
     },
     "TrafficSignalLaneState": {"lane": (1, "int64"), "state": (2, "State")},
     "DynamicMapState": {"lane_states": (1, "*TrafficSignalLaneState")},
     "Scenario": {
-        "timestamps_seconds": (1, "*double"),
-        "tracks": (2, "*Track"),
-        "scenario_id": (5, "string"),
-        "sdc_track_index": (6, "int32"),
-        "dynamic_map_states": (7, "*DynamicMapState"),
-        "map_features": (8, "*MapFeature"),
+        "timestamps_seconds": (1, "*double"), "tracks": (2, "*Track"),
+        "scenario_id": (5, "string"), "sdc_track_index": (6, "int32"),
+        "dynamic_map_states": (7, "*DynamicMapState"), "map_features": (8, "*MapFeature"),
     },
-}
+}  # fmt: skip
 """Number and kind of every field that is read, by message; ``*`` marks what repeats."""
 
 
@@ -308,29 +289,28 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     name = str(found.get("scenario_id") or found.get("name") or stem(path))[:100]
     time_s = np.arange(steps, dtype=np.float64) * PERIOD_S
     scene = DrivingScene(path, name.removesuffix(".json"), time_s)
-    tables = [np.empty((0, 3))]
+    courses = [np.empty(0)]
     for index, one in enumerate(found["objects"]):
         kind = WORDS.get(one["type"].lower().removeprefix("type_"))
         if kind is None:
             scene.left_out += 1
             continue
-        parts = [_xy(one["position"]), _xy(one["velocity"]), one["heading"], one["valid"]]
-        counts = [len(part) for part in parts]
-        if len(set(counts)) > 1:
+        xy, velocity = _xy(one["position"]), _xy(one["velocity"])
+        if not len(xy) == len(velocity) == len(one["heading"]) == len(one["valid"]):
             raise InputError(
-                f"{path}: objects.{index}: found {counts[0]} positions, {counts[1]} velocities, "
-                f"{counts[2]} headings and {counts[3]} valid, expected as many of each"
+                f"{path}: objects.{index}: found {len(xy)} positions, {len(velocity)} velocities, "
+                f"{len(one['heading'])} headings and {len(one['valid'])} valid, expected as many "
+                "of each"
             )
-        sides = [np.resize(np.atleast_1d(one[side]), counts[0]) for side in ("length", "width")]
-        vx, vy = parts[1].T
-        table = np.column_stack([parts[0], one["heading"], np.hypot(vx, vy), *sides])
-        table = table.astype(np.float64).reshape(-1, 6)
+        sides = [np.resize(np.atleast_1d(one[side]), len(xy)) for side in ("length", "width")]
+        speed = np.hypot(*velocity.T)
+        table = np.column_stack([xy, one["heading"], speed, *sides]).astype(np.float64)
         seen = np.flatnonzero(one["valid"])
-        identity = one.get("id", index)
-        scene.agents.append((str(identity), kind, seen, table[seen]))
-        tables.append(np.column_stack([table[:, 2:4], np.arctan2(vy, vx)])[seen])
-    heading, speed, course = np.concatenate(tables).T
-    if _in_degrees(heading, np.where((speed > 1.0) & (speed < 1e9), course, np.nan)):
+        scene.agents.append((str(one.get("id", index)), kind, seen, table[seen]))
+        course = np.arctan2(velocity[:, 1], velocity[:, 0])
+        courses.append(np.where((speed > 1.0) & (speed < 1e9), course, np.nan)[seen])
+    heading = np.concatenate([np.empty(0), *(values[:, 2] for *_, values in scene.agents)])
+    if _in_degrees(heading, np.concatenate(courses)):
         for *_, values in scene.agents:
             values[:, 2] = np.radians(values[:, 2])
     for index, road in enumerate(found.get("roads") or []):
@@ -341,10 +321,12 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
             scene.crosswalks[str(identity)] = _xy(line)
     known = {lane.id for lane in scene.lanes}
     scene.lights = [{} for _ in time_s]
+    words = ENUMS["TrafficSignalLaneState.State"]
     for lane, shown in (found.get("tl_states") or {}).items():
         for t, state in zip(shown["time_index"], shown["state"], strict=False):
+            word = f"LANE_STATE_{str(state).upper().removeprefix('LANE_STATE_')}"
             if int(lane) in known and 0 <= t < steps:
-                scene.lights[t][int(lane)] = _light(state)
+                scene.lights[t][int(lane)] = words.index(word) if word in words else 0
     return scene
 
 
@@ -357,10 +339,3 @@ def _in_degrees(heading: FloatArray, course: FloatArray) -> bool:
         np.cos(angle[known] - course[known]).sum() for angle in (heading, np.radians(heading))
     )
     return bool(as_degrees > as_radians)
-
-
-def _light(word: Any) -> int:
-    """What a light shows, as the format's number."""
-    words = ENUMS["TrafficSignalLaneState.State"]
-    name = f"LANE_STATE_{str(word).upper().removeprefix('LANE_STATE_')}"
-    return words.index(name) if name in words else 0

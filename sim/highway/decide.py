@@ -21,7 +21,7 @@ import numpy as np
 
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
-from sim.highway import crossings, driving, junctions, places
+from sim.highway import driving, junctions, pedestrians, places
 from sim.highway.driving import chance, desired_speed, follow, idm, wait_s
 from sim.highway.places import beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
@@ -59,8 +59,8 @@ def act(scene: Scene) -> int:
     """
     scene.now[0].astray = 0
     junctions.look_ahead(scene)
-    crossings.note_walkers(scene)
-    crossings.obey_crossings(scene)
+    pedestrians.note_walkers(scene)
+    pedestrians.obey_crossings(scene)
     junctions.obey_junctions(scene)
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]

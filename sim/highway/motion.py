@@ -13,9 +13,9 @@ import numpy as np
 
 from sim.compiled import in_place
 from sim.frames import EventKind
-from sim.highway.crossings import walk
 from sim.highway.decide import act
 from sim.highway.driving import STANDING_MPS
+from sim.highway.pedestrians import walk
 from sim.highway.places import along_lane, leg_at, locate, next_stretch, onward, project, record
 from sim.highway.state import EVENT_KINDS, Scene
 

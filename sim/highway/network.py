@@ -54,24 +54,14 @@ the second length do not, however far cars swing out (side by side)."""
 
 @dataclass(eq=False)
 class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
-    """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then.
-
-    Attributes:
-        road: where it came from.
-        graph: the lanes as highway-env keeps them.
-        lanes: every lane by its index.
-        onward: the junction path from a lane to each next stretch.
-        exit_of: the lane on which each junction path ends.
-        edges: the stretch of each edge of the road, and the distance at which it begins there, m.
-        arrays: the lanes as arrays, by their numbers.
-    """
+    """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then."""
 
     road: Road
-    graph: dict[str, dict[str, list[PolylineLane]]]
+    graph: dict[str, dict[str, list[PolylineLane]]]  # the lanes as highway-env keeps them
     lanes: dict[LaneIndex, PolylineLane]
-    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]
-    exit_of: dict[LaneIndex, LaneIndex]
-    edges: dict[str, tuple[Stretch, float]]
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]  # the path from a lane to each next stretch
+    exit_of: dict[LaneIndex, LaneIndex]  # the lane on which each junction path ends
+    edges: dict[str, tuple[Stretch, float]]  # the stretch of each edge, and where it begins
     arrays: Net = field(init=False)
 
     @cached_property

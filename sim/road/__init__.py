@@ -258,12 +258,11 @@ class Road:
                 color = edge_colors.get(lane.edge, color)
             lines.append((lane.centerline, 0.85 * lane.width_m, color))
         lines += [(crossing.centerline, crossing.width_m, "#e8c468") for crossing in self.crossings]
-        parts = [
-            f'<polyline fill="none" stroke="{color}" stroke-width="{width_m:.2f}" points="'
-            + " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
-            + '"/>'
-            for line, width_m, color in lines
-        ]
+        parts = []
+        for line, width_m, color in lines:
+            points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
+            style = f'fill="none" stroke="{color}" stroke-width="{width_m:.2f}"'
+            parts.append(f'<polyline {style} points="{points}"/>')
         head = (
             '<svg xmlns="http://www.w3.org/2000/svg" width="1000" '
             f'viewBox="{x0 - MARGIN_M:.1f} {-y1 - MARGIN_M:.1f} {wide:.1f} {high:.1f}" '

@@ -125,9 +125,7 @@ def _dashes(line: FloatArray) -> FloatArray:
     return np.stack([points_at(line, begin), points_at(line, end)], axis=1)
 
 
-def _painted(
-    driving: list[Lane],
-) -> tuple[list[FloatArray], list[FloatArray], list[FloatArray]]:
+def _painted(driving: list[Lane]) -> tuple[list[FloatArray], ...]:
     """Dashes, edges and middle lines of the lanes."""
     dashes, edges, middles = list[FloatArray](), list[FloatArray](), list[FloatArray]()
     rightmost = {lane.edge: lane for lane in sorted(driving, key=lambda lane: -lane.index)}
@@ -153,10 +151,7 @@ def _stop_lines(road: Road, driving: list[Lane]) -> tuple[StopLine, ...]:
         ways = [link for link in road.connections if link.from_lane == lane.id]
         held = any(link.must_stop or (link.must_yield and link.signal < 0) for link in ways)
         end = lane.centerline[-1]
-        crossed = any(
-            _distance(end, crossing.centerline) < crossing.width_m / 2 + STOP_M
-            for crossing in road.crossings
-        )
+        crossed = any(_distance(end, c.centerline) < c.width_m / 2 + STOP_M for c in road.crossings)
         signal = max((link.signal for link in ways), default=-1)
         if ways and (held or crossed or signal >= 0):
             left, right = borders(lane.centerline, lane.width_m)

@@ -13,7 +13,7 @@ import pytest
 from scenarios import SCENARIOS
 from sim.episode.annotate import annotate
 from sim.episode.observables import observe
-from sim.formats.argoverse.forecasting2 import static_map
+from sim.formats.argoverse import static_map
 from sim.frames import AgentKind, Event
 from sim.road import Road
 from sim.road.lane_graph import DIRECTIONS, LaneGraph

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from behaviors import InputError
 from experiments.data.exchange import import_recordings
 from sim.formats import left_out_files, read_recordings
-from sim.formats.argoverse.sensor_log import CATEGORIES, EGO_CENTRE_M, read
+from sim.formats.argoverse import CATEGORIES, EGO_CENTRE_M, read_log
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS
 from sim.store.dataset import open_dataset
@@ -42,7 +42,7 @@ def table(name: str) -> pa.Table:
 
 
 def only(path: Path) -> Recording:
-    (recording,) = read(path)
+    (recording,) = read_log(path)
     return recording
 
 
@@ -219,7 +219,7 @@ def test_annotations_with_the_recording_car(tmp_path: Path, packed: str, both: b
 
 def refused(path: Path) -> str:
     with pytest.raises(InputError) as caught:
-        list(read(path))
+        list(read_log(path))
     message = str(caught.value)
     assert "\n" not in message
     return message

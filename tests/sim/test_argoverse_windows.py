@@ -9,7 +9,7 @@ import pytest
 
 from experiments.data.exchange import export_dataset, import_recordings
 from sim.formats import get_writer
-from sim.formats.common.windows import windows
+from sim.formats.argoverse import windows
 from sim.frames import Tracks
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta

@@ -15,7 +15,7 @@ import pytest
 from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise
-from sim.formats.argoverse.forecasting2 import SCHEMA
+from sim.formats.argoverse import SCHEMA
 from sim.formats.common.motion import hold_heading, row_motion
 from sim.frames import KINDS, AgentKind, Tracks
 from tests.sim.scenes import (

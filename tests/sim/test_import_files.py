@@ -9,7 +9,7 @@ import pytest
 
 from behaviors.errors import InputError
 from experiments.data.exchange import import_recordings
-from sim.formats import read_recordings, recording_files
+from sim.formats import left_out_files, read_recordings, recording_files
 from sim.frames import KINDS, AgentKind
 from tests.sim.test_formats import (
     IND,
@@ -39,9 +39,8 @@ def test_others_with_a_common_ending_are_left_out_and_named(
 def test_types_beside_sumo_recordings_are_not_left_out(tmp_path: Path) -> None:
     (tmp_path / "a.xml").write_text('<fcd-export><timestep time="0"/></fcd-export>')
     (tmp_path / "a.types.xml").write_text("<additional/>")
-    files, others = recording_files(tmp_path, "sumo-fcd")
-    assert [file.name for file in files] == ["a.xml"]
-    assert others == []
+    assert [file.name for file in recording_files(tmp_path, "sumo-fcd")] == ["a.xml"]
+    assert left_out_files(tmp_path, ["sumo-fcd"]) == []
 
 
 def test_ngsim_is_told_by_its_content_not_by_its_name(tmp_path: Path) -> None:

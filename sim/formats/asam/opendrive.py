@@ -126,15 +126,7 @@ class RoadFile:
 
 
 def opendrive(road: Road, name: str) -> RoadFile:
-    """A road as OpenDRIVE.
-
-    Args:
-        road: any; what a map does not tell is left out.
-        name: what the file calls it.
-
-    Returns:
-        The file's content, and where its signals are.
-    """
+    """A road as OpenDRIVE; what a map does not tell is left out."""
     roads = _roads_of_edges(road)
     junctions = _meet(road, roads)
     signals: list[list[str]] = [[] for _ in road.signal_groups]
@@ -202,13 +194,10 @@ def _parallel(lanes: Sequence[Lane]) -> bool:
     for one, then in itertools.pairwise(lanes):
         off_m += (one.width_m + then.width_m) / 2
         s, t = _along(first.centerline, then.centerline)
-        if (
-            (np.abs(t + off_m) > PARALLEL_M).any()
-            or s.min() < -0.5
-            or s.max() > first.length_m + 0.5
-        ):
-            return False
-        if abs(then.length_m - first.length_m) > 2.0 * off_m + 0.5:
+        beyond_m = max(-s.min(), s.max() - first.length_m)
+        longer_m = abs(then.length_m - first.length_m)
+        aside_m = np.abs(t + off_m).max()
+        if aside_m > PARALLEL_M or beyond_m > 0.5 or longer_m > 2.0 * off_m + 0.5:
             return False
     return True
 
@@ -231,9 +220,7 @@ def _meet(road: Road, roads: _Roads) -> list[Any]:
     """The junctions; roads are told what comes before and after them, paths become roads."""
     lanes = {lane.id: lane for lane in road.lanes}
     links = [
-        link
-        for link in road.connections
-        if link.from_lane in roads.place and link.to_lane in roads.place
+        link for link in road.connections if {link.from_lane, link.to_lane} <= roads.place.keys()
     ]
     parts = {part.number: part for part in roads.parts}
     # connections that share the end or the beginning of a road meet

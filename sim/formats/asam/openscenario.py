@@ -45,17 +45,7 @@ AXLE_SHARE: Final = 0.3
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
-    """Write an episode as ``<name>.xosc``, and its road as ``<name>.xodr``.
-
-    Args:
-        folder: where; it must exist.
-        name: the episode's id.
-        tracks: the episode.
-        road: where it happened, if known.
-
-    Returns:
-        The files written.
-    """
+    """Write an episode as ``<name>.xosc``, and its road, if known, as ``<name>.xodr``."""
     made = None if road is None else opendrive(road, name)
     paths = []
     if made is not None:
@@ -67,17 +57,7 @@ def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> 
 
 
 def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | None) -> bytes:
-    """An episode as OpenSCENARIO.
-
-    Args:
-        name: what it is called.
-        tracks: the episode.
-        road: what its road became, for the ids of its signals.
-        road_file: where that is, from the scenario's folder.
-
-    Returns:
-        The file's content.
-    """
+    """An episode as OpenSCENARIO; signals have the ids of its road's file."""
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("episode", _at(0.0, "begin"))
     rows = tracks.rows

@@ -7,7 +7,6 @@ exchanged. Nothing is guessed: what was found is said, beside the cause that exp
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -116,50 +115,39 @@ def doubts_of(tracks: Tracks, heading: FloatArray, *, sizes: bool) -> list[str]:
         tracks: in metres, as the format's units say.
         heading: (m,) rad as the file states it; NaN where it is taken from the motion.
         sizes: whether the file has sizes.
-
-    Returns:
-        The doubts; [] where everything fits.
     """
-    steps = _Steps.of(tracks)
-    found = [*_times(steps), *_places(tracks, steps)]
+    steps = _Steps(tracks)
+    found = [_time_doubt(steps), _place_doubt(tracks, steps)]
     if sizes:
-        found += _sizes(tracks)
-    return found + _headings(tracks, steps, heading)
+        found += [size_doubt(tracks), _side_doubt(tracks)]
+    return [doubt for doubt in (*found, _heading_doubt(tracks, steps, heading)) if doubt]
 
 
-@dataclass(frozen=True)
 class _Steps:
     """The steps of agents from one time to the next at which they are seen."""
 
-    row: NDArray[np.int64]
-    agent: NDArray[np.int64]
-    time_s: FloatArray
-    moved: FloatArray
-    way: FloatArray
-
-    @classmethod
-    def of(cls, tracks: Tracks) -> _Steps:
-        rows = tracks.rows
-        agent, step = rows.index.agent, rows.index.step
-        at = np.flatnonzero(~rows.index.begins[1:])
-        moved = rows.xy[at + 1] - rows.xy[at]
-        time_s = tracks.time_s[step[at + 1]] - tracks.time_s[step[at]]
-        return cls(at, agent[at], time_s, moved, np.hypot(moved[:, 0], moved[:, 1]))
+    def __init__(self, tracks: Tracks) -> None:
+        index, xy = tracks.rows.index, tracks.rows.xy
+        self.row = np.flatnonzero(~index.begins[1:])
+        self.agent = index.agent[self.row]
+        self.moved = xy[self.row + 1] - xy[self.row]
+        self.time_s = tracks.time_s[index.step[self.row + 1]] - tracks.time_s[index.step[self.row]]
+        self.way = np.hypot(self.moved[:, 0], self.moved[:, 1])
 
 
-def _times(steps: _Steps) -> list[str]:
+def _time_doubt(steps: _Steps) -> str | None:
     """Steps that no recording has."""
     if not steps.row.size:
-        return []
+        return None
     usual = float(np.median(steps.time_s))
     low, high = STEPS_S
     if low <= usual <= high:
-        return []
+        return None
     cause = next((text for by, text in TIMES.items() if low <= usual * by <= high / 10), None)
-    return [f"found steps of {usual:.3g} s" + (f", as if {cause}" if cause else "")]
+    return f"found steps of {usual:.3g} s" + (f", as if {cause}" if cause else "")
 
 
-def _places(tracks: Tracks, steps: _Steps) -> list[str]:
+def _place_doubt(tracks: Tracks, steps: _Steps) -> str | None:
     """Speeds that no traffic has, of agents that go somewhere."""
     n = len(tracks.names)
     count = np.bincount(steps.agent, minlength=n)
@@ -168,19 +156,19 @@ def _places(tracks: Tracks, steps: _Steps) -> list[str]:
     net = np.hypot(*(np.bincount(steps.agent, steps.moved[:, k], n) for k in (0, 1)))
     goes = (count >= LEAST_STEPS) & (path > 0) & (net > 0.5 * path) & (lasted > 0)
     if not goes.any() or goes.sum() < 0.5 * np.count_nonzero((count >= LEAST_STEPS) & (path > 0)):
-        return []
+        return None
     fast = float(np.quantile(path[goes] / lasted[goes], 0.8))
     low, high = SPEEDS_MPS
     if low <= fast <= high:
-        return []
+        return None
     xy = tracks.rows.xy
     extent = float(np.ptp(xy, axis=0).max())
     in_degrees = bool((np.abs(xy) <= (180.0, 90.0)).all())
     for by, cause in PLACES.items():
         fits = USUAL_MPS[0] <= fast * by <= USUAL_MPS[1] and (by < 1 or extent < 5.0)
         if fits and (by != DEGREE_M or in_degrees):
-            return [f"found agents that go {fast:.2g} m/s, as if {cause}"]
-    return []
+            return f"found agents that go {fast:.2g} m/s, as if {cause}"
+    return None
 
 
 def size_doubt(tracks: Tracks) -> str | None:
@@ -194,20 +182,15 @@ def size_doubt(tracks: Tracks) -> str | None:
     return cause and f"found vehicles that are {length:.3g} m long, as if {cause}"
 
 
-def _sizes(tracks: Tracks) -> list[str]:
-    """Sizes that no vehicles have, and sides that are exchanged."""
-    size = size_doubt(tracks)
-    found = [size] if size else []
-    wider = int(np.sum((tracks.kind != PEDESTRIAN) & (tracks.width > WIDER * tracks.length)))
-    if wider:
-        found.append(
-            f"found {wider} of {int((tracks.kind != PEDESTRIAN).sum())} vehicles wider than long, "
-            "as if lengths and widths had been exchanged"
-        )
-    return found
+def _side_doubt(tracks: Tracks) -> str | None:
+    """Sides that are exchanged."""
+    vehicles = tracks.kind != PEDESTRIAN
+    wider = int(np.sum(vehicles & (tracks.width > WIDER * tracks.length)))
+    cause = "as if lengths and widths had been exchanged"
+    return f"found {wider} of {vehicles.sum()} vehicles wider than long, {cause}" if wider else None
 
 
-def _headings(tracks: Tracks, steps: _Steps, heading: FloatArray) -> list[str]:
+def _heading_doubt(tracks: Tracks, steps: _Steps, heading: FloatArray) -> str | None:
     """Headings that contradict where agents go."""
     speed = steps.way / np.maximum(steps.time_s, 1e-9)
     used = (speed > MOVING_MPS) & (steps.way > MOVED_M) & np.isfinite(heading[steps.row])
@@ -225,13 +208,13 @@ def _headings(tracks: Tracks, steps: _Steps, heading: FloatArray) -> list[str]:
     against = int((agrees < CONTRADICTS).sum())
     turns = bool((np.abs(told) > TURN_RAD).any()) and agrees.mean() < AGREES
     if not turns and (not against or against <= CONTRADICTING * agrees.size):
-        return []
+        return None
     causes = {text: float(agreement(undo(told)).mean()) for text, undo in HEADINGS.items()}
     best = max(causes, key=lambda text: causes[text])
     if causes[best] <= AGREES and agrees.mean() > UNEXPLAINED:
-        return []  # noise of slow agents
+        return None  # noise of slow agents
     as_if = f", as if {best}" if causes[best] > AGREES else ""
-    return [f"headings of {against} of {agrees.size} moving agents contradict the motion{as_if}"]
+    return f"headings of {against} of {agrees.size} moving agents contradict the motion{as_if}"
 
 
 def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
@@ -261,27 +244,12 @@ def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
 def doubt_of_times(tracks: Tracks) -> str | None:
     """What contradicts the times of a recording, with the likeliest cause; None where they fit.
 
-    Args:
-        tracks: as read; speeds that readers took from the motion fit by themselves.
+    Compared are how far agents go, and speed over time. Speeds that readers took from the motion
+    fit by themselves.
     """
-    ratio = _displacement_over_speed(tracks)
-    if not np.isfinite(ratio) or 1 / TOLERATED <= ratio <= TOLERATED:
-        return None
-    for unit in ("km/h", "mph", "ft/s"):
-        if abs(ratio / FACTORS[unit] - 1) < UNIT_NEAR:
-            return f"found speeds {1 / ratio:.3g} times what the motion shows, as in {unit}"
-    step_s = tracks.step_s
-    return (
-        f"found agents that go {ratio:.2f} times as far as their speeds say, at a step of "
-        f"{step_s:.3g} s, as if it were {step_s * ratio:.3g} s"
-    )
-
-
-def _displacement_over_speed(tracks: Tracks) -> float:
-    """The median over agents of how far they go, over speed times time; NaN if too little moves."""
     if tracks.time_s.size < 2:
-        return float("nan")
-    steps, speed, n = _Steps.of(tracks), tracks.rows.speed, len(tracks.names)
+        return None
+    steps, speed, n = _Steps(tracks), tracks.rows.speed, len(tracks.names)
     before, after = speed[steps.row], speed[steps.row + 1]
     stated = (before + after) / 2 * steps.time_s
     # nobody knows how an agent went that was lost during a break
@@ -289,7 +257,16 @@ def _displacement_over_speed(tracks: Tracks) -> float:
     used &= np.minimum(before, after) > COMPARED_MPS
     who, way = steps.agent[used], steps.way[used]
     gone, said = np.bincount(who, way, n), np.bincount(who, stated[used], n)
-    if who.size < LEAST_COMPARED or gone.sum() < LEAST_COMPARED_M:
-        return float("nan")
     enough = (said > 0) & (gone > 0) & (np.bincount(who, minlength=n) >= 3)
-    return float(np.median(gone[enough] / said[enough])) if enough.any() else float("nan")
+    if who.size < LEAST_COMPARED or gone.sum() < LEAST_COMPARED_M or not enough.any():
+        return None
+    ratio = float(np.median(gone[enough] / said[enough]))
+    if 1 / TOLERATED <= ratio <= TOLERATED:
+        return None
+    for unit in ("km/h", "mph", "ft/s"):
+        if abs(ratio / FACTORS[unit] - 1) < UNIT_NEAR:
+            return f"found speeds {1 / ratio:.3g} times what the motion shows, as in {unit}"
+    return (
+        f"found agents that go {ratio:.2f} times as far as their speeds say, at a step of "
+        f"{tracks.step_s:.3g} s, as if it were {tracks.step_s * ratio:.3g} s"
+    )

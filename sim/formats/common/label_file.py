@@ -72,17 +72,10 @@ class DriverLabels:
         return len(self._labels)
 
     def of(self, names: Sequence[str], *called: str | None) -> list[DriverLabel | None]:
-        """The labels of a recording's drivers.
+        """A label for each name of a recording's drivers; None where the file has none.
 
-        Args:
-            names: the recording's own id of each.
-            called: the recording's names: its own first, then its file's.
-
-        Returns:
-            A label for each name; None where the file has none.
-
-        Raises:
-            InputError: if a row that names no recording fits the drivers of two.
+        The recording is called by its own name first, then by its file's. A row that names no
+        recording and fits the drivers of two is refused.
         """
         own = {part for word in called if word for part in (word, re.split("[/\\\\]", word)[-1])}
         places = sorted({place for place, _ in self._labels if place is not None} & own)
@@ -103,11 +96,7 @@ class DriverLabels:
         return found
 
     def check(self) -> None:
-        """Refuse labels of drivers that no recording has.
-
-        Raises:
-            InputError: naming the first.
-        """
+        """Refuse labels of drivers that no recording has."""
         missing = [key for key in self._labels if key not in self._used]
         if missing:
             place, name = missing[0]
@@ -120,11 +109,7 @@ class DriverLabels:
 
 
 def read_driver_labels(path: Path) -> DriverLabels:
-    """Read a file of labels, as the module says.
-
-    Raises:
-        InputError: if the file is not such a table; the message names the line.
-    """
+    """Read a file of labels, as the module says."""
     optional = (*_WORDS, "behaviour", "recording")
     table = read_table(path, (), ("name", *optional), optional)
     table = table.rename(columns={"behaviour": "behavior"})

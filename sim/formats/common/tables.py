@@ -43,6 +43,16 @@ EMPTY: Final = ("", "NA", "null", "None")
 NEEDED: Final = ("id", "t", "x", "y")
 """What the rows of every recording have."""
 
+KINDS: Final = {
+    **{kind.value: kind for kind in AgentKind},
+    **dict.fromkeys(("vehicle", "van"), AgentKind.CAR),
+    **dict.fromkeys(("trailer", "truck_bus"), AgentKind.TRUCK),
+    **dict.fromkeys(("cyclist", "bike"), AgentKind.BICYCLE),
+    **dict.fromkeys(("walker", "person", "pedestrian/bicycle"), AgentKind.PEDESTRIAN),
+    "motorbike": AgentKind.MOTORCYCLE,
+}
+"""The kind that each word of a table stands for, whatever its format."""
+
 MOST_EMPTY: Final = 0.5
 """Share of the fields of a column of numbers that may be empty or infinite."""
 
@@ -72,8 +82,7 @@ def beginning_of(path: Path) -> tuple[bytes, tuple[str, ...]]:
 def _beginning(path: Path, changed_ns: int, size: int) -> tuple[bytes, tuple[str, ...]]:
     """See `beginning_of`."""
     try:
-        with opened(path) as file:
-            head = _decoded(file.read(HEAD_BYTES))
+        head, encoding = _head_of(path)
     except (OSError, EOFError, zlib.error):
         return b"", ()
     try:
@@ -83,18 +92,20 @@ def _beginning(path: Path, changed_ns: int, size: int) -> tuple[bytes, tuple[str
             elif head.startswith(FEATHER[0]):
                 names = pa.ipc.open_file(file).schema.names
             else:
-                names = _dialect_of(path).header if head else ()
+                names = _dialect_of(head, encoding).header if head else ()
         return head[:4096], tuple(name.lower() for name in names)
     except (pa.ArrowException, OSError, EOFError, InputError, ValueError):
         return head[:4096], ()  # whoever reads it says why
 
 
-def _decoded(head: bytes) -> bytes:
-    """The beginning of a text as UTF-8 without a byte order mark; other bytes as they are."""
+def _head_of(path: Path) -> tuple[bytes, str]:
+    """The beginning of a file without a byte order mark, UTF-16 as UTF-8, and its encoding."""
+    with opened(path) as file:
+        head = file.read(HEAD_BYTES)
     encoding = _encoding(head)
     if encoding.startswith("utf-16"):
-        return head.decode(encoding, "ignore").encode()
-    return head.removeprefix(codecs.BOM_UTF8)
+        return head.decode(encoding, "ignore").encode(), encoding
+    return head.removeprefix(codecs.BOM_UTF8), encoding
 
 
 def _encoding(head: bytes) -> str:
@@ -123,19 +134,16 @@ class _Dialect(NamedTuple):
     header: tuple[str, ...]
 
 
-def _dialect_of(path: Path) -> _Dialect:
+def _dialect_of(head: bytes, encoding: str) -> _Dialect:
     """How a CSV file is written, told from its beginning."""
-    with opened(path) as file:
-        head = file.read(HEAD_BYTES)
-    encoding = _encoding(head)
-    text = _decoded(head).decode("latin-1" if encoding == "latin-1" else "utf-8", "ignore")
+    text = head.decode("latin-1" if encoding == "latin-1" else "utf-8", "ignore")
     if "\0" in text:
-        raise InputError(f"{path}: found no text, expected a table as CSV, Parquet or Feather")
+        raise InputError("found no text, expected a table as CSV, Parquet or Feather")
     stated = _SEPARATOR_LINE.match(text)
     lines = text[stated.end() if stated else 0 :].splitlines()
     first = lines[0] if lines else ""
     if len(text) >= HEAD_BYTES // 2 and len(lines) < 2:
-        raise InputError(f"{path}: line 1: found no end within {HEAD_BYTES} bytes")
+        raise InputError(f"line 1: found no end within {HEAD_BYTES} bytes")
     delimiter = stated[1] if stated else max(DELIMITERS, key=first.count)
     fields = [field for row in csv.reader(lines[1:200], delimiter=delimiter) for field in row]
     commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
@@ -168,12 +176,12 @@ def read_table(
         InputError: naming the file and the column or row that is wrong.
     """
     with broken_as_one_line(path, "a table"):
-        with opened(path) as file:
-            head = file.read(8)
+        head, encoding = _head_of(path)
         if head.startswith((PARQUET, *FEATHER)):
             stored = _stored(path, head, [*numbers, *words], words, optional)
         else:
-            stored = _read_csv(path, [*numbers, *words], words, optional)
+            dialect = _dialect_of(head, encoding)
+            stored = _read_csv(path, dialect, [*numbers, *words], words, optional)
         if not stored.num_rows:
             raise InputError("found no rows, expected at least one")
         table = stored.to_pandas()
@@ -209,23 +217,22 @@ def _stored(
         table = pyarrow.feather.read_table(source, use_threads=False, memory_map=False)
     table = table.rename_columns([name.lower() for name in table.column_names])
     table = table.select(_each_once(table.column_names, wanted, optional))
-    for at, name in enumerate(table.column_names):
-        kind = table.schema.field(name).type
-        number = pa.types.is_integer(kind) or pa.types.is_floating(kind)
-        if name in words and not number:  # some writers have texts as bytes
-            coded = pa.types.is_dictionary(kind)
-            text = pa.dictionary(kind.index_type, pa.string()) if coded else pa.string()
-            table = table.set_column(at, name, table.column(name).cast(text))
-        elif not number:
-            raise InputError(f"column {name}: found {kind!s:.60}, expected numbers")
+    for at, field in enumerate(table.schema):
+        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
+            continue
+        if field.name not in words:
+            raise InputError(f"column {field.name}: found {field.type!s:.60}, expected numbers")
+        coded = pa.types.is_dictionary(field.type)  # some writers have texts as bytes
+        text = pa.dictionary(field.type.index_type, pa.string()) if coded else pa.string()
+        table = table.set_column(at, field.name, table.column(at).cast(text))
     return table
 
 
 def _read_csv(
-    path: Path, wanted: list[str], words: Sequence[str], optional: Collection[str]
-) -> pa.Table:
+    path: Path, dialect: _Dialect, wanted: list[str], words: Sequence[str],
+    optional: Collection[str],
+) -> pa.Table:  # fmt: skip
     """Columns of a CSV file as numbers and dictionaries of texts."""
-    dialect = _dialect_of(path)
     text = pa.dictionary(pa.int32(), pa.string())
     types = {name: text if name in words else pa.float64() for name in wanted}
     kept = _each_once(dialect.header, wanted, optional)
@@ -259,16 +266,9 @@ def _read_csv(
 def read_text(
     path: Path, header: Sequence[str], numbers: Sequence[str], words: Sequence[str] = ()
 ) -> pandas.DataFrame:
-    """Columns of a file without a header, fields separated by white space.
+    """Columns of numbers and of words of a file without a header, split by white space.
 
-    Args:
-        path: the file.
-        header: names of the columns, in order, as far as they are read.
-        numbers: names of columns of numbers.
-        words: names of columns of text.
-
-    Raises:
-        InputError: naming the file and the row that is wrong.
+    The header are the names of all columns, in order, as far as they are read.
     """
     wanted = [*numbers, *words]
     types = [(name, "U80" if name in words else "f8") for name in wanted]
@@ -300,27 +300,21 @@ def _each_once(names: Sequence[str], wanted: Sequence[str], optional: Collection
 # --- rows ---------------------------------------------------------------------------------------
 
 
-def read_rows(
-    path: Path,
-    columns: Mapping[str, str],
-    kinds: Mapping[str, AgentKind] | None = None,
-    units: Mapping[str, str] | None = None,
+def read_columns(
+    path: Path, columns: Mapping[str, str], words: Collection[str] = (),
     optional: Collection[str] = (),
-    *,
-    from_zero: bool = False,
-) -> pandas.DataFrame:
-    """Rows of a table as `rows_of` makes them of its columns."""
+) -> pandas.DataFrame:  # fmt: skip
+    """The columns of a table that `rows_of` takes, and further ones of text."""
     texts = [columns[key] for key in ("id", "kind") if key in columns]
     numbers = [name for key, name in columns.items() if key not in ("id", "kind")]
-    table = read_table(path, numbers, texts, optional)
-    return rows_of(table, columns, kinds, units, from_zero=from_zero)
+    return read_table(path, numbers, [*texts, *words], optional)
 
 
 def rows_of(
     table: pandas.DataFrame,
     columns: Mapping[str, str],
-    kinds: Mapping[str, AgentKind] | None = None,
     units: Mapping[str, str] | None = None,
+    kinds: Mapping[str, AgentKind] = KINDS,
     *,
     from_zero: bool = False,
 ) -> pandas.DataFrame:
@@ -331,8 +325,8 @@ def rows_of(
         columns: name in the table of ``id``, ``t``, ``x``, ``y``, and of any of ``heading``,
             ``speed``, ``vx``, ``vy``, ``length``, ``width``, ``kind``. Those that the table does
             not have are left out.
-        kinds: the kind that each word of the column ``kind`` stands for.
         units: of columns that are in no SI unit, as `sim.units.in_si` takes them.
+        kinds: the kind that each word of the column ``kind`` stands for.
         from_zero: whether the first time becomes 0.
 
     Returns:
@@ -348,7 +342,7 @@ def rows_of(
         if key == "id":
             rows[key] = names_in(table[name])
         elif key == "kind":
-            rows[key] = kinds_in(table[name], kinds or {})
+            rows[key] = kinds_in(table[name], kinds)
         else:
             values = table[name].to_numpy(np.float64)
             if from_zero and key == "t":
@@ -382,12 +376,8 @@ def words_in(column: Any) -> list[str | None]:
     return [words[k] if k >= 0 else None for k in code.tolist()]
 
 
-def kinds_in(column: pandas.Series, known: Mapping[str, AgentKind]) -> NDArray[np.int8]:
-    """(m,) codes of the kinds that words stand for, in upper or lower case.
-
-    Raises:
-        InputError: naming the first word that is not known.
-    """
+def kinds_in(column: pandas.Series, known: Mapping[str, AgentKind] = KINDS) -> NDArray[np.int8]:
+    """(m,) codes of the kinds that words stand for, in upper or lower case; all must be known."""
     lower = {word.lower(): kind.code for word, kind in known.items()}
     code, words = codes_in(column)
     wrong = next((word for word in words if word.strip().lower() not in lower), None)

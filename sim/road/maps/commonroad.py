@@ -90,7 +90,8 @@ def road_of(path: Path, root: Element, name: str | None = None) -> Road | None:
     inside = {i for one in root.iterfind("intersection/incoming") for i in _refs(path, one, *ways)}
 
     def read(identity: int, element: Element) -> Lanelet:
-        return _lanelet(path, identity, element, signs, lights, identity in inside)
+        one = _lanelet(path, identity, element, signs, lights)
+        return replace(one, internal=one.internal or identity in inside)
 
     found, broken = read_lanelets(path, elements, read)
     left, right = (
@@ -190,12 +191,7 @@ def _lights(path: Path, root: Element) -> tuple[SignalPlan, ...]:
 
 
 def _lanelet(
-    path: Path,
-    identity: int,
-    element: Element,
-    signs: Signs,
-    lights: tuple[SignalPlan, ...],
-    inside: bool,
+    path: Path, identity: int, element: Element, signs: Signs, lights: tuple[SignalPlan, ...]
 ) -> Lanelet:
     """A lanelet."""
     left, right = (
@@ -223,7 +219,7 @@ def _lanelet(
         width_m=width_m,
         successors=tuple(_refs(path, element, "successor")),
         predecessors=tuple(_refs(path, element, "predecessor")),
-        internal=inside or "intersection" in types,
+        internal="intersection" in types,
         left=beside["Left"],
         right=beside["Right"],
         use=",".join(sorted(types & NOT_FOR_CARS)),

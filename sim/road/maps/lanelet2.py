@@ -48,9 +48,11 @@ NOT_FOR_CARS: Final = frozenset({"bicycle_lane", "bikelane", "bus_lane", "rail"}
 UNLIMITED: Final = FREE_WORDS | {"signals", "variable"}
 """Limits that are no number."""
 
-
 Border = tuple[int, ...]
 """The nodes of a lanelet's border in driving direction."""
+
+Places = Mapping[int, FloatArray]
+"""x and y of each node, m."""
 
 
 @read_once
@@ -106,7 +108,7 @@ def _members(path: Path, relation: Element, role: str) -> list[int]:
     return [whole_number(path, member, "ref") for member in members]
 
 
-def _places(path: Path, root: Element, origin: Origin | None) -> dict[int, FloatArray]:
+def _places(path: Path, root: Element, origin: Origin | None) -> Places:
     """Every node's x and y, m."""
     nodes = root.findall("node")
     if not nodes:
@@ -141,7 +143,7 @@ def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
     return metres if origin is None else np.asarray(metres - zone(origin[1], origin[0]))
 
 
-def _ways(path: Path, root: Element, places: Mapping[int, FloatArray]) -> dict[int, Border]:
+def _ways(path: Path, root: Element, places: Places) -> dict[int, Border]:
     """The nodes of every way of two nodes and more, all of which are in the file."""
     found = {}
     for way in root.iterfind("way"):
@@ -152,11 +154,7 @@ def _ways(path: Path, root: Element, places: Mapping[int, FloatArray]) -> dict[i
 
 
 def _borders(
-    path: Path,
-    identity: int,
-    relation: Element,
-    ways: Mapping[int, Border],
-    places: Mapping[int, FloatArray],
+    path: Path, identity: int, relation: Element, ways: Mapping[int, Border], places: Places
 ) -> tuple[Border, Border]:
     """Left and right border, turned so that left is on the left."""
     sides = []

@@ -1,1 +1,0 @@
-"""Argoverse: forecasting scenarios of both versions, and the sensor logs of the second."""
