@@ -24,11 +24,11 @@ from sim.highway.driving import idm, on_free_road, safe_speed
 from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR, braking_speed
 from sim.highway.lanes import Stretch
 from sim.highway.network import HighwayNetwork, build_network
+from sim.highway.pedestrians import walker_row
 from sim.highway.places import heading_at, path_to, project
 from sim.highway.state import Net, Scene
 from sim.highway.traffic import TrafficRoad, typed_once
 from sim.highway.vehicle import driver_rows
-from sim.highway.walkers import walker_row
 from sim.road import Road
 from sim.scenario import AgentSpec, CarFollowing, Scenario
 

@@ -32,8 +32,8 @@ from sim.road.lane_graph import LaneGraph
 from sim.xml_tree import without_collection
 
 STUB_M, TIGHT_M = 0.1, 5.0
-"""A junction path between lanes that touch is this long. A path of a mean radius below the second
-length is tight (a car's turning circle)."""
+"""A junction path between lanes that touch is this long. A path of a smaller mean radius is tight
+(a car's turning circle)."""
 
 CELL_M, ROUNDING_M = 50.0, 1e-3
 """Width of the cells in which lanes are looked for (`BEHIND_M` and a lane). Lanes are searched this
@@ -49,29 +49,19 @@ car's corners swing out by half its length squared over the radius."""
 
 CONFLICT_M, WIDEST_M = 2.2, 3.0
 """Junction paths nearer than this conflict (a car's width and a little). Paths farther apart than
-the second length do not, however far cars swing out (side by side)."""
+this do not, however far cars swing out (side by side)."""
 
 
 @dataclass(eq=False)
 class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
-    """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then.
-
-    Attributes:
-        road: where it came from.
-        graph: the lanes as highway-env keeps them.
-        lanes: every lane by its index.
-        onward: the junction path from a lane to each next stretch.
-        exit_of: the lane on which each junction path ends.
-        edges: the stretch of each edge of the road, and the distance at which it begins there, m.
-        arrays: the lanes as arrays, by their numbers.
-    """
+    """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then."""
 
     road: Road
-    graph: dict[str, dict[str, list[PolylineLane]]]
+    graph: dict[str, dict[str, list[PolylineLane]]]  # the lanes as highway-env keeps them
     lanes: dict[LaneIndex, PolylineLane]
-    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]
-    exit_of: dict[LaneIndex, LaneIndex]
-    edges: dict[str, tuple[Stretch, float]]
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]  # the path from a lane to each next stretch
+    exit_of: dict[LaneIndex, LaneIndex]  # the lane on which each junction path ends
+    edges: dict[str, tuple[Stretch, float]]  # the stretch of each edge, and where it begins
     arrays: Net = field(init=False)
 
     @cached_property

@@ -21,12 +21,12 @@ from sim.road.cells import Cells
 Records = NDArray[Any]
 
 STRETCH_MARGIN_M, PATH_MARGIN_M = 1.0, 0.5
-"""A vehicle this far beyond a lane's edge is still on it (highway-env's); the second length holds
-for junction paths, which lie close together."""
+"""A vehicle this far beyond a stretch's edge is still on it (highway-env's), and beyond a junction
+path's, which lie close together."""
 
 BEHIND_M, LONGEST_M = 40.0, 40.0
 """A vehicle this far before the beginning of a lane, and in line with it, is on it already. A
-vehicle up to the second length is on a lane while its rear is (twice a lorry's)."""
+vehicle up to this length is still on a lane with its rear alone (twice a lorry's)."""
 
 
 def record_type(**names: str) -> np.dtype[Any]:
@@ -79,12 +79,7 @@ SPOT: Final = record_type(f8="u half")
 
 
 class Net(NamedTuple):
-    """The arrays of a road; each is named after its type, and ``cells`` holds the lanes by place.
-
-    Attributes:
-        has_paths: whether any lane is a junction path.
-        has_wrong: whether any lane runs over one of the opposite direction.
-    """
+    """The arrays of a road, named after their types; ``cells`` holds the lanes by place."""
 
     lanes: Records
     pieces: Records
@@ -95,8 +90,8 @@ class Net(NamedTuple):
     crossings: Records
     spots: Records
     cells: Cells
-    has_paths: bool
-    has_wrong: bool
+    has_paths: bool  # whether any lane is a junction path
+    has_wrong: bool  # whether any lane runs over one of the opposite direction
 
 
 def listed(of: Records, name: str, lists: Sequence[Any], kind: np.dtype[Any]) -> Records:
@@ -204,50 +199,28 @@ class Scene(NamedTuple):
 
     Lists without a maximum length are linked: a ``head`` has the first row of each, or -1, and the
     rows have the next. Heads are -1 between two kernels.
-
-    Attributes:
-        net: the road.
-        routes: (r, m) numbers of the stretches on each route, -1 after the last.
-        footways: ways on foot.
-        signals: (g,) what each signal group shows.
-        signal_since: (g,) since when, s.
-        vehicles: (n,) rows of `VEHICLE`.
-        walkers: (m,) rows of `WALKER`.
-        now: (1,) of `NOW`.
-        on_first: (K + 1,) where each lane's entries of ``on`` begin.
-        on: of `ON`, by lane, then by distance along it.
-        unsorted: as ``on``, in the order in which they are found.
-        lane_head: (K,) first vehicle on its way over each junction path, or changing to a lane.
-        lane_link: (2n,) the next; those who have not quite left a path are counted from n.
-        spot_head: first arrival at each spot of a crossing.
-        crossing_head: first pedestrian on or near each crossing.
-        cell_head: first of everybody in each cell.
-        cell_link: (n + m,) the next one.
-        arrivals: of `ARRIVAL`.
-        pairs: of `PAIR`.
-        events: of `EVENT`.
     """
 
     net: Net
-    routes: IntArray
+    routes: IntArray  # (r, m) numbers of the stretches on each route, -1 after the last
     footways: Footways
-    signals: NDArray[np.int8]
-    signal_since: FloatArray
-    vehicles: Records
-    walkers: Records
-    now: Records
-    on_first: IntArray
-    on: Records
-    unsorted: Records
-    lane_head: IntArray
-    lane_link: IntArray
-    spot_head: IntArray
-    crossing_head: IntArray
-    cell_head: IntArray
-    cell_link: IntArray
-    arrivals: Records
-    pairs: Records
-    events: Records
+    signals: NDArray[np.int8]  # (g,) what each signal group shows
+    signal_since: FloatArray  # (g,) since when, s
+    vehicles: Records  # (n,) of `VEHICLE`
+    walkers: Records  # (m,) of `WALKER`
+    now: Records  # (1,) of `NOW`
+    on_first: IntArray  # (K + 1,) where each lane's entries of ``on`` begin
+    on: Records  # of `ON`, by lane, then by distance along it
+    unsorted: Records  # as ``on``, in the order in which they are found
+    lane_head: IntArray  # (K,) first vehicle on its way over a junction path, or changing to a lane
+    lane_link: IntArray  # (2n,) the next; those who have not quite left a path are counted from n
+    spot_head: IntArray  # first arrival at each spot of a crossing
+    crossing_head: IntArray  # first pedestrian on or near each crossing
+    cell_head: IntArray  # first of everybody in each cell
+    cell_link: IntArray  # (n + m,) the next one
+    arrivals: Records  # of `ARRIVAL`
+    pairs: Records  # of `PAIR`
+    events: Records  # of `EVENT`
 
 
 def blank_vehicles(n: int) -> Records:

@@ -23,10 +23,10 @@ from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
 from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
+from sim.highway.pedestrians import Footway, find_footway, footways_of
 from sim.highway.places import locate, read_motion
 from sim.highway.state import Scene, blank_vehicles
 from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
-from sim.highway.walkers import Footway, find_footway, footways_of
 
 PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
@@ -74,19 +74,16 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def __init__(self, network: HighwayNetwork) -> None:
         self.network = network
         self.np_random = np.random.RandomState(0)
-        self.cars, self.people = (
-            Crowd(self, state.VEHICLE, ProfileVehicle),
-            Crowd(self, state.WALKER, Walker),
-        )
+        self.cars = Crowd(self, state.VEHICLE, ProfileVehicle)
+        self.people = Crowd(self, state.WALKER, Walker)
         self.behaviors: dict[int, Behavior | None] = {}
         self.events: list[Event] = []
         self.footways: list[Footway] = []
         self.routes: list[tuple[Stretch, ...]] = []
         self.signals = np.full(len(network.road.signal_groups), Signal.OFF.code, dtype=np.int8)
         self.signal_since = np.zeros(self.signals.size)
-        self._shown = frozen(self.signals.copy())
         self._now = np.zeros(1, state.NOW)
-        self._plan_due_s = np.zeros(len(network.road.signal_plans))
+        self._plan_due_s, self._due_s = np.zeros(len(network.road.signal_plans)), -math.inf
         self._numbers: dict[tuple[Any, ...], int] = {}
         self._egos: list[Any] = []
         self._touching: set[tuple[int, int]] = set()
@@ -192,14 +189,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         entries = 2 * max(4 * n, int(self._now["entries"][0]))
         strips = net.lanes["strip_end"] - net.lanes["strip"]
         return Scene(
-            net=net,
-            routes=self._route_table(),
-            footways=footways_of(self.footways),
-            signals=self.signals,
-            signal_since=self.signal_since,
-            vehicles=self.cars.rows,
-            walkers=self.people.rows,
-            now=self._now,
+            net, self._route_table(), footways_of(self.footways), self.signals, self.signal_since,
+            self.cars.rows, self.people.rows, self._now,
             on_first=np.zeros(net.lanes.size + 1, np.int64),
             on=np.zeros(entries, state.ON),
             unsorted=np.zeros(entries, state.ON),
@@ -212,7 +203,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
             arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), state.ARRIVAL),
             pairs=np.zeros(4 * (n + m) + 16, state.PAIR),
             events=np.zeros(8 * (n + m), state.EVENT),
-        )
+        )  # fmt: skip
 
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
@@ -242,7 +233,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
     def update_signals(self) -> None:
         """Show what the signal plans say for the present time."""
         plans, now_s = self.network.road.signal_plans, self.time_s
-        if not plans or self._plan_due_s.min() > now_s:
+        if now_s < self._due_s:
             return
         for number in np.flatnonzero(self._plan_due_s <= now_s).tolist():
             plan = plans[number]
@@ -252,6 +243,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 if self.signals[group] != shown:
                     self.signals[group], self.signal_since[group] = shown, now_s
         self._shown = frozen(self.signals.copy())
+        self._due_s = float(self._plan_due_s.min(initial=math.inf))
 
     def take_events(self) -> tuple[Event, ...]:
         """The events since the last call."""

@@ -129,7 +129,7 @@ class Crowd:
         """Add an agent with its first row, and its object if it is none of ours."""
         n = len(self.rows)
         if n == len(self._array):
-            self._array = np.concatenate([self._array, np.zeros_like(self._array)])
+            self._renew(self.rows, 2 * n)
         self._array[n] = row
         self._take(n + 1)
         if one is not None:
@@ -138,9 +138,13 @@ class Crowd:
 
     def keep(self, stays: NDArray[np.bool_]) -> None:
         """Keep some of the agents; objects of those who leave show their last row."""
-        kept = self.rows[stays]
-        self._array = np.concatenate([kept, np.zeros_like(self._array[len(kept) :])])
-        self._take(len(kept))
+        self._renew(self.rows[stays], len(self._array))
+
+    def _renew(self, rows: Records, room: int) -> None:
+        """Put rows into a new array; objects of those who have left show the old one."""
+        self._array = np.zeros(room, rows.dtype)
+        self._array[: len(rows)] = rows
+        self._take(len(rows))
 
     def _take(self, n: int) -> None:
         """Take the first n rows, and tell the objects which of them they show."""

@@ -23,7 +23,6 @@ from sim.highway.traffic import TrafficRoad
 from sim.road.shapes import RoadShapes, road_shapes
 
 FloatArray = NDArray[np.float64]
-Color = tuple[int, int, int]
 
 SIGNAL_COLORS: Final = ((235, 50, 50), (250, 205, 45), (60, 205, 90), (245, 245, 245))
 """By the codes of signals."""
@@ -35,15 +34,9 @@ GLASS: Final = np.array([[0.15, -0.8], [0.5, -0.8], [0.5, 0.8], [0.15, 0.8]])
 FLIP: Final = np.array([1.0, -1.0])
 """From a road's axes to highway-env's."""
 
-GROUND: Final[Color] = (196, 208, 186)
-PAVING: Final[Color] = (178, 176, 172)
-ASPHALT: Final[Color] = (84, 86, 92)
-PAINT: Final[Color] = (240, 240, 240)
-MIDDLE: Final[Color] = (240, 200, 80)
-EGO: Final[Color] = (255, 255, 255)
-OUTLINE: Final[Color] = (30, 30, 34)
-PERSON: Final[Color] = (40, 40, 120)
-CRASHED: Final[Color] = (20, 20, 20)
+GROUND, PAVING, ASPHALT = (196, 208, 186), (178, 176, 172), (84, 86, 92)
+PAINT, MIDDLE = (240, 240, 240), (240, 200, 80)
+EGO, CRASHED, OUTLINE, PERSON = (255, 255, 255), (20, 20, 20), (30, 30, 34), (40, 40, 120)
 
 
 class TrafficViewer(EnvViewer):  # type: ignore[misc]
