@@ -66,7 +66,7 @@ def city_agents(
 ) -> tuple[AgentSpec, ...]:
     """A number of vehicles of a city, in order of departure, which all enter within some seconds.
 
-    What a city costs is asked per vehicle, so they do not depend on the flow.
+    The cost of a city is asked per vehicle, so the flow does not matter here.
     """
     long_s = 1.3 * 3600.0 * vehicles / scenario.per_hour(walking=False) + 10.0
     drawn = sample_agents(dataclasses.replace(scenario, duration_s=long_s), seed)[:vehicles]

@@ -127,7 +127,7 @@ class MapFile:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is assumed, and netconvert's warnings; of a net, when it is made anew."""
+        """Assumptions about the map, and netconvert's warnings when it makes the net."""
         if not has_program("netconvert"):
             return self.source.assumed
         file = self._made.with_name("warnings.txt")

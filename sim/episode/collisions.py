@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -10,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from behaviors.traits import DetectorInputs, ShownTrait, cutting_in
+from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import Observables
 from sim.episode.yielding import ROLLING_MPS, could_stop
 from sim.frames import PEDESTRIAN, Event, EventKind, FloatArray, Tracks
@@ -93,7 +95,7 @@ def collisions(
     tracks: Tracks,
     road: Road,
     observed: Observables,
-    inputs: DetectorInputs,
+    inputs: DetectorInputs | None,
     events: Sequence[Event],
     *,
     recorded: bool,
@@ -108,7 +110,7 @@ def collisions(
         tracks: the trajectories, with the engine's events.
         road: where it happened.
         observed: its observables.
-        inputs: what the trait detectors read.
+        inputs: what the trait detectors read, if the caller has it.
         events: rules broken, in any order.
         recorded: whether it is a recording.
     """
@@ -125,6 +127,7 @@ def collisions(
             touching.setdefault(pair, set()).add(column)
     if not touching:
         return []
+    inputs = detector_inputs(tracks, road, observed) if inputs is None else inputs
     causes, found = _Causes(tracks, road, observed, inputs, events), []
     for pair, touch in touching.items():
         columns = np.array(sorted(touch))
@@ -144,13 +147,13 @@ def _column(tracks: Tracks, time_s: float) -> int:
 class _Party:
     """One of the two parties of a collision, at the column in which they first touch."""
 
-    def __init__(
-        self, tracks: Tracks, road: Road, observed: Observables, id: int, column: int
-    ) -> None:
+    def __init__(self, causes: _Causes, id: int, column: int) -> None:
+        tracks = causes.tracks
         self.id, self.index = id, int(np.searchsorted(tracks.ids, id))
         self.row = tracks.rows.index.row(self.index, column)  # -1 where it was not seen
         self.is_pedestrian = bool(tracks.kind[self.index] == PEDESTRIAN)
-        self._tracks, self._road, self._observed, self._column = tracks, road, observed, column
+        self._tracks, self._road, self._observed = tracks, causes.road, causes.observed
+        self._column = column
 
     def until_now(self, values: FloatArray, empty: float = np.nan) -> FloatArray:
         """(column + 1, ...) its values at each time, ``empty`` where it was not seen."""
@@ -160,11 +163,6 @@ class _Party:
     def speed(self) -> FloatArray:
         """(column + 1,) its speed at each time, m/s."""
         return self.until_now(self._tracks.rows.speed)
-
-    @property
-    def stands(self) -> bool:
-        """Whether it stands."""
-        return bool(self.speed[-1] < ROLLING_MPS)
 
     @cached_property
     def connection(self) -> int:
@@ -211,26 +209,26 @@ class _Party:
         return could_stop(float(self.speed[braked]), left_m)
 
 
+@dataclass(frozen=True)
 class _Causes:
     """Finds the causes of an episode's collisions; arguments are as of `collisions`."""
 
-    def __init__(
-        self,
-        tracks: Tracks,
-        road: Road,
-        observed: Observables,
-        inputs: DetectorInputs,
-        events: Sequence[Event],
-    ) -> None:
-        self._tracks, self._road, self._observed, self._events = tracks, road, observed, events
-        self._cuts, self._forbidden = cutting_in(inputs), inputs.off_crossing | inputs.on_red
+    tracks: Tracks
+    road: Road
+    observed: Observables
+    inputs: DetectorInputs
+    events: Sequence[Event]
+
+    @cached_property
+    def cuts(self) -> list[ShownTrait]:
+        """Cut-ins, the latest first."""
+        return list(reversed(cutting_in(self.inputs)))
 
     def collision(self, pair: tuple[int, int], time_s: float, end_s: float) -> Event:
         """A collision of two ids, whose ``agent`` caused it, and whose ``rule`` says why."""
-        column = _column(self._tracks, time_s)
-        parties = [_Party(self._tracks, self._road, self._observed, id, column) for id in pair]
-        ids = self._tracks.ids
-        for cut in reversed(self._cuts):
+        column = _column(self.tracks, time_s)
+        parties, ids = [_Party(self, id, column) for id in pair], self.tracks.ids
+        for cut in self.cuts:
             cutter, victim = int(ids[cut.agent]), int(ids[cut.other])
             if {cutter, victim} == set(pair) and -0.5 <= time_s - cut.begin_s <= CUT_IN_S:
                 break
@@ -253,28 +251,28 @@ class _Causes:
         """
         of = {party.id: party for party in parties}
         for kind, rule, recent_s in BROKEN_RULES:
-            for event in reversed(self._events):
+            for event in reversed(self.events):
                 if event.kind is kind and event.agent in of and event.time_s <= time_s + 0.5:
                     party = of[event.agent]
                     if party.connection >= 0 or time_s - event.time_s <= recent_s:
                         return party, rule
         for party, other in (parties, parties[::-1]):
             if party.is_pedestrian:
-                rows = self._tracks.rows.index.rows(party.index, column - 1, column + 1)
-                if self._forbidden[rows].any():
+                rows = self.tracks.rows.index.rows(party.index, column - 1, column + 1)
+                if (self.inputs.off_crossing | self.inputs.on_red)[rows].any():
                     return party, "walked where or when one may not"
-                if (other.speed[-1 - round(1.0 / self._tracks.step_s) :] < ROLLING_MPS).all():
+                if (other.speed[-1 - round(1.0 / self.tracks.step_s) :] < ROLLING_MPS).all():
                     return party, "walked into a vehicle that stood"
                 return other, "did not yield to a pedestrian"
         if cut is not None:
-            return of[int(self._tracks.ids[cut.agent])], CUT_IN
+            return of[int(self.tracks.ids[cut.agent])], CUT_IN
         return self._between_vehicles(*parties)
 
     def _between_vehicles(self, one: _Party, two: _Party) -> tuple[_Party, str]:
         """The cause that lies in how two vehicles stand to each other."""
         ways = one.connection, two.connection
         meet = min(ways) >= 0 and ways[0] != ways[1]
-        if meet and self._road.first_come(*ways):
+        if meet and self.road.first_come(*ways):
             later = two if two.entered > one.entered else one
             return later, "entered a junction not yet clear"
         if one.between_lanes != two.between_lanes:
@@ -283,13 +281,14 @@ class _Causes:
             if party.could_have_stopped(other):
                 return party, "ran into somebody who stood"
         for party, other in ((one, two), (two, one)):
-            if meet and other.connection in self._road.connections[party.connection].yields_to:
+            if meet and other.connection in self.road.connections[party.connection].yields_to:
                 return party, "took another's priority"
-        if one.stands != two.stands:
-            return (two if one.stands else one), "ran into somebody who stood"
+        stands, other_stands = (party.speed[-1] < ROLLING_MPS for party in (one, two))
+        if stands != other_stands:
+            return (two if stands else one), "ran into somebody who stood"
         is_behind = False  # as it is where one of the two was not seen
         if one.row >= 0 and two.row >= 0:
-            heading, xy = self._tracks.rows.heading[one.row], self._tracks.rows.xy
+            heading, xy = self.tracks.rows.heading[one.row], self.tracks.rows.xy
             facing = np.array([np.cos(heading), np.sin(heading)])
             is_behind = float((xy[two.row] - xy[one.row]) @ facing) < 0
         return (two if is_behind else one), "followed too closely"

@@ -13,7 +13,6 @@ import numpy as np
 from behaviors.row_index import RowIndex
 from behaviors.traits import DetectorInputs
 from sim.episode.collisions import collisions
-from sim.episode.detector_inputs import detector_inputs
 from sim.episode.observables import Observables, observe
 from sim.episode.yielding import ROLLING_MPS, crossings_passed
 from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, Tracks
@@ -59,7 +58,6 @@ def incidents(
         and ``rule`` says why.
     """
     observed = observe(tracks, road) if observed is None else observed
-    inputs = detector_inputs(tracks, road, observed) if inputs is None else inputs
     found = [
         *_lines_passed(tracks, road, observed),
         *crossings_passed(tracks, road, observed),

@@ -361,15 +361,13 @@ def _object_summary(name: str, agent: Mapping[str, Any]) -> dict[str, Any]:
 def _number_summary(summary: Mapping[str, Mapping[str, Any]], features: int) -> dict[str, Any]:
     """What the format counts in an episode; there are no lights and no heights in ours."""
     types = Counter(agent["type"] for agent in summary.values())
-    moving = Counter(
-        agent["type"] for agent in summary.values() if agent["moving_distance"] > MOVED_M
-    )
+    moving = Counter(one["type"] for one in summary.values() if one["moving_distance"] > MOVED_M)
     return {
         "num_objects": len(summary),
         "object_types": tuple(sorted(types)),
-        "num_objects_each_type": {name: types[name] for name in sorted(types)},
+        "num_objects_each_type": dict(sorted(types.items())),
         "num_moving_objects": moving.total(),
-        "num_moving_objects_each_type": {name: moving[name] for name in sorted(moving)},
+        "num_moving_objects_each_type": dict(sorted(moving.items())),
         "num_traffic_lights": 0,
         "num_traffic_light_types": (),
         "num_traffic_light_each_step": {},

@@ -27,8 +27,8 @@ from sim.highway.places import beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
 
 STOP_LASTS_S, GIVE_UP_S = (3.0, 6.0), 20.0
-"""Least and longest duration of an unprovoked stop. A driver that finds nobody to cut in front of
-for the second time waits for its next time."""
+"""Least and longest duration of an unprovoked stop, and for how long a driver looks for somebody to
+cut in front of before it waits for its next time."""
 
 CHANGE_LEAST_SPEED_MPS, CHANGE_DELAY_S = 1.0, 1.0
 """Slower vehicles do not change lanes, and drivers weigh the lanes beside this often
@@ -39,12 +39,12 @@ GENTLE_MPS2, URGENT_MPS2 = 2.0, 4.5
 bound for ordinary changes), and at its end (hard, and held by any tyre)."""
 
 GIVES_UP_S, AT_END_M, STANDING_ROOM_M = 4.0, 12.0, 6.0
-"""A driver that has stood this long this near to the end of a wrong lane takes another route. To
-get over, a standing vehicle needs the second distance before its lane's end."""
+"""A driver that has stood this long this near to the end of a wrong lane takes another route. A
+standing vehicle needs this much room before its lane's end to get over."""
 
 PASSING_S, SLOW_LEADER_M, JUNCTION_M = 5.0, 25.0, 60.0
 """Drivers expect overtaking on the wrong side to take this long. They overtake only leaders nearer
-than the first distance, and do not begin to nearer than the second to the end of the road."""
+than this, and do not begin to this near the end of the road."""
 
 BACK_S, BACK_ROOM_M = 3.0, 4.0
 """A driver on the wrong side goes back if it would meet a vehicle within this time, and into a gap

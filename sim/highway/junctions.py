@@ -55,8 +55,8 @@ imposes on others with priority."""
 
 WAITING_S, PATIENCE_S = 1.0, 20.0
 """A vehicle that has stood this long inside a junction, or before it without priority, is assumed
-to wait. After standing for the second time, drivers ignore others that stand too (after SUMO's
-ignored junction blockers)."""
+to wait. After standing for as long as their patience lasts, drivers ignore others that stand too
+(after SUMO's ignored junction blockers)."""
 
 
 @in_place(inner=True)

@@ -26,8 +26,8 @@ TOP_SPEED_MPS: Final = 40.0
 
 CLEAR_AFTER_S, STUCK_S = 8.0, 5.0
 """Crashed vehicles and struck pedestrians stay on the road for this long (traffic behind queues,
-and pile-ups clear). A vehicle that stands on the wrong side for the second time is taken off the
-road (it would stand there for ever)."""
+and pile-ups clear). A vehicle that stands on the wrong side for this long is taken off the road (it
+would stand there for ever)."""
 
 CROSSWISE, FROM_JUNCTION_M = 0.5, 15.0
 """Sine of the angle between two headings above which the ways cross: 30 degrees. Ways that cross

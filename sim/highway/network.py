@@ -32,8 +32,8 @@ from sim.road.lane_graph import LaneGraph
 from sim.xml_tree import without_collection
 
 STUB_M, TIGHT_M = 0.1, 5.0
-"""A junction path between lanes that touch is this long. A path of a mean radius below the second
-length is tight (a car's turning circle)."""
+"""A junction path between lanes that touch is this long. A path of a smaller mean radius is tight
+(a car's turning circle)."""
 
 CELL_M, ROUNDING_M = 50.0, 1e-3
 """Width of the cells in which lanes are looked for (`BEHIND_M` and a lane). Lanes are searched this
@@ -49,7 +49,7 @@ car's corners swing out by half its length squared over the radius."""
 
 CONFLICT_M, WIDEST_M = 2.2, 3.0
 """Junction paths nearer than this conflict (a car's width and a little). Paths farther apart than
-the second length do not, however far cars swing out (side by side)."""
+this do not, however far cars swing out (side by side)."""
 
 
 @dataclass(eq=False)

@@ -32,11 +32,11 @@ from sim.scenario import WALK_START_M, AgentSpec
 
 LINK_M, DETOUR_M = 12.0, 5.0
 """Sidewalk ends and crossing ends this near to each other are joined on foot (the widest corner).
-Pedestrians cross a road only if that saves more than the second length."""
+Pedestrians cross a road only if that saves more than the detour."""
 
 SETBACK_M, OFFSET_M = 1.6, 0.6
 """Pedestrians wait this far back from the kerb (out of the way of turning vehicles); a crossover
-begins and ends there. They keep up to the second length to either side of the path's middle."""
+begins and ends there. They keep up to this far to either side of the path's middle."""
 
 GREEN, OFF = Signal.GREEN.code, Signal.OFF.code
 

@@ -21,12 +21,12 @@ from sim.road.cells import Cells
 Records = NDArray[Any]
 
 STRETCH_MARGIN_M, PATH_MARGIN_M = 1.0, 0.5
-"""A vehicle this far beyond a lane's edge is still on it (highway-env's); the second length holds
-for junction paths, which lie close together."""
+"""A vehicle this far beyond a stretch's edge is still on it (highway-env's), and beyond a junction
+path's, which lie close together."""
 
 BEHIND_M, LONGEST_M = 40.0, 40.0
 """A vehicle this far before the beginning of a lane, and in line with it, is on it already. A
-vehicle up to the second length is on a lane while its rear is (twice a lorry's)."""
+vehicle up to this length is still on a lane with its rear alone (twice a lorry's)."""
 
 
 def record_type(**names: str) -> np.dtype[Any]:

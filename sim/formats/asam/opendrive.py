@@ -263,8 +263,8 @@ def _touch(link: Connection, roads: _Roads) -> bool:
     (begin, lane), (end, to_lane) = roads.place[link.from_lane], roads.place[link.to_lane]
     at, along, width = begin.end_of(lane, after=True)
     there, onward, wide = end.end_of(to_lane, after=False)
-    near = math.dist(at, there) < TOUCHING_M and abs(width - wide) < TOUCHING_M
-    return not link.via and near and math.dist(along, onward) * width < TOUCHING_M
+    apart_m = max(math.dist(at, there), abs(width - wide), math.dist(along, onward) * width)
+    return not link.via and apart_m < TOUCHING_M
 
 
 def _path(

@@ -43,7 +43,7 @@ EMPTY: Final = ("", "NA", "null", "None")
 NEEDED: Final = ("id", "t", "x", "y")
 """What the rows of every recording have."""
 
-KINDS: Final = {
+KIND_WORDS: Final = {
     **{kind.value: kind for kind in AgentKind},
     **dict.fromkeys(("vehicle", "van"), AgentKind.CAR),
     **dict.fromkeys(("trailer", "truck_bus"), AgentKind.TRUCK),
@@ -306,15 +306,16 @@ def read_columns(
 ) -> pandas.DataFrame:  # fmt: skip
     """The columns of a table that `rows_of` takes, and further ones of text."""
     texts = [columns[key] for key in ("id", "kind") if key in columns]
-    numbers = [name for key, name in columns.items() if key not in ("id", "kind")]
-    return read_table(path, numbers, [*texts, *words], optional)
+    # one column may be two things, such as length and width
+    numbers = dict.fromkeys(name for key, name in columns.items() if key not in ("id", "kind"))
+    return read_table(path, [*numbers], [*texts, *words], optional)
 
 
 def rows_of(
     table: pandas.DataFrame,
     columns: Mapping[str, str],
     units: Mapping[str, str] | None = None,
-    kinds: Mapping[str, AgentKind] = KINDS,
+    kinds: Mapping[str, AgentKind] = KIND_WORDS,
     *,
     from_zero: bool = False,
 ) -> pandas.DataFrame:
@@ -376,7 +377,9 @@ def words_in(column: Any) -> list[str | None]:
     return [words[k] if k >= 0 else None for k in code.tolist()]
 
 
-def kinds_in(column: pandas.Series, known: Mapping[str, AgentKind] = KINDS) -> NDArray[np.int8]:
+def kinds_in(
+    column: pandas.Series, known: Mapping[str, AgentKind] = KIND_WORDS
+) -> NDArray[np.int8]:
     """(m,) codes of the kinds that words stand for, in upper or lower case; all must be known."""
     lower = {word.lower(): kind.code for word, kind in known.items()}
     code, words = codes_in(column)
