@@ -22,10 +22,21 @@ from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
 from sim.compiled import in_place
-from sim.frames import FloatArray, Signal
+from sim.frames import EventKind, FloatArray, Signal
 from sim.highway.driving import OVERLOOKS, YIELDS, attention_m, can_stop, chance
 from sim.highway.junctions import ENTERED_M
-from sim.highway.state import CROSSOVER, FOOTWAY, STEP, WALKER, Footways, Scene, listed
+from sim.highway.places import record
+from sim.highway.state import (
+    CROSSOVER,
+    EVENT_KINDS,
+    FOOTWAY,
+    MOST_MET,
+    STEP,
+    WALKER,
+    Footways,
+    Scene,
+    listed,
+)
 from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
@@ -39,10 +50,17 @@ SETBACK_M, OFFSET_M = 1.6, 0.6
 begins and ends there. They keep up to this far to either side of the path's middle."""
 
 GREEN, OFF = Signal.GREEN.code, Signal.OFF.code
+YIELDED, NOT_YIELDED = (
+    EVENT_KINDS.index(EventKind.YIELDED), EVENT_KINDS.index(EventKind.NOT_YIELDED)
+)  # fmt: skip
 
 KERB_SOON_S, KERB_M = 4.0, 0.4
 """Drivers that demand at least this gap see that a pedestrian this near the kerb wants to cross, s.
 Pedestrians decide this near the kerb whether to step out, m (half a stride)."""
+
+MET_S, MET_KERB_S = 3.0, 2.0
+"""A driver that would pass less than this before a pedestrian has met that pedestrian, s. It counts
+only where the pedestrian is on the crossing or this near its kerb, s."""
 
 STALLED_S, STOOD_S = 4.0, 0.8
 """A pedestrian who has stood this long on the crossing, out of a vehicle's way, waits for the
@@ -231,7 +249,7 @@ def _along(u: float, at: int, scene: Scene) -> float:
 
 @in_place(inner=True)
 def obey_crossings(scene: Scene) -> None:
-    """Note who stops before which crossing and who comes to it."""
+    """Note who stops before which crossing and who comes to it; record who let pedestrians go."""
     scene.now[0].arrivals = 0
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
@@ -254,8 +272,12 @@ def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
     for z in range(net.lanes[lane].strip, net.lanes[lane].strip_end):
         strip = net.strips[z]
         near, far, crossing = strip.near + begin, strip.far + begin, strip.crossing
+        if far + me.length < 0.0:
+            if obeys:
+                _record_encounter(i, crossing, scene)
+            continue
         w = scene.crossing_head[crossing]
-        if w < 0 or far + me.length < 0.0 or near > attention_m(me):
+        if w < 0 or near > attention_m(me):
             continue
         if scene.now[0].arrivals >= scene.arrivals.size:
             continue
@@ -271,6 +293,30 @@ def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
                 me.stop_gap = min(me.stop_gap, near)
                 arrival.yields = True
             w = scene.walkers[w].link
+
+
+@in_place(inner=True)
+def _record_encounter(i: int, crossing: int, scene: Scene) -> None:
+    """Record whether a driver that has passed a crossing yielded to those it met there."""
+    me = scene.vehicles[i]
+    for slot in range(MOST_MET):
+        if me.met[slot] == crossing:
+            if me.met_near[slot]:
+                record(YIELDED if me.yielded[slot] else NOT_YIELDED, me.agent, scene)
+            me.met[slot], me.met_near[slot], me.yielded[slot] = -1, 0, 0
+
+
+@in_place(inner=True)
+def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> None:
+    """Remember that a driver yields to pedestrians at a crossing, or meets them there."""
+    me, at = scene.vehicles[i], -1
+    for slot in range(MOST_MET):
+        if me.met[slot] == crossing or (me.met[slot] < 0 and at < 0):
+            at = slot
+    if at >= 0:
+        me.met[at] = crossing
+        me.met_near[at] |= near
+        me.yielded[at] |= yields
 
 
 @in_place(inner=True)
@@ -303,7 +349,11 @@ def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene
         return False
     gap_s = me.crossing_gap_s
     heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
-    return bool(sees and heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability)
+    met = enters_s < clears_s + MET_S and -beyond < MET_KERB_S * pace
+    yields = sees and heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability
+    if met or yields:
+        _note_met(i, strip.crossing, met, yields, scene)
+    return bool(yields)
 
 
 @in_place(inner=True)

@@ -109,6 +109,9 @@ LATE_S, MOST_LATE = 0.1, 51
 """A driver's decisions are kept this often, s, and so many of them: those of the longest reaction
 time."""
 
+MOST_MET: Final = 4
+"""Crossings at which a driver can have met pedestrians that it has not passed yet."""
+
 VEHICLE: Final = record_type(
     i1="kind",
     u8="key",
@@ -123,7 +126,7 @@ VEHICLE: Final = record_type(
     "emergency_decel top_speed x y heading speed steering accel entry_speed clock timer go_at "
     "standing_since crashed_at cut_in_at stop_at stop_until wrong_way_at lapse_at lapse_until "
     "error seen_at line_before stopped_s s to_line stood_s stop_gap speed_cap",
-    **{f"{MOST_LATE}f8": "late"},
+    **{f"{MOST_LATE}f8": "late", f"{MOST_MET}i8": "met", f"{MOST_MET}i1": "met_near yielded"},
 )
 """A vehicle; lengths in m, times in s, angles in rad, highway-env's axes, -1 for none.
 
@@ -144,7 +147,8 @@ negative beyond it; ``stood_s``: for how long it has stood; ``stop_gap``: front 
 at which to stop; ``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it
 stop at the line, and ``was_held`` a step ago; ``changes``: whether lane changes are allowed;
 ``forced``: the lane that it has to head for; ``astray``: whether it needs another route;
-``arrives``: whether it is at the end of its way; ``leaves``: why it goes.
+``arrives``: whether it is at the end of its way; ``leaves``: why it goes; ``met``: crossings at
+which the driver met pedestrians closely (``met_near``) or ``yielded``.
 """
 
 WALKER: Final = record_type(
@@ -232,8 +236,8 @@ def blank_vehicles(n: int) -> Records:
     ):  # fmt: skip
         rows[name] = np.inf
     for name in (
-        "agent", "late_since", "route", "last_path", "path_before", "stood_at", "then", "path",
-        "forced",
+        "agent", "met", "late_since", "route", "last_path", "path_before", "stood_at", "then",
+        "path", "forced",
     ):  # fmt: skip
         rows[name] = -1
     rows["stop_until"], rows["changes"] = -np.inf, True
