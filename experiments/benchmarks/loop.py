@@ -47,6 +47,10 @@ WARM_FRAMES: Final = 5
 STOCK_STEP_S: Final = 1.0 / 15.0
 """highway-env's default step, s."""
 
+STOCK_ROADS_S: Final = {"straight_road": 60.0, "four_way_intersection": 240.0}
+"""Roads on which the engine drives beside highway-env's own, and for how long at most, s: the
+intersection takes some minutes to fill."""
+
 STOCK_REPEATS: Final = 5
 """Times that both are timed; the rows have the median, the least and the greatest."""
 
@@ -100,7 +104,8 @@ def measure_loop(
         runs = [_go_through(scenario, agents, engine, from_s) for _ in range(repeats)]
         least = np.min([spent for _, spent in runs], axis=0)
         yield list(_stage_rows(_keys(engine, runs[0][0], scenario), least, scenario.step_s))
-    yield _stock_rows(min(60.0, duration_s))
+    for name, most_s in STOCK_ROADS_S.items():
+        yield _stock_rows(name, min(most_s, duration_s))
 
 
 def measure_cities(
@@ -140,12 +145,13 @@ def _stage_rows(keys: Mapping[str, Cell], spent_ms: FloatArray, step_s: float) -
             yield tidy_row({**keys, "stage": stage}, metric, value, n=len(spans))
 
 
-def _stock_rows(duration_s: float) -> list[Row]:
+def _stock_rows(name: str, duration_s: float) -> list[Row]:
     """Agent-steps per second of the highway engine beside highway-env's own road and drivers.
 
-    Both have three straight lanes and the same mean number of cars. They are timed in turn.
+    highway-env's road has three straight lanes and the same mean number of cars. Both are timed in
+    turn.
     """
-    scenario = get_scenario("straight_road")(duration_s=duration_s, flow="dense")
+    scenario = get_scenario(name)(duration_s=duration_s, flow="dense")
     agents, frames, found = sample_agents(scenario, 0), round(duration_s), []
     for repeat in range(STOCK_REPEATS + 1):
         counts, spent_ms = _timed(
@@ -169,7 +175,7 @@ def _stock_rows(duration_s: float) -> list[Row]:
         ("highway", "ratio_to_stock"): (np.median(own) / np.median(others), own / others),
     }
     return [
-        tidy_row({**_keys(engine, cars, scenario), "stage": "simulate"}, metric, float(value),
-                 each.min(), each.max(), STOCK_REPEATS)
+        tidy_row({**_keys(engine, cars, scenario), "stage": "simulate", "scenario": name}, metric,
+                 float(value), each.min(), each.max(), STOCK_REPEATS)
         for (engine, metric), (value, each) in figures.items()
     ]  # fmt: skip
