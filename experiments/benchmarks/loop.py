@@ -92,7 +92,7 @@ def measure_loop(
 ) -> Iterator[list[Row]]:
     """Rows of each engine on a straight road, and of the highway engine's own speed.
 
-    Of several passes over the same frames, the least time of each stage of each frame counts. The
+    The least time of several passes over the same frames counts, stage by stage. The
     metrics are ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of all
     together. Last come ``agent_steps_per_cpu_s`` of the highway engine and of highway-env's own
     road and drivers, and ``ratio_to_stock``.

@@ -2,7 +2,7 @@
 
 The networks for recordings are trained on all others and on simulated traffic (``left-out``), and
 predict the one left out. The base, the Kalman filter, constant velocity and the weights that ship
-stand beside them, with and without the map, with the past as recorded and with noise added to it.
+stand beside them. All predict with and without the map, as recorded and with noise added.
 Errors are means up to a horizon, over those of constant velocity with the same past. Standing,
 slow, free and following vehicles have rows of their own
 (`experiments.training.recordings.classes_of`). Intervals resample vehicles.
@@ -105,7 +105,7 @@ def _by_dataset(sources: Sequence[Path]) -> dict[str, list[RecordedPlace]]:
 
 
 def _base(history: Tracks, road: Road | None) -> Prediction:
-    """What the networks for recordings correct."""
+    """The base: the motion that the networks for recordings correct."""
     motion = Motion.of(history)
     time_s = np.arange(1, _STEPS + 1, dtype=np.float64) * STEP_S
     xy = motion.from_own_frame(fading(motion, time_s))[:, None]

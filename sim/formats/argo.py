@@ -107,7 +107,7 @@ def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, Flo
 def remove_ego_motion(tracks: Tracks) -> Tracks:
     """Bring tracks seen from a moving vehicle into the frame of the first instant.
 
-    Headings and speeds are told anew from the motion.
+    Headings and speeds are computed from the motion.
     """
     rows = tracks.rows
     agent, xy = rows.index.agent, rows.xy.copy()

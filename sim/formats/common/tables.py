@@ -63,7 +63,7 @@ _DECIMAL_POINT: Final = re.compile(r"\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*")
 _NO_NUMBER: Final = re.compile(
     r"In CSV column #(\d+): (?:Row #(\d+): )?CSV conversion error to double: invalid value (.*)"
 )
-"""What Arrow says of a field that is no number."""
+"""Arrow's message about a field that is not a number."""
 
 
 # --- the beginning of a file --------------------------------------------------------------------
