@@ -75,8 +75,8 @@ MEET_S, TAKEN_S = 3.0, 1.0
 first by less than the second is to overlook the other (our choice; careful drivers leave 1.5 s)."""
 
 LEAST_MPS, NEAR_M, SLOWS = 5.0, 45.0, 0.7
-"""A driver faster than the first meets whoever waits or walks at a crossing within the second, and
-slows for them if its speed falls below this share (our choice)."""
+"""A driver faster than the first meets pedestrians at a crossing within the second. It slows for
+them if its speed falls below the third, a share (our choice)."""
 
 
 def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict[str, FloatArray]:

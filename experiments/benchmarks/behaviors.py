@@ -152,14 +152,16 @@ def _counted(
         elif event.kind is EventKind.COLLISION and event.other is not None:
             walks = not seen.drives[row[event.other]]
             table["pedestrians_hit" if walks else "collisions"][i] += 1.0
+    of_agent: dict[int, list[ShownTrait]] = {agent: [] for agent in row}
     for found in traits:
         i = row[found.agent]
+        of_agent[found.agent].append(found)
         if found.trait in SHOWN:
             table[SHOWN[found.trait]][i] += 1.0
         elif found.trait is Trait.WRONG_DIRECTION:
             table["wrong_way_m"][i] += found.value
     for agent, i in row.items():
-        label = label_from_traits([found for found in traits if found.agent == agent])
+        label = label_from_traits(of_agent[agent])
         table["agrees"][i] = label is not None and label.code == labels[i]
     drivers = pd.DataFrame({"behavior": labels, **table})
     return DriverCounts(

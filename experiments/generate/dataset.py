@@ -144,8 +144,6 @@ def generate(
     wanted = config.episodes * len(config.scenarios)
     with sole_writer(place), Progress("generating episodes", wanted, quiet) as shown:
         there, missing = _there_and_missing(config, place, configuration)
-        if not place.remote:
-            place.path.mkdir(parents=True, exist_ok=True)
         shards: list[_Made] = []
 
         def take(made: _Made) -> None:
@@ -176,8 +174,6 @@ def generate(
         elif not entries and not place.remote:
             for name in (*TABLES, "roads"):
                 shutil.rmtree(place.path / name, ignore_errors=True)
-            with suppress(OSError):  # it is not empty
-                place.path.rmdir()
         failed = [line for made in shards for line in made.failed]
         if failed:
             raise InputError(
@@ -238,23 +234,35 @@ def _check_same(config: GenerateConfig, place: Place, configuration: Mapping[str
 
 @contextmanager
 def sole_writer(place: Place) -> Iterator[None]:
-    """Hold a dataset against this user's other runs; the lock ends with the process.
+    """Hold a dataset for writing; the lock ends with the process.
+
+    The folder is created, and removed again if it stays empty. The lock of a URL lies in the user's
+    cache: there it holds off this user's runs only.
 
     Raises:
         InputError: if another process holds it.
+        OSError: if the folder cannot be written.
     """
     from filelock import FileLock, Timeout
 
-    folder = user_cache() / "locks"
+    folder = user_cache() / "locks" if place.remote else place.path
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
     folder.mkdir(parents=True, exist_ok=True)
-    name = place.url if place.remote else str(place.path.resolve())
+    lock = folder / (checksum(place.url.encode()) if place.remote else ".lock")
     try:
-        with FileLock(folder / checksum(name.encode()), timeout=0):
-            yield
+        with FileLock(lock, timeout=0):
+            try:
+                yield
+            finally:
+                lock.unlink(missing_ok=True)
     except Timeout:
         raise InputError(
             f"{place.url}: another run is writing to it; wait for its end or choose another folder"
         ) from None
+    finally:
+        for path in new:
+            with suppress(OSError):  # it is not empty
+                path.rmdir()
 
 
 def _read_shard(place: Place, own: str, listed: Mapping[str, int]) -> Shard | None:

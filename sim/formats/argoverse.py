@@ -1,7 +1,7 @@
 """Argoverse: scenarios of motion forecasting (2 and 1), and sensor logs (2).
 
-Motion forecasting 2 has ``scenario_<id>.parquet`` with 11 s of tracks at 10 Hz (box centres, m; 50
-steps are observed, 60 to predict) and ``log_map_archive_<id>.json`` with the map
+Motion forecasting 2 has ``scenario_<id>.parquet`` with 11 s of tracks, box centres in m. There are
+10 steps a second, of which the first 50 are observed. ``log_map_archive_<id>.json`` has the map
 (`sim.road.maps.argoverse2`). What we write is read by the official ``av2`` package; the behaviours
 go into ``behavior_<id>.parquet`` beside it, and are read from there.
 

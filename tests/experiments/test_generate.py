@@ -51,6 +51,7 @@ def test_the_dataset_opens_and_is_labelled(made: Path) -> None:
         road = dataset.road(entry)
         assert road is not None
         assert road.name == entry.scenario
+    assert not (made / ".lock").exists()
 
 
 def test_same_bytes_for_two_jobs_and_another_order(made: Path, tmp_path: Path) -> None:
@@ -143,7 +144,8 @@ def test_a_second_run_is_refused_while_the_first_lives(tmp_path: Path) -> None:
         finally:
             holder.kill()
     with sole_writer(place_of(tmp_path)):  # the dead holder's lock is gone with it
-        assert list(tmp_path.iterdir()) == []
+        assert (tmp_path / ".lock").exists()
+    assert list(tmp_path.iterdir()) == []
 
 
 EPISODES = 24
