@@ -81,10 +81,7 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
     """
     if isinstance(flow, str) and flow in levels:
         return levels[flow]
-    try:
-        value = math.nan if isinstance(flow, bool) else float(flow)
-    except (TypeError, ValueError, OverflowError):
-        value = math.nan
+    value = _number(flow)
     if not 0 <= value < math.inf:
         expected = " or ".join([*levels, "a number per hour >= 0"])
         raise InputError(f"{field}: found {flow!r:.80}, expected {expected}")
@@ -102,9 +99,6 @@ def parse_mix(
             as in ``"aggressive=.2,conservative=.8"``, stands for its three of the six behaviours in
             equal shares. Behaviours that are not named have no share.
         own: behaviours beside the six.
-
-    Returns:
-        Shares by behaviour.
 
     Raises:
         InputError: if a behaviour is unknown or named twice, a share is negative or no number, or
@@ -126,16 +120,7 @@ def parse_mix(
 def parse_kinds(
     kinds: str | Mapping[AgentKind, float] | Mapping[str, float] | None,
 ) -> dict[AgentKind, float]:
-    """The share of each kind of vehicle.
-
-    Args:
-        kinds: None for cars only, a mapping, or text like ``"car=.9,truck=.1"``.
-
-    Returns:
-        Shares by kind.
-
-    Raises:
-        InputError: as `parse_mix` does; pedestrians are not vehicles.
+    """The share of each kind of vehicle; None for cars only, else as `parse_mix` takes shares.
 
     Examples:
         >>> parse_kinds("car=.9,bus=.1")
@@ -145,6 +130,14 @@ def parse_kinds(
     return {AgentKind.CAR: 1.0} if kinds is None else _shares("kinds", kinds, vehicles, {})
 
 
+def _number(value: object) -> float:
+    """A value as a number; NaN if it is none."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def _shares(
     field: str,
     given: str | Mapping[K, float] | Mapping[str, float],
@@ -152,37 +145,31 @@ def _shares(
     groups: Mapping[str, Sequence[K]],
 ) -> dict[K, float]:
     """Shares by member; the name of a group gives each of its members an equal part."""
-    if not isinstance(given, (str, Mapping)):
+    if isinstance(given, str):
+        parts = [part.partition("=") for part in given.split(",")]
+        for name, equals, _ in parts:
+            if not equals:
+                raise InputError(f"{field}: found {name.strip()!r}, expected name=share")
+        pairs: list[tuple[str, object]] = [
+            (name.strip(), share.strip()) for name, _, share in parts
+        ]
+    elif isinstance(given, Mapping):
+        pairs = [(str(name), share) for name, share in given.items()]
+    else:
         raise InputError(f"{field}: found {given!r:.80}, expected shares by name")
-    names = {**{str(member): [member] for member in members}, **groups}
+    named = {**{str(member): [member] for member in members}, **groups}
     shares: dict[K, float] = {}
-    for name, value in _split(field, given) if isinstance(given, str) else given.items():
-        if str(name) not in names:
-            expected = ", ".join(names)
-            raise InputError(f"{field}: found {str(name)!r:.80}, expected one of {expected}")
-        named = names[str(name)]
-        for member in named:
+    for name, value in pairs:
+        if name not in named:
+            raise InputError(f"{field}: found {name!r:.80}, expected one of {', '.join(named)}")
+        for member in named[name]:
             if member in shares:
                 raise InputError(f"{field}: found {str(member)!r} twice, expected it once")
-        try:
-            share = float(value)
-        except (TypeError, ValueError):
-            share = math.nan
+        share = _number(value)
         if not 0 <= share < math.inf:
             raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0")
-        shares.update(dict.fromkeys(named, share / len(named)))
+        shares |= dict.fromkeys(named[name], share / len(named[name]))
     total = sum(shares.values())
     if abs(total - 1.0) > 1e-6:
         raise InputError(f"{field}: found shares adding to {total:g}, expected 1")
     return shares
-
-
-def _split(field: str, text: str) -> list[tuple[str, str]]:
-    """The pairs of name and share in a text."""
-    pairs = []
-    for part in text.split(","):
-        name, equals, value = part.partition("=")
-        if not equals:
-            raise InputError(f"{field}: found {part.strip()!r}, expected name=share")
-        pairs.append((name.strip(), value.strip()))
-    return pairs
