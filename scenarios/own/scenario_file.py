@@ -18,8 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from behaviors.errors import InputError
 from behaviors.toml_files import in_file, read_toml
-from scenarios import ScenarioEntry
-from scenarios.demand import PopulationOptions, parse_flow, parse_population
+from scenarios.demand import PopulationOptions, ScenarioEntry, parse_flow, parse_population
 from scenarios.networks.convert import edited_net, name_of, open_map
 from scenarios.own.flows import flows_of, read_routes
 from sim.invalid_fields import first_wrong_field
