@@ -60,8 +60,8 @@ from sim.formats.common.tables import (
 )  # fmt: skip
 from sim.frames import AgentKind
 from sim.input_files import beside, broken_as_one_line, plain_name, stem
-from sim.units import PARTS, in_si
 from sim.road.road_files import read_road_file
+from sim.units import PARTS, in_si
 
 # --- NGSIM ----------------------------------------------------------------------------------------
 

@@ -81,9 +81,11 @@ def beginning_of(path: Path) -> tuple[bytes, tuple[str, ...]]:
 @lru_cache(maxsize=1024)
 def _beginning(path: Path, changed_ns: int, size: int) -> tuple[bytes, tuple[str, ...]]:
     """See `beginning_of`."""
-    head = b""
     try:
         head, encoding = _head_of(path)
+    except (OSError, EOFError, zlib.error):
+        return b"", ()
+    try:
         with opened(path) as file:
             if head.startswith(PARQUET):
                 names = pyarrow.parquet.read_schema(file).names
@@ -92,7 +94,7 @@ def _beginning(path: Path, changed_ns: int, size: int) -> tuple[bytes, tuple[str
             else:
                 names = _dialect_of(head, encoding).header if head else ()
         return head[:4096], tuple(name.lower() for name in names)
-    except (pa.ArrowException, OSError, EOFError, InputError, ValueError, zlib.error):
+    except (pa.ArrowException, OSError, EOFError, InputError, ValueError):
         return head[:4096], ()  # whoever reads it says why
 
 
