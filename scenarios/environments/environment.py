@@ -30,7 +30,7 @@ from scenarios.environments.observation import (
     observe_ego,
     observe_graph,
 )
-from sim.episode.buffer import FrameBuffer
+from sim.episode.live import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
 from sim.highway import ego as ego_vehicles
 from sim.highway.ego import (
