@@ -141,12 +141,13 @@ def calibration_error(bins: FloatArray) -> FloatArray:
 
 
 def auc_over_episodes(
-    score: FloatArray, positive: BoolArray, episode: IntArray
+    score: FloatArray, positive: BoolArray, episode: IntArray, group: IntArray | None = None
 ) -> tuple[float, float, float]:
     """Area under the ROC curve over all pairs (n,), and its 95 % interval over episodes.
 
     Equal to scikit-learn's ``roc_auc_score``; from the pairs won between any two episodes, all
-    resamples follow at once. NaN where there are no pairs.
+    resamples follow at once. With groups (E,) of the episodes in ascending order, only pairs of
+    one group count. NaN where there are no pairs.
     """
     known, number = np.unique(episode, return_inverse=True)
     count = known.size
@@ -157,6 +158,8 @@ def auc_over_episodes(
         left, right = (np.searchsorted(below, score[positive], side=s) for s in ("left", "right"))
         won[:, each] = np.bincount(number[positive], 0.5 * (left + right), minlength=count)
     pairs = np.outer(ups, downs).astype(np.float64)
+    if group is not None:
+        won, pairs = (each * (group[:, None] == group) for each in (won, pairs))
 
     def area(drawn: FloatArray) -> FloatArray:
         sums = [((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs)]

@@ -22,12 +22,10 @@ from experiments.console.progress import Progress
 from experiments.training.recordings import (
     PAST_S,
     RecordedPlace,
-    happened,
+    by_dataset,
+    cases,
     history_of,
     moving_s,
-    read_sources,
-    recorded_instants,
-    scored,
     steady_motion,
 )
 from graphrqi.predict.networks import TIME_S
@@ -222,12 +220,7 @@ def examples_of(
     found, tracks = [], one.tracks
     filled_in = between_key_frames(tracks, rng) if versions else tracks
     swapped = mirrored_road(one.road) if versions and one.road is not None else None
-    for stop in recorded_instants(tracks, every_s):
-        history = history_of(tracks, stop)
-        truth = happened(tracks, history, stop)
-        counts = scored(history) & np.isfinite(truth).all(axis=(1, 2))
-        if not counts.any():
-            continue
+    for stop, history, truth, counts in cases(tracks, every_s):
         believable = plausible(history)
         seen_as = [history]
         if versions:
@@ -276,19 +269,15 @@ def train_on_recordings(
 ) -> dict[str, float]:
     """Train the predictor for recordings, and save it with its card in a folder.
 
-    Sources are as `read_sources` takes them. About ``per_dataset`` agents at instants are taken
+    Sources are as `by_dataset` takes them. About ``per_dataset`` agents at instants are taken
     from each dataset. Returned is, by dataset, the mean error of the best guesses over that of
     constant velocity, on its recordings apart; on its training recordings where it has too few.
     """
-    by_dataset: dict[str, list[RecordedPlace]] = {}
-    with Progress("reading recordings", 0, quiet) as progress:
-        for one in read_sources(sources):
-            by_dataset.setdefault(one.dataset, []).append(one)
-            progress.advance(one.tracks.ids.size, int(one.tracks.valid.sum()))
+    places = by_dataset(sources, quiet=quiet)
     found: list[DatasetExamples] = []
-    with Progress("observing recordings", len(by_dataset), quiet) as progress:
-        for name in sorted(by_dataset):
-            examples = gather_examples(by_dataset[name], len(found), seed, per_dataset)
+    with Progress("observing recordings", len(places), quiet) as progress:
+        for each in places.values():
+            examples = gather_examples(each, len(found), seed, per_dataset)
             if examples is not None:
                 found.append(examples)
             progress.advance()
