@@ -44,7 +44,8 @@ MEASURES: Final = {"ttc_s": "minTTC", "drac_mps2": "maxDRAC", "pet_s": "PET"}
 """What is compared, and SUMO's element of each."""
 
 PLACE: Final = ("first", "second", "begin_s", "end_s")
-"""Columns that say which pair a conflict is of, and when."""
+COLUMNS: Final = ["kind", "found_by", "measure", *MEASURES]
+"""Columns that say which pair a conflict is of and when, and those of a comparison."""
 
 
 def _read_ssm(path: Path) -> pd.DataFrame:
@@ -77,7 +78,7 @@ def _kind(code: int) -> ConflictKind:
     return ConflictKind.CROSSING if 9 <= code <= 17 else ConflictKind.MERGING
 
 
-def _compared(ours: Conflicts, theirs: pd.DataFrame) -> pd.DataFrame:
+def _compared(ours: Conflicts, theirs: pd.DataFrame) -> list[dict[str, Any]]:
     """A line for each conflict, matched by pair and time: its ``kind`` and who it was ``found_by``.
 
     ``measure`` says by which one we alone found it. Of conflicts that both found, the `MEASURES`
@@ -102,8 +103,7 @@ def _compared(ours: Conflicts, theirs: pd.DataFrame) -> pd.DataFrame:
     none = dict.fromkeys(MEASURES, np.nan)
     alone = theirs.drop(both["index"]).assign(found_by="SUMO", measure="", **none)
     left = mine.drop(met["index_ours"].unique()).assign(found_by="we", **none)
-    columns = ["kind", "found_by", "measure", *MEASURES]
-    return pd.concat([part[columns] for part in (both, alone, left) if len(part)])
+    return [line for part in (both, alone, left) for line in part[COLUMNS].to_dict("records")]
 
 
 def measure(
@@ -111,7 +111,7 @@ def measure(
     scenarios: Sequence[str] = SCENARIOS,
 ) -> Iterator[list[Row]]:  # fmt: skip
     """Counts by kind, finder and measure over all episodes; median differences, SUMO less ours."""
-    cases = []
+    cases: list[dict[str, Any]] = []
     for name in scenarios:
         scenario = get_scenario(name)(duration_s=duration_s)
         for seed in seeds:
@@ -120,8 +120,8 @@ def measure(
                 settings = SumoSettings(options=(*DEVICE, "--device.ssm.file", str(path)))
                 frames = run_with(scenario, sample_agents(scenario, seed), seed, settings)
                 ours = conflicts(Tracks.from_frames(frames), scenario.road, WITHIN_S)
-                cases.append(_compared(ours, _read_ssm(path)))
-    together = pd.concat(cases)
+                cases += _compared(ours, _read_ssm(path))
+    together = pd.DataFrame(cases, columns=COLUMNS)
     rows = []
     for names, some in together.groupby(["kind", "found_by", "measure"], dropna=False):
         words = map(str, names)
