@@ -14,8 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from behaviors.errors import InputError
-from behaviors.toml_files import in_file
+from behaviors.errors import InputError, in_file
 from scenarios.own.flows import EdgeGraph, Route
 from sim.road import Road
 from sim.scenario import MAX_DURATION_S, RouteFlow

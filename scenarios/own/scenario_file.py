@@ -14,8 +14,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from behaviors.errors import InputError
-from behaviors.toml_files import in_file, read_toml
+from behaviors.errors import InputError, in_file
+from behaviors.toml_files import read_toml
 from scenarios.entry import ScenarioEntry
 from scenarios.networks.convert import name_of
 from scenarios.own.own_road import own_road
