@@ -109,7 +109,7 @@ def altered(data: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
 def reader_of(kind: str) -> Callable[[Path], object]:
     if kind in MAPS:
         return read_road_file
-    return lambda path: [one.tracks.rows for one in get_reader(kind)(path)]
+    return lambda path: [one.tracks.row_xy for one in get_reader(kind)(path)]
 
 
 @pytest.mark.parametrize("kind", FILES)
