@@ -88,6 +88,11 @@ class Behavior(str):
         return f"<Behavior.{self.upper()}: {str(self)!r}>"
 
     @property
+    def value(self) -> str:
+        """Its name, as that of a style or trait."""
+        return str(self)
+
+    @property
     def base(self) -> Behavior:
         """The one of the six that it is like."""
         return next(one for one in BEHAVIORS if one == self.like)

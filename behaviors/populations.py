@@ -256,9 +256,9 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
 
 def _of_table(table: Mapping[str, Any]) -> Population:
     """The population that a table describes, as `Population.table` gives it."""
-    said = {"schema_version": None, "drivers": 0, "around": "population", "numbers": {}}
+    said: dict[str, Any] = {"schema_version": None, "drivers": 0, "around": "population"}
     for key in table:
-        lookup({**said, **dict.fromkeys(TEXTS)}, key, "key")
+        lookup({**said, **dict.fromkeys((*TEXTS, "numbers"))}, key, "key")
     said |= table
     for key, values in (("schema_version", [1]), ("around", [*Around])):
         if said[key] not in values:
@@ -267,7 +267,7 @@ def _of_table(table: Mapping[str, Any]) -> Population:
     if not isinstance(said["drivers"], int):
         raise InputError(f"drivers: found {said['drivers']!r:.60}, expected a whole number")
     name, source, law = (_plain(str(said.get(key, ""))[:500]) for key in TEXTS)
-    numbers = [_number(said["numbers"], key) for key in NUMBERS]
+    numbers = [_number(said.get("numbers"), key) for key in NUMBERS]
     median, spread, correlation = (np.array(values) for values in zip(*numbers, strict=True))
     around = Around(said["around"])
     return Population(name, source, law, said["drivers"], median, spread, correlation, around)

@@ -25,12 +25,7 @@ BLOCK_ROWS: Final = 200_000
 
 
 def find_sorted(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
-    """The index of each id in (m,) ascending ``known`` ones, and whether it is there.
-
-    Examples:
-        >>> find_sorted(np.array([2, 5, 9]), np.array([5, 7, 10]))
-        (array([1, 2, 2]), array([ True, False, False]))
-    """
+    """The index of each id in (m,) ascending ``known`` ones, and whether it is there."""
     if known.size == 0:
         return np.zeros(ids.shape, dtype=np.int64), np.zeros(ids.shape, dtype=bool)
     at = np.minimum(np.searchsorted(known, ids), known.size - 1)
