@@ -21,9 +21,9 @@ from experiments.guard import guarded_call
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
-from sim.road.files import read_road_file
 from sim.road.lane_graph import LaneGraph
 from sim.road.net import net_offset
+from sim.road.road_files import read_road_file
 
 MOVING_MPS: Final = 1.0
 """Slower agents do not count: parked cars stand beside lanes, m/s."""

@@ -30,7 +30,7 @@ from sim.episode.annotate import annotate
 from sim.files import PARTIAL_PREFIX, Place, local_path, new_folder, place_of, temporary_folder
 from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
-from sim.road.files import ENDINGS, SUFFIX, encode_road, read_road_file
+from sim.road.road_files import ENDINGS, SUFFIX, encode_road, read_road_file
 from sim.safety import Conflicts, conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import EPISODES, catalogue_table, write_catalogue

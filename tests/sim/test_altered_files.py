@@ -16,7 +16,7 @@ from behaviors.errors import LONGEST, InputError
 from scenarios import get_scenario
 from sim.formats import get_reader
 from sim.formats.argoverse import static_map
-from sim.road.files import read_road_file
+from sim.road.road_files import read_road_file
 from tests.sim.scenes import (
     COMMONROAD,
     KITTI_CALIB,

@@ -54,8 +54,8 @@ class Recording:
         name: the recording's own name.
         tracks: what was recorded; without labels unless the format carries them.
         notes: what had to be assumed or was left out, one sentence each.
-        road: the road that came with it, or its file as `sim.road.files.read_road_file` takes it;
-            None where there is none.
+        road: the road that came with it, or its file as `sim.road.road_files.read_road_file` takes
+            it; None where there is none.
         origin: latitude and longitude of (0, 0), degrees; None where not known.
         styles: by name, of the drivers of whom the style is known but not the behaviour.
         file: the file that it was read from, from the folder on that was read; "" where not known.
