@@ -73,8 +73,8 @@ class TrafficConfig(BaseModel):
     or its parsed content. In observations each counts for that of the six which it is like."""
 
     net: str | None = None
-    """A map to drive on instead (a format of `sim.road.files` or a map that netconvert reads); the
-    ego vehicle takes a route drawn for each episode."""
+    """A map to drive on instead, of any kind that `graphrqi road` reads; the ego vehicle takes a
+    route drawn for each episode."""
 
     routes: str | None = None
     """A SUMO route file for ``net``; None: routes made from the map."""

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from behaviors.errors import InputError
 from scenarios.networks.convert import KINDS, name_of, open_map
-from scenarios.own.flows import EdgeGraph, capacity_per_h, routes_of
+from scenarios.own.flows import EdgeGraph
 from sim.road import MapKnowledge, Road
-from sim.road.files import read_road_file
 from sim.road.net import read_road
+from sim.road.road_files import read_road_file
 
 SOURCE, SINK = "#2f7d4f", "#2c5f9e"
 """The colours of the edges at which vehicles enter and leave, in a picture."""
@@ -22,7 +22,6 @@ class Survey:
     """Survey of a map.
 
     Attributes:
-        name: what it is called.
         kind: a key of `scenarios.networks.convert.KINDS`.
         net: the SUMO net that both engines drive on.
         graph: the edges for cars of the road of that net, and the ways between them.
@@ -30,7 +29,6 @@ class Survey:
         warnings: netconvert's warnings, and edges without an entry or an exit.
     """
 
-    name: str
     kind: str
     net: Path
     graph: EdgeGraph
@@ -61,12 +59,12 @@ class Survey:
             "routes": 0,
         }
         try:
-            routes = routes_of(graph)
+            routes = graph.routes()
         except InputError:
             pass
         else:
             found["routes"] = len(routes)
-            found["vehicles per hour that it can carry"] = round(capacity_per_h(graph, routes))
+            found["vehicles per hour that it can carry"] = round(graph.capacity_per_h(routes))
         found["lacks"] = ", ".join(self.knows.unknown) or "nothing"
         found["warnings"] = len(self.warnings)
         rows = [{"what": what, "value": value} for what, value in found.items()]
@@ -100,13 +98,14 @@ def survey(path: Path, left_hand: bool | None = None) -> Survey:
         for then in ways:
             back[then].append(one)
     cut_off = [
-        *(f"edge {edge}: found no way to it from any entry"
-          for edge in _unreached(graph.onward, graph.entries)),
-        *(f"edge {edge}: found no way from it out of the road"
-          for edge in _unreached(back, graph.exits)),
-    ]  # fmt: skip
-    warnings = (*doubts, *found.warnings, *cut_off)
-    return Survey(name_of(path), found.kind, found.net, graph, knows, warnings)
+        f"edge {edge}: found no way {how}"
+        for ways, fringe, how in (
+            (graph.onward, graph.entries, "to it from any entry"),
+            (back, graph.exits, "from it out of the road"),
+        )
+        for edge in _unreached(ways, fringe)
+    ]
+    return Survey(found.kind, found.net, graph, knows, (*doubts, *found.warnings, *cut_off))
 
 
 def _unreached(ways: Mapping[str, Iterable[str]], fringe: list[str]) -> list[str]:

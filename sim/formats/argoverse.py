@@ -84,7 +84,7 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
         raise InputError(
             f"step_s: found {tracks.step_s:g}, expected a divisor of {PERIOD_S} for this format"
         )
-    time_s, index = tracks.time_s, tracks.rows.index
+    time_s, index = tracks.time_s, tracks.index
     wanted = time_s + PERIOD_S
     after = np.minimum(np.searchsorted(time_s, wanted), time_s.size - 1)
     nearest = after - (wanted - time_s[after - 1] < time_s[after] - wanted)

@@ -29,7 +29,7 @@ from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.invalid_fields import first_wrong_field
 from sim.road import Road
-from sim.road.files import read_road_file
+from sim.road.road_files import read_road_file
 from sim.safety import Conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import DRAWN, EPISODES, WORDS, words_of
