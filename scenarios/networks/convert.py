@@ -116,10 +116,10 @@ class MapFile:
     def warnings(self) -> tuple[str, ...]:
         """Assumptions about the map, and netconvert's warnings when it makes the net."""
         if program_path("netconvert") is None:
-            return self.source.assumed
+            return self.source.warnings
         file = self._made.with_name("warnings.txt")
         warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
-        return (*self.source.assumed, *warned)
+        return (*self.source.warnings, *warned)
 
     @cached_property
     def _made(self) -> Path:

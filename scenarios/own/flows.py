@@ -22,8 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.errors import InputError
-from behaviors.toml_files import in_file
+from behaviors.errors import InputError, in_file
 from scenarios.demand import parse_flow
 from sim.road import Connection, Lane, Road
 from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR, RouteFlow

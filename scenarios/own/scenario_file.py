@@ -16,8 +16,8 @@ from typing import Annotated, Any, Final, Unpack
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from behaviors.errors import InputError
-from behaviors.toml_files import in_file, read_toml
+from behaviors.errors import InputError, in_file
+from behaviors.toml_files import read_toml
 from scenarios.demand import PopulationOptions, ScenarioEntry, parse_flow, parse_population
 from scenarios.networks.convert import edited_net, name_of, open_map
 from scenarios.own.flows import flows_of, read_routes

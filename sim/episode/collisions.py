@@ -153,7 +153,8 @@ class _Party:
     def __init__(self, causes: _Causes, id: int, column: int) -> None:
         tracks = causes.tracks
         self.id, self.index = id, int(np.searchsorted(tracks.ids, id))
-        self.row = tracks.index.row(self.index, column)  # -1 where it was not seen
+        seen = tracks.index.rows(self.index, column, column + 1)
+        self.row = seen.start if seen.stop > seen.start else -1  # where it was not seen
         self.is_pedestrian = bool(tracks.kind[self.index] == PEDESTRIAN)
         self._tracks, self._road, self._observed = tracks, causes.road, causes.observed
         self._column = column

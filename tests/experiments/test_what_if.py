@@ -25,7 +25,7 @@ from experiments.what_if.outcomes import (
 )
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.store.dataset import open_dataset
-from sim.sumo.control.acting import Action
+from sim.sumo.control import Action
 from tests.experiments.shared import content
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
