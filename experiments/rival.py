@@ -141,7 +141,7 @@ class PlainRival:
         )
         self._forest.fit(training.features, training.codes)
 
-    def posterior(self, features: FloatArray) -> FloatArray:
+    def posterior(self, features: NDArray[np.floating[Any]]) -> FloatArray:
         """(n, 6) probabilities of each behaviour, from (n, 9) numbers."""
         found = np.zeros((len(features), len(BEHAVIORS)))
         found[:, self._forest.classes_] = self._forest.predict_proba(features.astype(np.float32))

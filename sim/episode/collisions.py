@@ -155,7 +155,8 @@ class _Party:
         self.rows = index.rows(agent, column - 1, column + 1)
         self.speed, self.xy = until_now(tracks.row_speed), until_now(tracks.row_xy)
         self.heading = float(until_now(tracks.row_heading)[-1])
-        row = index.row(agent, column)  # -1 where it was not seen
+        now = index.rows(agent, column, column + 1)
+        row = now.start if now.stop > now.start else -1  # where it was not seen
         inside = row >= 0 and observed.stop_distance[row] < 0
         soon = column + 1 + (round(RECENT_S / tracks.step_s) if inside else 0)
         links = road.connection_of_lane[observed.lane[index.rows(agent, column, soon)]]
