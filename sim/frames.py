@@ -17,8 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.row_index import RowIndex
 from sim.checked_arrays import cast, check_and_freeze, frozen

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from behaviors.errors import LONGEST, InputError
 from scenarios import get_scenario
 from sim.formats import get_reader
-from sim.formats.argoverse import static_map
+from sim.road.maps.argoverse2 import static_map
 from sim.road.road_files import read_road_file
 from tests.sim.scenes import (
     COMMONROAD,

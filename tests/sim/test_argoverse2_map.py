@@ -13,11 +13,10 @@ import pytest
 from scenarios import SCENARIOS
 from sim.episode.annotate import annotate
 from sim.episode.observables import observe
-from sim.formats.argoverse import static_map
 from sim.frames import AgentKind, Event
 from sim.road import Road
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.maps.argoverse2 import read_map
+from sim.road.maps.argoverse2 import read_map, static_map
 
 
 def points(*xy: tuple[float, float]) -> list[dict[str, float]]:
