@@ -149,9 +149,6 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     """A dataset as it is, or recordings as a temporary dataset that the block's end removes.
 
     Arguments are those of `import_recordings`; recordings are all in the test split.
-
-    Raises:
-        InputError: if a file is broken or of no known format.
     """
     if name is None and is_dataset(source):
         yield source

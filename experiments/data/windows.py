@@ -31,7 +31,7 @@ OBSERVED_S: Final = 10.0
 def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
     """Whether an episode is simulated by an engine, recorded, or other traffic.
 
-    Random worlds and what other simulations wrote are other traffic; what the user says counts more.
+    Random worlds and what other simulations wrote are other traffic. ``said`` counts more.
     """
     if said is not None:
         return check_traffic(said)

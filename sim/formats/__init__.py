@@ -258,12 +258,8 @@ def recognise(path: Path) -> str:
 def formats_in(path: Path) -> list[str]:
     """Every format of a file or of the files in a folder, told from columns and beginnings.
 
-    Returns:
-        Keys of ``FORMATS`` in their order. A file that looks like several has the first of them:
-        ``ind`` for rounD too.
-
-    Raises:
-        InputError: if there is none; the message says what a file is instead.
+    They are keys of ``FORMATS`` in their order. A file that looks like several has the first of
+    them: ``ind`` for rounD too. If there is none, an error says what a file is instead.
     """
     found: list[str] = []
     known: set[Path] = set()
@@ -314,11 +310,7 @@ def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
 
 
 def recording_files(path: Path, name: str) -> list[Path]:
-    """The files of a format in a folder, by name; a file is itself.
-
-    Raises:
-        InputError: if there is nothing to read.
-    """
+    """The files of a format in a folder, at least one, by name; a file is itself."""
     entry = FORMATS[name]
     files = _files(path, entry.files)
     if path.is_dir():
@@ -355,9 +347,6 @@ def read_recordings(path: Path, name: str | None = None, **options: Any) -> Iter
         what is left out. Files of one name in several folders make recordings that are called by
         their folders, too: ``north/vehicle_tracks_000``. One that is called like its file's own
         folder keeps its name.
-
-    Raises:
-        InputError: if a file is broken, or there is none.
     """
     name = "table" if options.get("columns") else name or recognise(path)
     for item in read_formats(path, [name], **options):
@@ -373,7 +362,7 @@ def read_formats(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Iterator[tuple[str, Recording] | Path]:
-    """As `read_recordings`, of several formats.
+    """As `read_recordings`, of several formats; each file's path comes before its recordings.
 
     Args:
         path: a file or a folder.
@@ -382,12 +371,6 @@ def read_formats(
         rate_hz: frames per second that the recordings really have; None for what they say.
         columns: what the columns of a table of one's own are, as `check_columns` takes them.
         units: of these columns.
-
-    Yields:
-        The path of every file before it is read, then its recordings with their format's name.
-
-    Raises:
-        InputError: if a file is broken, or there is none of a format.
     """
     from sim.formats.common.recording import at_rate
 
