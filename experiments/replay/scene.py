@@ -21,8 +21,7 @@ from experiments.replay.layers import Beliefs, Forecast, GraphHistory
 from experiments.what_if.branches import branch_of, change_of
 from experiments.what_if.outcomes import factual_of
 from graphrqi.model_files import load_model
-from sim.episode.annotate import annotate_recording
-from sim.episode.incidents import near_misses
+from sim.episode.annotate import annotate_recording, near_misses
 from sim.formats import FORMATS
 from sim.frames import Event, EventKind, Tracks
 from sim.road import Road
@@ -157,7 +156,7 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    stride = max(stride, -(-tracks.rows.speed.size // MAX_PLACES))
+    stride = max(stride, -(-tracks.row_speed.size // MAX_PLACES))
     if unit == "px":  # boxes are as large as the perspective makes them: draw cars of one size
         box = np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE)
         length = np.full(tracks.ids.size, float(box))
@@ -179,10 +178,9 @@ def gather(
 
 def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
     """The events but for near misses with a parked vehicle: passing it closely is no conflict."""
-    rows = tracks.rows
     parked = set()
     for row, agent in enumerate(tracks.ids.tolist()):
-        places = rows.xy[rows.index.rows(row)]
+        places = tracks.row_xy[tracks.index.rows(row)]
         if len(places) and np.ptp(places, axis=0).max() < PARKED_M:
             parked.add(agent)
     near = EventKind.NEAR_MISS
