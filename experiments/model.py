@@ -38,15 +38,13 @@ RECORDINGS: Final = Path(__file__).resolve().parents[2] / "shared" / "data" / "r
 """Folder of open recordings, beside the checkout."""
 
 CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
-PREDICTOR_SEED: Final = 2021
-"""Seeds of the datasets, the classifier's by engine; examples and benchmarks use other seeds."""
-
 CLASSIFIER_EPISODES: Final = {
     "sumo": {"straight_road": 40, "four_way_intersection": 450},
     "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
 }
-PREDICTOR_EPISODES: Final = 30
-"""Episodes by engine and scenario, of 300 s each, 60 % of them for training."""
+PREDICTOR_SEED, PREDICTOR_EPISODES = 2021, 30
+"""Seeds of the datasets, the classifier's by engine, and episodes of 300 s by scenario; examples
+and benchmarks use other seeds."""
 
 WORLDS, WORLDS_SEED = 60, 77
 """Random worlds that the predictor for recordings is trained on, and their seed."""
@@ -72,19 +70,15 @@ ROUNDABOUTS: Final = ((13.0, 1), (20.0, 1), (20.0, 2), (30.0, 2), (45.0, 2))
 """Radius of the ring, m, and lanes of each roundabout (from the smallest that a bus can pass to
 those of country roads)."""
 
-ROUNDABOUT_EPISODES, ROUNDABOUT_ENGINE = 2, "sumo-idm"
-"""Episodes of each roundabout, and which law drives there."""
-
-ROUNDABOUT_LIMITS_MPS: Final = (13.89, 8.33, 11.11, 16.67)
-"""Limits of the roundabouts' arms, which their episodes take in turn, m/s."""
-
-MOTORWAYS: Final = ("motorway", "motorway_ramps")
-MOTORWAY_EPISODES: Final = 8
-MOTORWAY_LIMITS_MPS: Final = (22.22, 50.0, 27.78, 36.11)
-"""Episodes of each motorway, and the limits that they take in turn, m/s."""
-
-ROAD_S: Final = 60.0
-"""Length of the episodes of roundabouts and motorways, s."""
+FREE_ROADS: Final[dict[str, Any]] = {
+    "scenarios": ("motorway", "motorway_ramps"), "episodes": 8, "flow": "light",
+    "seed": WORLDS_SEED + 1, "limits_mps": (22.22, 50.0, 27.78, 36.11), "duration_s": 60.0,
+}  # fmt: skip
+RINGS: Final[dict[str, Any]] = {
+    "episodes": 2, "engine": "sumo-idm", "seed": WORLDS_SEED,
+    "limits_mps": (13.89, 8.33, 11.11, 16.67), "duration_s": 60.0,
+}  # fmt: skip
+"""Options of the episodes of nearly empty motorways, and of each roundabout."""
 
 OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
 """Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
@@ -116,11 +110,9 @@ def _train_classifier(work: Path, jobs: int) -> None:
 
 def _train_networks(work: Path, jobs: int) -> None:
     """Generate simulated traffic and random worlds, and train the networks for other traffic."""
-    usual: dict[str, Any] = {
-        "scenarios": SCENARIOS, "seed": NETWORK_SEED, "duration_s": NETWORK_S
-    }  # fmt: skip
+    usual: dict[str, Any] = {"scenarios": SCENARIOS, "seed": NETWORK_SEED}
     simulated = [
-        _made(work, f"networks-{name}", jobs, **usual, **options)
+        _made(work, f"networks-{name}", jobs, duration_s=NETWORK_S, **usual, **options)
         for name, options in NETWORK_EPISODES.items()
     ]
     worlds = [
@@ -128,12 +120,8 @@ def _train_networks(work: Path, jobs: int) -> None:
               seed=seed)
         for seed, count in WORLDS_EPISODES.items()
     ]  # fmt: skip
-    learned, about = train_on_worlds(
-        [open_dataset(folder) for folder in simulated],
-        [open_dataset(folder) for folder in worlds],
-        jobs=jobs,
-        quiet=False,
-    )
+    home, other = (list(map(open_dataset, each)) for each in (simulated, worlds))
+    learned, about = train_on_worlds(home, other, jobs=jobs, quiet=False)
     save_weights(work / NETWORKS, "networks", {"card": about}, learned.arrays())
     _put_together(work)
 
@@ -195,16 +183,9 @@ def generate_roads(work: Path, jobs: int | None = None, quiet: bool = False) -> 
         rings.append(work / f"roundabout-{radius_m:g}-{lanes}.toml")
         options = f"lanes = {lanes}\noptions = {{ radius_m = {radius_m} }}\n"
         rings[-1].write_text(f'scenario = "roundabout"\n{options}', encoding="utf-8")
-    free = _made(
-        work, "recorded-free", jobs, quiet, scenarios=MOTORWAYS, episodes=MOTORWAY_EPISODES,
-        seed=WORLDS_SEED + 1, duration_s=ROAD_S, flow="light", limits_mps=MOTORWAY_LIMITS_MPS,
-    )  # fmt: skip
-    roundabouts = _made(
-        work, "recorded-roundabouts", jobs, quiet, scenarios=tuple(map(str, rings)),
-        episodes=ROUNDABOUT_EPISODES, seed=WORLDS_SEED, engine=ROUNDABOUT_ENGINE,
-        duration_s=ROAD_S, limits_mps=ROUNDABOUT_LIMITS_MPS,
-    )  # fmt: skip
-    return [free, roundabouts]
+    free = _made(work, "recorded-free", jobs, quiet, **FREE_ROADS)
+    names = tuple(map(str, rings))
+    return [free, _made(work, "recorded-roundabouts", jobs, quiet, scenarios=names, **RINGS)]
 
 
 PARTS: Final[dict[str, Callable[[Path, int], None]]] = {

@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
-from itertools import groupby, product
+from itertools import chain, groupby, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -110,12 +110,9 @@ def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
 
 
 def generate(
-    config: GenerateConfig,
-    out: Path,
-    jobs: int | None = None,
-    quiet: bool = False,
+    config: GenerateConfig, out: Path, jobs: int | None = None, quiet: bool = False,
     cluster: str | None = None,
-) -> Manifest:
+) -> Manifest:  # fmt: skip
     """Make a dataset, or what is missing of it.
 
     Args:
@@ -145,18 +142,13 @@ def generate(
     with sole_writer(place), Progress("generating episodes", wanted, quiet) as shown:
         there, missing = _there_and_missing(config, place, configuration)
         shards: list[_Made] = []
-
-        def take(made: _Made) -> None:
-            shards.append(made)
-            for entry in made.entries:
-                shown.advance(entry.agents, entry.agent_steps)
-
-        for made in there:
-            take(made)
+        make = partial(_make_shard, place.url, configuration)
+        made = in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster)
         try:
-            make = partial(_make_shard, place.url, configuration)
-            for task, answer in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
-                take(answer or _Made((), {}, (f"{task}: killed their worker twice",)))
+            for task, shard in chain(((None, one) for one in there), made):
+                shards.append(shard or _Made((), {}, (f"{task}: killed their worker twice",)))
+                for entry in shards[-1].entries:
+                    shown.advance(entry.agents, entry.agent_steps)
         except KeyboardInterrupt:
             _remove_partial(place)
             count = sum(len(made.entries) for made in shards)
