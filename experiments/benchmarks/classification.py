@@ -38,6 +38,7 @@ from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.rival import PlainRival, whole_track_samples, whole_tracks
 from experiments.score.answers import known_answers, score_answers, scores_table
+from experiments.score.labels import beliefs
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import (
     TRAINING_EVERY_S,
@@ -47,10 +48,8 @@ from experiments.training.classifier import (
 from graphrqi.classify import CLASSIFIERS
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
-from graphrqi.posterior import Posterior
 from graphrqi.samples import WINDOWS_S as TRAINING_WINDOWS_S
 from graphrqi.samples import Samples
-from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -100,8 +99,7 @@ class Recordings:
     def __init__(self, dataset: Dataset, jobs: int | None = None) -> None:
         self.dataset, self._jobs = dataset, jobs
         self.scenario = np.array([e.scenario for e in dataset.manifest.episodes])
-        self._gathered = cache(self._gather)
-        self.fitted = cache(self._fit)
+        self._gathered, self.fitted = cache(self._gather), cache(self._fit)
 
     def _gather(self, split: Split, method: str, windows_s: tuple[float, ...]) -> Samples:
         """Windows of a split for training, or of other lengths for scoring."""
@@ -158,7 +156,7 @@ class Recordings:
         training, validation = self.training(method), self.validation(method)
         if scenario is not None:
             training = self.of(scenario, training)
-            validation = None if validation is None else self.of(scenario, validation)
+            validation = validation and self.of(scenario, validation)
         return train(method, training, validation), _majority_of(training)
 
     def answers(self, probability: FloatArray, samples: Samples) -> pd.DataFrame:
@@ -286,14 +284,15 @@ def _streamed(
     tracks = measured(open_dataset(folder).read(entry))
     if given is not None:
         tracks = NOISE[given[0]][0](tracks, given[1], np.random.default_rng(number))
-    stream, asked = BehaviorStream(model), list[tuple[float, Posterior]]()
-    for frame in tracks.frames():
-        stream.push(frame)
-        if not asked or frame.time_s >= asked[-1][0] + ASKED_EVERY_S - 1e-6:
-            asked.append((frame.time_s, stream.posterior()))
-    probability = np.concatenate([one.probability for _, one in asked])
-    row = np.searchsorted(tracks.ids, np.concatenate([one.ids for _, one in asked]))
-    at_s = np.repeat([time_s for time_s, _ in asked], [one.ids.size for _, one in asked])
+    stops, due_s = [], -np.inf
+    for stop, time_s in enumerate(tracks.time_s, start=1):
+        if time_s >= due_s - 1e-6:
+            stops.append(stop)
+            due_s = time_s + ASKED_EVERY_S
+    asked = beliefs(tracks, model, stops).values()
+    probability = np.concatenate([one.probability for one in asked])
+    row = np.searchsorted(tracks.ids, np.concatenate([one.ids for one in asked]))
+    at_s = np.repeat(tracks.time_s[np.array(stops) - 1], [one.ids.size for one in asked])
     age_s = at_s - tracks.time_s[tracks.valid.argmax(axis=1)][row]
     codes = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
     chosen = []
@@ -340,10 +339,16 @@ def ceiling(data: Recordings) -> list[Row]:
     known, asked = _profiles(data, "train"), _profiles(data, "test")
     chosen = np.random.default_rng(0).permutation(len(known))[:CEILING_DRIVERS]
     known = known.where(np.isin(np.arange(len(known)), chosen))
-    forest = CLASSIFIERS["forest"](len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
-    forest.fit(known.features.astype(np.float64), known.codes, None, 0)
-    answers = data.answers(forest.posterior(asked.features.astype(np.float64)), asked)
+    answers = _forest_answers(data, known, asked, trees=200, min_leaf=3, feature_share=0.4)
     return _rows(data, answers, "inductive", "", "ceiling", _majority_of(known))
+
+
+def _forest_answers(
+    data: Recordings, known: Samples, asked: Samples, **options: Any
+) -> pd.DataFrame:
+    forest = CLASSIFIERS["forest"](len(BEHAVIORS), **options)
+    forest.fit(known.features.astype(np.float64), known.codes, None, 0)
+    return data.answers(forest.posterior(asked.features.astype(np.float64)), asked)
 
 
 def _profiles(data: Recordings, split: Split) -> Samples:
@@ -365,8 +370,7 @@ def across_scenarios(data: Data) -> Iterator[list[Row]]:
     for source in base.dataset.scenarios:
         others = [name for name in base.dataset.scenarios if name != source]
         model, majority = base.fitted(data.methods[0], source)
-        rival = PlainRival(base.of(source, base.training_tracks))
-        about = f"trained on {source}"
+        rival, about = PlainRival(base.of(source, base.training_tracks)), f"trained on {source}"
         yield _model_rows(
             base, model, majority, rival, "across-scenarios", about, scenarios=others
         )  # fmt: skip
@@ -405,16 +409,14 @@ def noise(data: Data) -> Iterator[list[Row]]:
 def leak_probe(data: Data) -> Iterator[list[Row]]:
     """A forest on agent numbers and times: on all windows, and on each driver's first.
 
-    A number and a time together give the time in sight, and slow drivers stay longer. When its
-    first window ends, each has been in sight for as long.
+    Together they give the time in sight, and slow drivers stay longer. When its first window ends,
+    each has been in sight for as long.
     """
     known, asked = (
         dataclasses.replace(part, features=np.stack([part.agent, part.time_s], 1).astype("f4"))
         for part in (data.many.training("majority"), data.many.scored("majority", MAIN_S[:1]))
     )
-    forest = CLASSIFIERS["forest"](len(BEHAVIORS), feature_share=1.0)
-    forest.fit(known.features.astype(np.float64), known.codes, None, 0)
-    answers = data.many.answers(forest.posterior(asked.features.astype(np.float64)), asked)
+    answers = _forest_answers(data.many, known, asked, feature_share=1.0)
     _, first = np.unique(answers["driver"], return_index=True)  # windows are in order of time
     for variation, some in (("", answers), ("first window", answers.iloc[first])):
         yield _rows(data.many, some, "leak-probe", variation, "leak-probe", _majority_of(known))

@@ -41,15 +41,12 @@ time measured after it, s."""
 WARM_FRAMES: Final = 5
 """Frames that are classified and predicted before any is timed."""
 
-STOCK_STEP_S: Final = 1.0 / 15.0
-"""highway-env's default step, s."""
-
 STOCK_ROADS_S: Final = {"straight_road": 60.0, "four_way_intersection": 240.0}
 """Roads on which the engine drives beside highway-env's own, and for how long at most, s: the
 intersection takes some minutes to fill."""
 
-STOCK_REPEATS: Final = 5
-"""Times that both are timed; the rows have the median, the least and the greatest."""
+STOCK_STEP_S, STOCK_REPEATS = 1.0 / 15.0, 5
+"""highway-env's default step, s, and how often both are timed."""
 
 
 def _timed(work: Callable[[], T]) -> tuple[T, float]:

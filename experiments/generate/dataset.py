@@ -69,8 +69,8 @@ class _ShardTask(NamedTuple):
 class _Made(NamedTuple):
     """A shard that is there: its episodes, its tables, and what could not be made, in words."""
 
-    entries: tuple[EpisodeEntry, ...]
-    files: dict[str, FileEntry]
+    entries: tuple[EpisodeEntry, ...] = ()
+    files: Mapping[str, FileEntry] = {}
     failed: tuple[str, ...] = ()
 
 
@@ -120,8 +120,7 @@ def generate(
         out: where; a new folder, or one that the same configuration was writing to; or a URL.
         jobs: worker processes; None for one per processor.
         quiet: whether to show no progress.
-        cluster: address of a Dask scheduler whose workers make the episodes; None for processes
-            of this machine.
+        cluster: address of a Dask scheduler whose workers take the place of processes.
 
     Returns:
         Header of its catalogue.
@@ -129,8 +128,6 @@ def generate(
     Raises:
         InputError: if an option is wrong, the folder holds something else or is being written to,
             or an episode could not be made (all others are made first).
-        OSError: if something cannot be written.
-        Interrupted: if the user stopped it.
     """
     jobs = checked_jobs(jobs)
     config.check()
@@ -146,7 +143,7 @@ def generate(
         made = in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster)
         try:
             for task, shard in chain(((None, one) for one in there), made):
-                shards.append(shard or _Made((), {}, (f"{task}: killed their worker twice",)))
+                shards.append(shard or _Made(failed=(f"{task}: killed their worker twice",)))
                 for entry in shards[-1].entries:
                     shown.advance(entry.agents, entry.agent_steps)
         except KeyboardInterrupt:
@@ -230,10 +227,6 @@ def sole_writer(place: Place) -> Iterator[None]:
 
     The folder is created, and removed again if it stays empty. The lock of a URL lies in the user's
     cache: there it holds off this user's runs only.
-
-    Raises:
-        InputError: if another process holds it.
-        OSError: if the folder cannot be written.
     """
     from filelock import FileLock, Timeout
 
