@@ -47,7 +47,7 @@ def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
     gap = _gaps(tracks) if road is None else np.full(tracks.valid.shape, np.inf)
     changes = np.full(tracks.ids.size, np.nan)
     if road is not None:
-        index, seen = tracks.rows.index, observe(tracks, road)
+        index, seen = tracks.index, observe(tracks, road)
         gap[index.agent, index.step] = seen.gap
         agent = index.agent[lane_changes(detector_inputs(tracks, road, seen))]
         changes = np.bincount(agent, minlength=tracks.ids.size).astype(np.float64)

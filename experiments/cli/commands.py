@@ -487,7 +487,7 @@ def what_if(
     from experiments.what_if.branches import WhatIf, make_what_if
     from experiments.what_if.outcomes import outcomes
     from sim.store.dataset import open_dataset
-    from sim.sumo.control.acting import Action
+    from sim.sumo.control import Action
 
     drawn = traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed)
     if blame:

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from behaviors.display import printable
-from behaviors.errors import InputError
+from behaviors.errors import InputError, printable
 from sim.files import write_whole
 from sim.invalid_fields import first_wrong_field
 

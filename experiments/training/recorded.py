@@ -135,9 +135,8 @@ def between_key_frames(tracks: Tracks, rng: np.random.Generator) -> Tracks:
 
 def mirrored(tracks: Tracks) -> Tracks:
     """Tracks with left and right swapped."""
-    rows = tracks.rows
-    rows = dataclasses.replace(rows, xy=rows.xy * MIRROR, heading=-rows.heading)
-    return dataclasses.replace(tracks, rows=rows)
+    xy, heading = tracks.row_xy * MIRROR, -tracks.row_heading
+    return dataclasses.replace(tracks, row_xy=xy, row_heading=heading)
 
 
 def mirrored_road(road: Road) -> Road:

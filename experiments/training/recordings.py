@@ -25,7 +25,7 @@ from graphrqi.predict.recorded.features import inferred_leaders
 from sim.formats import get_reader, recognise, recording_files
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
-from sim.road.files import read_road_file
+from sim.road.road_files import read_road_file
 from sim.store.catalogue import is_dataset
 from sim.store.dataset import open_dataset
 
