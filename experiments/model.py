@@ -165,10 +165,8 @@ def simulated_like_recordings(
     work: Path, jobs: int | None = None, quiet: bool = False
 ) -> list[Path]:
     """Generate the simulated traffic that the predictor for recordings learns from, too."""
-    worlds = _made(
-        work, "recorded-worlds", jobs, quiet, scenarios=(RANDOM_WORLD,), episodes=WORLDS,
-        seed=WORLDS_SEED,
-    )  # fmt: skip
+    asked = {"scenarios": (RANDOM_WORLD,), "episodes": WORLDS, "seed": WORLDS_SEED}
+    worlds = _made(work, "recorded-worlds", jobs, quiet, **asked)
     return [worlds, *generate_roads(work, jobs, quiet)]
 
 

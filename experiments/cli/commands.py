@@ -300,9 +300,9 @@ def train(
 
     if labels is not None and start is None:
         raise InputError("--labels: found no --from, expected the model that labels adapt")
+    if predictor and start is not None:
+        raise InputError("--predictor: found --from, too, expected one of them")
     if predictor:
-        if start is not None:
-            raise InputError("--predictor: found --from, too, expected one of them")
         from experiments.training.recorded import train_on_recordings
 
         scores = train_on_recordings(data, out, epochs=epochs, seed=seed, quiet=quiet)
