@@ -37,46 +37,50 @@ from sim.store.dataset import open_dataset
 RECORDINGS: Final = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 """Folder of open recordings, beside the checkout."""
 
-CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
-CLASSIFIER_EPISODES: Final = {
-    "sumo": {"straight_road": 40, "four_way_intersection": 450},
-    "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
-}
-PREDICTOR_SEED, PREDICTOR_EPISODES = 2021, 30
-"""Seeds of the datasets, the classifier's by engine, and episodes of 300 s by scenario; examples
-and benchmarks use other seeds."""
-
-WORLDS, WORLDS_SEED = 60, 77
-"""Random worlds that the predictor for recordings is trained on, and their seed."""
+CLASSIFIER_DATA: Final[dict[str, dict[str, Any]]] = {
+    f"classifier-{engine}-{scenario}": {
+        "scenarios": (scenario,), "episodes": episodes, "seed": seed, "engine": engine,
+        "limits_mps": TRAINING_LIMITS_MPS,
+    }
+    for engine, seed, counts in (("sumo", 2020, (40, 450)), ("sumo-idm", 2022, (15, 75)))
+    for scenario, episodes in zip(SCENARIOS, counts, strict=True)
+}  # fmt: skip
+PREDICTOR_DATA: Final[dict[str, Any]] = {"scenarios": SCENARIOS, "episodes": 30, "seed": 2021}
+"""Datasets by folder, as options of `GenerateConfig`; examples and benchmarks use other seeds. Of
+the predictors' episodes, 60 % are for training."""
 
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
 
-NETWORK_EPISODES: Final[dict[str, dict[str, Any]]] = {
-    "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
-    "light": {"episodes": 20, "flow": "light"},
-    "dense": {"episodes": 20, "flow": "dense"},
-    "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+NETWORK_DATA: Final[dict[str, dict[str, Any]]] = {
+    f"networks-{name}": {"scenarios": SCENARIOS, "seed": 2023, "duration_s": 150.0, **options}
+    for name, options in {
+        "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
+        "light": {"episodes": 20, "flow": "light"},
+        "dense": {"episodes": 20, "flow": "dense"},
+        "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+    }.items()
 }
-"""Simulated traffic that the networks for other traffic learn from: options of `GenerateConfig`."""
+NETWORK_WORLDS: Final[dict[str, dict[str, Any]]] = {
+    f"networks-worlds-{seed}": {"scenarios": (RANDOM_WORLD,), "episodes": episodes, "seed": seed}
+    for seed, episodes in ((7000, 700), (31000, 1500), (52000, 2000))
+}
+"""Simulated traffic and random worlds that the networks for other traffic learn from."""
 
-NETWORK_SEED, NETWORK_S = 2023, 150.0
-"""Seed of this traffic, and the length of its episodes, s."""
-
-WORLDS_EPISODES: Final = {7000: 700, 31000: 1500, 52000: 2000}
-"""Random worlds that the networks for other traffic learn from, by their seed."""
+WORLDS: Final[dict[str, Any]] = {"scenarios": (RANDOM_WORLD,), "episodes": 60, "seed": 77}
+"""Random worlds that the predictor for recordings is trained on."""
 
 ROUNDABOUTS: Final = ((13.0, 1), (20.0, 1), (20.0, 2), (30.0, 2), (45.0, 2))
 """Radius of the ring, m, and lanes of each roundabout (from the smallest that a bus can pass to
 those of country roads)."""
 
 FREE_ROADS: Final[dict[str, Any]] = {
-    "scenarios": ("motorway", "motorway_ramps"), "episodes": 8, "flow": "light",
-    "seed": WORLDS_SEED + 1, "limits_mps": (22.22, 50.0, 27.78, 36.11), "duration_s": 60.0,
+    "scenarios": ("motorway", "motorway_ramps"), "episodes": 8, "flow": "light", "seed": 78,
+    "limits_mps": (22.22, 50.0, 27.78, 36.11), "duration_s": 60.0,
 }  # fmt: skip
 RINGS: Final[dict[str, Any]] = {
-    "episodes": 2, "engine": "sumo-idm", "seed": WORLDS_SEED,
-    "limits_mps": (13.89, 8.33, 11.11, 16.67), "duration_s": 60.0,
+    "episodes": 2, "engine": "sumo-idm", "seed": 77, "limits_mps": (13.89, 8.33, 11.11, 16.67),
+    "duration_s": 60.0,
 }  # fmt: skip
 """Options of the episodes of nearly empty motorways, and of each roundabout."""
 
@@ -95,33 +99,18 @@ def _made(work: Path, name: str, jobs: int | None, quiet: bool = False, **option
 
 def _train_classifier(work: Path, jobs: int) -> None:
     """Generate the classifier's data and train it."""
-    folders = [
-        _made(
-            work, f"classifier-{engine}-{scenario}", jobs, scenarios=(scenario,),
-            episodes=episodes, seed=CLASSIFIER_SEEDS[engine], engine=engine,
-            limits_mps=TRAINING_LIMITS_MPS,
-        )
-        for engine, scenarios in CLASSIFIER_EPISODES.items()
-        for scenario, episodes in scenarios.items()
-    ]  # fmt: skip
+    folders = [_made(work, name, jobs, **options) for name, options in CLASSIFIER_DATA.items()]
     train_on(folders, BEST_METHOD, work / BEST_METHOD, jobs=jobs, per_moment=CLASSIFIER_PER_MOMENT)
     _put_together(work)
 
 
 def _train_networks(work: Path, jobs: int) -> None:
     """Generate simulated traffic and random worlds, and train the networks for other traffic."""
-    usual: dict[str, Any] = {"scenarios": SCENARIOS, "seed": NETWORK_SEED}
-    simulated = [
-        _made(work, f"networks-{name}", jobs, duration_s=NETWORK_S, **usual, **options)
-        for name, options in NETWORK_EPISODES.items()
-    ]
-    worlds = [
-        _made(work, f"networks-worlds-{seed}", jobs, scenarios=(RANDOM_WORLD,), episodes=count,
-              seed=seed)
-        for seed, count in WORLDS_EPISODES.items()
-    ]  # fmt: skip
-    home, other = (list(map(open_dataset, each)) for each in (simulated, worlds))
-    learned, about = train_on_worlds(home, other, jobs=jobs, quiet=False)
+    simulated, worlds = (
+        [open_dataset(_made(work, name, jobs, **options)) for name, options in data.items()]
+        for data in (NETWORK_DATA, NETWORK_WORLDS)
+    )
+    learned, about = train_on_worlds(simulated, worlds, jobs=jobs, quiet=False)
     save_weights(work / NETWORKS, "networks", {"card": about}, learned.arrays())
     _put_together(work)
 
@@ -144,10 +133,7 @@ def _put_together(work: Path) -> None:
 
 def _train_predictors(work: Path, jobs: int) -> None:
     """Generate the predictors' data, and train them; weights for recordings need the recordings."""
-    data = _made(
-        work, "predictor", jobs, scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES,
-        seed=PREDICTOR_SEED,
-    )  # fmt: skip
+    data = _made(work, "predictor", jobs, **PREDICTOR_DATA)
     weights = Path(graphrqi.predict.__file__).parent / "weights"
     calibrate_drivers(data, SHIPPED)
     train_predictors(data, BEST_METHOD, weights)
@@ -165,8 +151,7 @@ def simulated_like_recordings(
     work: Path, jobs: int | None = None, quiet: bool = False
 ) -> list[Path]:
     """Generate the simulated traffic that the predictor for recordings learns from, too."""
-    asked = {"scenarios": (RANDOM_WORLD,), "episodes": WORLDS, "seed": WORLDS_SEED}
-    worlds = _made(work, "recorded-worlds", jobs, quiet, **asked)
+    worlds = _made(work, "recorded-worlds", jobs, quiet, **WORLDS)
     return [worlds, *generate_roads(work, jobs, quiet)]
 
 
