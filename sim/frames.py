@@ -8,7 +8,7 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -17,8 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.row_index import RowIndex
 from sim.checked_arrays import cast, check_and_freeze, frozen
@@ -456,10 +455,6 @@ class Tracks:
                 part = self.part(np.arange(self.ids.size), slice(begin, end))
                 seen = np.flatnonzero(np.diff(part.index.first))
                 yield part.part(seen, slice(None))
-
-    def with_behavior(self, behavior: CodeArray) -> Tracks:
-        """The same tracks with other labels (-1: no label)."""
-        return replace(self, behavior=behavior)
 
     def __repr__(self) -> str:
         """The agents by kind, the times, and counts of labels, signals and events."""

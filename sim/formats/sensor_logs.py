@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, left_out, recorded
-from sim.formats.common.tables import among, kinds_in, names_in, read_table, read_text, whole
+from sim.formats.common.tables import among, kinds_in, read_table, read_text, whole
 from sim.frames import AgentKind, FloatArray, IntArray
 from sim.input_files import beside, broken_as_one_line, opened, plain_name, stem
 from sim.road.maps.argoverse2 import MAP_NOTE, read_map
@@ -109,7 +109,7 @@ def read_argoverse2(path: Path) -> Iterator[Recording]:
     sweeps, boxes["sweep"] = np.unique(whole(boxes, "timestamp_ns"), return_inverse=True)
     boxes, others = among(boxes, "category", CATEGORIES)
     facts = pandas.DataFrame(
-        {"id": names_in(boxes["track_uuid"]), "length": boxes["length_m"],
+        {"id": boxes["track_uuid"], "length": boxes["length_m"],
          "width": boxes["width_m"], "kind": kinds_in(boxes["category"], CATEGORIES)}
     )  # fmt: skip
     turn, place = _argoverse2_poses(path, sweeps)

@@ -21,8 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic import ValidationError
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.traits import ShownTrait
 from sim.files import place_of, temporary_folder
