@@ -8,8 +8,8 @@ from behaviors.traits import DetectorInputs
 from sim.episode.observables import Observables, observe
 from sim.frames import PEDESTRIAN, BoolArray, Signal, Tracks, says_stop
 from sim.road import Road
-from sim.road.lane_coordinates import along
 from sim.road.lane_graph import LaneGraph
+from sim.road.lane_search import along
 
 
 def detector_inputs(

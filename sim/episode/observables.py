@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal, Tracks
-from sim.road import LanePosition, Road, lane_coordinates, lane_search
+from sim.road import LanePosition, Road, lane_search
 from sim.road.lane_graph import LaneGraph
 
 MIN_SPEED_MPS: Final = 0.1
@@ -158,7 +158,7 @@ def _crossing_people(
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
     for c, crossing in enumerate(road.crossings):
-        u, across, total = lane_coordinates.along(crossing.centerline, xy)
+        u, across, total = lane_search.along(crossing.centerline, xy)
         beside = np.abs(across) <= crossing.width_m / 2 + CROSSING_MARGIN_M
         on = beside & (u > 0) & (u < total)
         near = beside & ~on & (u > -CROSSING_MARGIN_M) & (u < total + CROSSING_MARGIN_M)

@@ -1,6 +1,7 @@
-"""Searches along lanes, compiled: vehicles ahead and behind, next stop lines and crossings.
+"""Searches on lanes and lines, compiled: where places are, who is ahead, and what lies ahead.
 
-`sim.episode.observables` says what each observable means; here they are loops over plain arrays.
+`sim.geometry` has the counterparts for single lines in numpy; `sim.episode.observables` says what
+each observable means.
 """
 
 from __future__ import annotations
@@ -9,12 +10,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sim.compiled import in_place
+from sim.compiled import compiled, in_place
 from sim.frames import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from sim.road.lane_graph import LaneGraph
 
+FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
+"""Width of the cells into which lane pieces are sorted, m, and the margin within which a cell
+lists them, m."""
 
 LOOK_AHEAD_M = 200.0
 """Leaders, signals and crossings farther than this are not seen (14 s at 14 m/s)."""
@@ -67,7 +71,6 @@ def perceive(
     coordinates as `LaneGraph.project` finds them. ``by_time`` are the rows in order of time,
     ``begins`` (T + 1,) where in it those of each time begin, and m.
     """
-    m = s.size
     there, segment = graph.placed(lane, s, offset)
     missed = np.hypot(*(xy - there).T)
     turned = np.pi - (np.pi - (heading - graph.segment_heading[segment])) % (2 * np.pi)
@@ -76,15 +79,14 @@ def perceive(
     forward = np.where(np.abs(turned) < np.pi / 2, on_lane, -1)
     leaders, gaps = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
     leader, gap = leaders[:, 0], gaps[:, 0]
-    group, crossing = np.full(m, -1), np.full(m, -1)
-    stop, to_crossing = np.full(m, np.inf), np.full(m, np.inf)
+    follower, group, crossing = np.full((3, s.size), -1)
+    stop, to_crossing = np.full((2, s.size), np.inf)
     _find_stops(
         forward, s + length / 2,
         (graph.internal, graph.signal, graph.length, graph.ahead),
         (graph.cross_first, graph.cross_id, graph.cross_s, graph.cross_exit_s),
         (stop, group, crossing, to_crossing),
     )  # fmt: skip
-    follower = np.full(m, -1)
     behind = np.flatnonzero(leader >= 0)
     behind = behind[np.argsort(-gap[behind], kind="stable")]
     follower[leader[behind]] = behind  # the last one written, with the least gap, stays
@@ -98,17 +100,13 @@ def adjacent_vehicles(
 ) -> tuple[IntArray, FloatArray]:
     """Find the vehicles ahead and behind on the lanes beside, at one instant.
 
-    The (p,) vehicles have lanes, -1 for none, distances along them and lengths, m.
-
-    Returns:
-        (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
-        bumper to bumper, m, or +inf.
+    The (p,) vehicles have lanes, -1 for none, distances along them and lengths, m. The result are
+    (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
+    bumper to bumper, m, or +inf.
     """
-    p = lane.size
-    on_road = lane >= 0
-    left, right = np.where(on_road, graph.left[lane], -1), np.where(on_road, graph.right[lane], -1)
+    left, right = (np.where(lane >= 0, side[lane], -1) for side in (graph.left, graph.right))
     begin = np.stack([left, left, right, right], axis=1)
-    return _search(np.arange(p), np.array([0, p]), lane, s, length, begin, graph)
+    return _search(np.arange(lane.size), np.array([0, lane.size]), lane, s, length, begin, graph)
 
 
 def _search(
@@ -215,3 +213,103 @@ def _find_stops(lane: Any, front: Any, lanes: Any, crossings: Any, out: Any) -> 
                     crossing[i], to_crossing[i] = cross_id[z], to
             travelled += length[now]
             now = onward[now]
+
+
+@in_place()
+def fit(
+    xy: Any, heading: Any, start: Any, direction: Any, length: Any, turn_cost_m: Any, cells: Any,
+    best: Any, at: Any, left: Any,
+) -> None:  # fmt: skip
+    """Find the piece of lane that fits each place and heading best, the first of equally good ones.
+
+    Pieces have starts, directions, lengths and costs of facing across them (facing back costs twice
+    as much), in m. Each of ``cells`` lists all pieces within `FIT_MARGIN_M` of it. The last three
+    arrays receive the piece, the distance along it and the signed distance to its left, m.
+    """
+    x0, y0, size, columns, rows, first, items = cells
+    for i in range(len(xy)):
+        best[i], at[i], left[i] = 0, np.nan, np.nan
+        x, y = xy[i, 0], xy[i, 1]
+        east, north = np.cos(heading[i]), np.sin(heading[i])
+        cx = int(min(max((x - x0) / size, 0.0), columns - 1.0))
+        cy = int(min(max((y - y0) / size, 0.0), rows - 1.0))
+        least, most, reach = np.inf, np.inf, 0
+        while True:  # the own cell, then squares twice as wide until nothing nearer can be outside
+            west, right = max(cx - reach, 0), min(cx + reach, columns - 1)
+            south, top = max(cy - reach, 0), min(cy + reach, rows - 1)
+            for row in range(south, top + 1):
+                for p in range(first[row * columns + west], first[row * columns + right + 1]):
+                    g = items[p]
+                    dx, dy = x - start[g, 0], y - start[g, 1]
+                    ux, uy = direction[g, 0], direction[g, 1]
+                    along = dx * ux + dy * uy
+                    across = ux * dy - uy * dx
+                    clipped = min(max(along, 0.0), length[g])
+                    beyond = along - clipped
+                    if across * across + beyond * beyond > most:
+                        continue
+                    cost = np.hypot(across, beyond)
+                    cost += turn_cost_m[g] * (1.0 - (east * ux + north * uy))
+                    if cost < least or (cost == least and g < best[i]):
+                        most = 1.001 * cost * cost  # farther away than this nothing is better
+                        least, best[i], at[i], left[i] = cost, g, clipped, across
+            if west == 0 and south == 0 and right == columns - 1 and top == rows - 1:
+                break
+            aside = min(x - x0 - (cx - reach) * size, x0 + (cx + reach + 1) * size - x)
+            above = min(y - y0 - (cy - reach) * size, y0 + (cy + reach + 1) * size - y)
+            if least < 0.999 * (FIT_MARGIN_M + min(aside, above)):
+                break
+            reach = max(1, 2 * reach)
+
+
+@in_place()
+def place(
+    lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any,
+    direction: Any, xy: Any, piece: Any,
+) -> None:  # fmt: skip
+    """Find places given in lane coordinates, as of `sim.road.lane_graph.LaneGraph.position`.
+
+    The last two arrays receive (n, 2) positions, m, and the pieces beside them.
+    """
+    for i in range(lane.size):
+        g = first[lane[i]]
+        while g < last[lane[i]] and piece_at[g + 1] <= s[i]:
+            g += 1
+        along, ux, uy = s[i] - piece_at[g], direction[g, 0], direction[g, 1]
+        xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
+        xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
+        piece[i] = g
+
+
+@compiled
+def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
+    """Places (n, 2) in the coordinates of a line (P, 2) that goes on straight at both ends, m.
+
+    Returns (n,) distances along it (negative before it, above its length after it), (n,) distances
+    to its left, and its length.
+
+    Examples:
+        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
+        >>> u.tolist(), left.tolist(), total
+        ([9.0], [-1.0], 8.0)
+    """
+    n, begin = len(xy), 0.0
+    u, left, nearest = np.zeros(n), np.zeros(n), np.full(n, np.inf)
+    pieces = len(line) - 1
+    for k in range(pieces):
+        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        size = np.hypot(east, north)
+        east, north = east / size, north / size
+        for i in range(n):
+            dx, dy = xy[i, 0] - line[k, 0], xy[i, 1] - line[k, 1]
+            forward, aside = dx * east + dy * north, east * dy - north * dx
+            clipped = forward
+            if k > 0:
+                clipped = max(clipped, 0.0)
+            if k < pieces - 1:
+                clipped = min(clipped, size)
+            away = np.hypot(aside, forward - clipped)
+            if away < nearest[i]:
+                nearest[i], u[i], left[i] = away, begin + clipped, aside
+        begin += size
+    return u, left, begin
