@@ -133,7 +133,7 @@ class LaneGraph:
         self, lane: IntArray, s: FloatArray, offset: FloatArray
     ) -> tuple[FloatArray, IntArray]:
         """(n, 2) positions as of `position`, m, and (n,) the piece of centre line beside each."""
-        from sim.road.lane_search import place  # compiled: only who asks pays for loading it
+        from sim.road.lane_coordinates import place  # compiled: only who asks pays for loading it
 
         xy, piece = np.empty((lane.size, 2)), np.empty(lane.size, np.int64)
         place(
@@ -145,7 +145,7 @@ class LaneGraph:
     @cached_property
     def _fitted(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Cells, IntArray]:
         """Start, direction, length and turn cost of vehicles' pieces, cells, and their numbers."""
-        from sim.road.lane_search import FIT_CELL_M, FIT_MARGIN_M
+        from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
 
         lane = np.repeat(np.arange(self.length.size), self.segment_last - self.segment_first + 1)
         piece = np.flatnonzero(self.drivable[lane] & (self.segment_length > LEAST_PIECE_M))
@@ -173,7 +173,7 @@ class LaneGraph:
         Raises:
             InputError: if the road has no lane for vehicles.
         """
-        from sim.road.lane_search import fit  # compiled: only who asks pays for loading it
+        from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
 
         start, direction, length, cost_m, cells, piece = self._fitted
         best, (along, across) = np.empty(len(xy), np.int64), np.empty((2, len(xy)))
