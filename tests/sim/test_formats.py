@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from sim.formats.common.recording import row_motion
 
 from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise
+from sim.formats.common.recording import row_motion
 from sim.frames import KINDS, AgentKind, Tracks
 from tests.sim.scenes import (
     COMMONROAD,
