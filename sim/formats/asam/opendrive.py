@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import connected_components
 from sim.frames import FloatArray
 from sim.geometry import borders, distances_along, pieces_of, points_at
 from sim.road import Connection, Crossing, Lane, Road
-from sim.road.lane_coordinates import along
+from sim.road.lane_search import along
 
 PARALLEL_M: Final = 0.25
 """Lanes of an edge that are nowhere further than this from where their widths place them share a
