@@ -122,12 +122,11 @@ def _rows(keys: dict[str, Cell], sums: dict[str, FloatArray]) -> Iterator[Row]:
 def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArray]]:
     """By metric, (N,) how much of it each agent of an episode has."""
     tracks, entry = episode.tracks, episode.entry
-    rows = tracks.rows
-    agent, n = rows.index.agent, tracks.ids.size
-    goes = ~rows.index.begins
+    agent, n = tracks.index.agent, tracks.ids.size
+    goes = ~tracks.index.begins
     moved = np.zeros(agent.size)
-    moved[1:] = np.hypot(*np.diff(rows.xy, axis=0).T)
-    lasts = np.diff(tracks.time_s[rows.index.step], prepend=0.0)
+    moved[1:] = np.hypot(*np.diff(tracks.row_xy, axis=0).T)
+    lasts = np.diff(tracks.time_s[tracks.index.step], prepend=0.0)
     yield "drivers", np.ones(n)
     yield "km", np.bincount(agent, np.where(goes, moved, 0.0), n) / 1000.0
     yield "hours", np.bincount(agent, np.where(goes, lasts, 0.0), n) / 3600.0
@@ -159,8 +158,7 @@ def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait
         events += found.events
         shown += found.shown_traits
         near = np.isfinite(found.gap)
-        rows = part.rows
-        gaps.append((part.ids[rows.index.agent][near], rows.speed[near], found.gap[near]))
+        gaps.append((part.ids[part.index.agent][near], part.row_speed[near], found.gap[near]))
     return events, shown, gaps
 
 

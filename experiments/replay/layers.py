@@ -165,7 +165,7 @@ def forecast(
     """
     found = []
     seconds = sampled(tracks, PREDICT_EVERY_S)
-    stride = -(-int(tracks.rows.index.counts()[seconds].sum()) // MAX_PREDICTED)
+    stride = -(-int(tracks.index.counts()[seconds].sum()) // MAX_PREDICTED)
     for step in seconds[1 :: max(stride, 1)]:
         history = tracks.window(int(step) + 1, HISTORY_STEPS)
         if not history.ids.size:
@@ -212,7 +212,7 @@ class GraphHistory:
 
 def graph_history(tracks: Tracks) -> GraphHistory:
     """Follow the paper's accumulated 4-nearest-neighbour graph through an episode."""
-    steps, seen, many = kept_steps(tracks), tracks.rows, tracks.ids.size
+    steps, index, many = kept_steps(tracks), tracks.index, tracks.ids.size
     column = {int(step): i for i, step in enumerate(steps)}
     w = np.full((many, steps.size), np.nan)
     graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
@@ -220,9 +220,9 @@ def graph_history(tracks: Tracks) -> GraphHistory:
     since: dict[int, int] = {}
     edges: list[tuple[int, int, int, int]] = []
     for step in range(tracks.time_s.size):
-        at = seen.index.at(step)
-        rows = seen.index.agent[at]
-        graph = graph.observe(tracks.ids[rows], seen.xy[at])
+        at = index.at(step)
+        rows = index.agent[at]
+        graph = graph.observe(tracks.ids[rows], tracks.row_xy[at])
         if step not in column:
             continue
         sample = column[step]

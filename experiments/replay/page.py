@@ -168,7 +168,7 @@ def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, 
 def _opening_s(scene: ReplayScene) -> float:
     """The first time at which there are beliefs and half of the largest number of agents, s."""
     tracks, beliefs = scene.tracks, scene.beliefs
-    present = tracks.rows.index.counts()
+    present = tracks.index.counts()
     half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
     known = np.isfinite(beliefs.probability).all(axis=2).any(axis=0)
     wanted = known & (beliefs.time_s >= half_full_s - 1e-6)
@@ -207,11 +207,10 @@ def _size(kind: int, length: float, width: float) -> dict[str, Any]:
 
 def _places(tracks: Tracks, arrays: dict[str, NDArray[Any]]) -> None:
     """The agents' places, one after another, and the runs of steps without a gap."""
-    seen = tracks.rows
-    agent, step = seen.index.agent, seen.index.step
+    agent, step = tracks.index.agent, tracks.index.step
     columns = {
-        "x": seen.xy[:, 0], "y": seen.xy[:, 1], "heading": np.unwrap(seen.heading),
-        "speed": seen.speed,
+        "x": tracks.row_xy[:, 0], "y": tracks.row_xy[:, 1],
+        "heading": np.unwrap(tracks.row_heading), "speed": tracks.row_speed,
     }  # fmt: skip
     for name, values in columns.items():
         arrays[name] = differences(values, UNITS[name])
@@ -225,7 +224,7 @@ def _extent(scene: ReplayScene) -> list[float]:
     """x0, y0, x1, y1 of what is worth showing."""
     if scene.road is not None:
         return [round(v, 2) for v in scene.road.bounds]
-    xy = scene.tracks.rows.xy
+    xy = scene.tracks.row_xy
     return _flat(np.stack([xy.min(axis=0), xy.max(axis=0)]))
 
 
@@ -255,11 +254,10 @@ def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[dict[st
     ghosts = scene.ghosts
     if ghosts is None:
         return []
-    places = ghosts.rows
-    arrays["ghostOf"] = places.index.agent.astype("u2")
-    arrays["ghostStep"] = places.index.step.astype("i4")
-    arrays["ghostXY"] = differences(places.xy, UNITS["x"])
-    arrays["ghostHeading"] = places.heading.astype("f4")
+    arrays["ghostOf"] = ghosts.index.agent.astype("u2")
+    arrays["ghostStep"] = ghosts.index.step.astype("i4")
+    arrays["ghostXY"] = differences(ghosts.row_xy, UNITS["x"])
+    arrays["ghostHeading"] = ghosts.row_heading.astype("f4")
     return [_size(*one) for one in zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)]
 
 

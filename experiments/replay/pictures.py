@@ -103,7 +103,7 @@ def rows_of(extent: tuple[float, float, float, float], width: int, height: int) 
 
 def shown_extent(scene: ReplayScene) -> tuple[float, float, float, float]:
     """x0, y0, x1, y1 of what a picture shows: the road; of a junction, where its traffic is."""
-    places = scene.tracks.rows.xy
+    places = scene.tracks.row_xy
     if scene.road is None:
         low, high = places.min(axis=0), places.max(axis=0)
         margin = max(0.03 * float((high - low).max()), 1.0)
@@ -130,7 +130,7 @@ class Drawing:
         self.scene, self.mode = scene, mode
         width, height = size
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-        self.fastest = max(1.0, float(np.quantile(scene.tracks.rows.speed, 0.995)))
+        self.fastest = max(1.0, float(np.quantile(scene.tracks.row_speed, 0.995)))
         self._stops = () if scene.road is None else road_shapes(scene.road).stops
         self._moving: list[Artist] = []
         tall = height - HEAD_PX - FOOT_PX
@@ -158,12 +158,14 @@ class Drawing:
         for artist in self._moving:
             artist.remove()
         self._clock.set_text(f"{time_s:.1f} s")
-        seen = self.scene.tracks.rows
-        at = seen.index.at(self._step(time_s))
-        rows, xy = seen.index.agent[at], seen.xy[at]
-        colors = self._colors(rows, seen.speed[at], time_s)
+        at = self.scene.tracks.index.at(self._step(time_s))
+        rows, xy = self.scene.tracks.index.agent[at], self.scene.tracks.row_xy[at]
+        colors = self._colors(rows, self.scene.tracks.row_speed[at], time_s)
         lines, inks, width = self._overlay(rows, xy, colors, time_s)
-        bodies = [self._body(*one) for one in zip(rows, xy, seen.heading[at], strict=True)]
+        bodies = [
+            self._body(*one)
+            for one in zip(rows, xy, self.scene.tracks.row_heading[at], strict=True)
+        ]
         body: dict[str, Any] = {"edgecolors": INK, "linewidths": 0.7, "zorder": 5}
         self._moving = [
             *self._draw_stops(time_s),
@@ -190,8 +192,10 @@ class Drawing:
     def _draw_ground(self) -> None:
         """Draw what does not move."""
         if self.scene.road is None:
-            seen = self.scene.tracks.rows
-            paths = [seen.xy[seen.index.rows(row)] for row in range(self.scene.tracks.ids.size)]
+            paths = [
+                self.scene.tracks.row_xy[self.scene.tracks.index.rows(row)]
+                for row in range(self.scene.tracks.ids.size)
+            ]
             self._lines([p for p in paths if len(p) > 1], TRACK, 1.0, 1)
             return
         for axes in self._axes:
@@ -309,10 +313,9 @@ class Drawing:
         ghosts = self.scene.ghosts
         if ghosts is None:
             return []
-        places, found = ghosts.rows, []
-        at = places.index.at(self._step(time_s))
+        found, at = [], ghosts.index.at(self._step(time_s))
         for row, xy, heading in zip(
-            places.index.agent[at], places.xy[at], places.heading[at], strict=True
+            ghosts.index.agent[at], ghosts.row_xy[at], ghosts.row_heading[at], strict=True
         ):
             outline = _outline(xy, heading, float(ghosts.length[row]), float(ghosts.width[row]))
             found.append(np.concatenate([outline, outline[:1]]))
@@ -340,7 +343,7 @@ def _outline(xy: FloatArray, heading: float, length: float, width: float) -> Flo
 
 def fullest_s(scene: ReplayScene) -> float:
     """The time with most agents, s."""
-    return float(scene.tracks.time_s[scene.tracks.rows.index.counts().argmax()])
+    return float(scene.tracks.time_s[scene.tracks.index.counts().argmax()])
 
 
 def check_picture(path: Path) -> None:

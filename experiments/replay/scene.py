@@ -157,7 +157,7 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    stride = max(stride, -(-tracks.rows.speed.size // MAX_PLACES))
+    stride = max(stride, -(-tracks.row_speed.size // MAX_PLACES))
     if unit == "px":  # boxes are as large as the perspective makes them: draw cars of one size
         box = np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE)
         length = np.full(tracks.ids.size, float(box))
@@ -179,10 +179,9 @@ def gather(
 
 def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
     """The events but for near misses with a parked vehicle: passing it closely is no conflict."""
-    rows = tracks.rows
     parked = set()
     for row, agent in enumerate(tracks.ids.tolist()):
-        places = rows.xy[rows.index.rows(row)]
+        places = tracks.row_xy[tracks.index.rows(row)]
         if len(places) and np.ptp(places, axis=0).max() < PARKED_M:
             parked.add(agent)
     near = EventKind.NEAR_MISS

@@ -121,7 +121,7 @@ def _candidates(
         order = np.argsort(away, kind="stable")
         rows = [row for row in order.tolist() if not there[row] and frame.driving[row]]
         near = [(int(frame.ids[row]), "bystander") for row in rows[:bystanders]]
-    return [(agent, role) for agent, role in (*parties, *near) if trunk.drives(agent)]
+    return [(agent, role) for agent, role in (*parties, *near) if agent in trunk.drivers]
 
 
 def _tried(

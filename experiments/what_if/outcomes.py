@@ -83,9 +83,8 @@ def path_of(tracks: Tracks, agent: int, since_s: float) -> FloatArray:
     row = np.flatnonzero(tracks.ids == agent)
     if not row.size:
         return np.empty((0, 3))
-    rows = tracks.rows
-    own = rows.index.rows(int(row[0]))
-    path = np.column_stack([tracks.time_s[rows.index.step[own]], rows.xy[own]])
+    own = tracks.index.rows(int(row[0]))
+    path = np.column_stack([tracks.time_s[tracks.index.step[own]], tracks.row_xy[own]])
     return path[path[:, 0] > since_s]
 
 

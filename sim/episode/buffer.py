@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from behaviors.errors import InputError
 from behaviors.row_index import RowIndex, find_sorted
-from sim.frames import KINDS, MAX_MAGNITUDE, MOVING, OF_AGENTS, SIGNALS, Frame, TrackRows, Tracks
+from sim.frames import KINDS, MAX_MAGNITUDE, MOVING, OF_AGENTS, SIGNALS, Frame, Tracks
 
 MAX_TIME_S: Final = MAX_MAGNITUDE
 """Latest time, s (as of recordings: 30 years; far later ones have no next step)."""
@@ -90,16 +90,17 @@ class FrameBuffer:
         rows = rows[np.argsort(agent[rows], kind="stable")]
         step = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[rows]
         index = RowIndex.of_rows(agent[rows], step, len(last), len(frames))
-        moved = (
-            np.concatenate([getattr(frame, name) for frame in frames]).take(rows, axis=0)
+        moved: dict[str, Any] = {
+            f"row_{name}": np.concatenate([getattr(f, name) for f in frames]).take(rows, axis=0)
             for name in MOVING
-        )
+        }
         return Tracks(
             ids=last.ids,
             names=tuple(map(str, last.ids.tolist())),
             **{name: getattr(last, name) for name in OF_AGENTS},
             time_s=np.array([frame.time_s for frame in frames]),
-            rows=TrackRows(index, *moved),
+            index=index,
+            **moved,
             signals=np.stack([frame.signals for frame in frames], axis=1),
             events=tuple(event for frame in frames for event in frame.events),
         )

@@ -71,19 +71,22 @@ def contacts(tracks: Tracks) -> Iterator[tuple[int, int, int]]:
         ...     valid=np.ones((2, 3)), signals=np.zeros((0, 3)))))
         [(0, 1, 1)]
     """
-    seen, far_m = tracks.rows, float(np.hypot(tracks.length, tracks.width).max(initial=0.0))
-    agent, step, walking = seen.index.agent, seen.index.step, tracks.walking
-    for rows, _, _ in seen.index.time_blocks():
+    index, far_m = tracks.index, float(np.hypot(tracks.length, tracks.width).max(initial=0.0))
+    agent, step, walking = index.agent, index.step, tracks.walking
+    for rows, _, _ in index.time_blocks():
         # rows of different times are too far apart to meet
         apart = 2.0 * far_m * (step[rows] - step[rows[:1]])
         tree = cKDTree(
-            np.column_stack([seen.xy[rows], apart]), balanced_tree=False, compact_nodes=False
+            np.column_stack([tracks.row_xy[rows], apart]), balanced_tree=False, compact_nodes=False
         )
         pairs = rows[np.sort(tree.query_pairs(far_m, output_type="ndarray"), axis=1)]
         pairs = pairs[~walking[pairs].all(axis=1)]
         first, second = (
             Outlines.of(
-                seen.xy[r], seen.heading[r], tracks.length[agent[r]], tracks.width[agent[r]]
+                tracks.row_xy[r],
+                tracks.row_heading[r],
+                tracks.length[agent[r]],
+                tracks.width[agent[r]],
             )
             for r in pairs.T
         )
@@ -150,26 +153,27 @@ class _Party:
     def __init__(self, causes: _Causes, id: int, column: int) -> None:
         tracks = causes.tracks
         self.id, self.index = id, int(np.searchsorted(tracks.ids, id))
-        self.row = tracks.rows.index.row(self.index, column)  # -1 where it was not seen
+        seen = tracks.index.rows(self.index, column, column + 1)
+        self.row = seen.start if seen.stop > seen.start else -1  # where it was not seen
         self.is_pedestrian = bool(tracks.kind[self.index] == PEDESTRIAN)
         self._tracks, self._road, self._observed = tracks, causes.road, causes.observed
         self._column = column
 
     def until_now(self, values: FloatArray, empty: float = np.nan) -> FloatArray:
         """(column + 1, ...) its values at each time, ``empty`` where it was not seen."""
-        return self._tracks.rows.index.over(values, self.index, 0, self._column + 1, empty)
+        return self._tracks.index.over(values, self.index, 0, self._column + 1, empty)
 
     @cached_property
     def speed(self) -> FloatArray:
         """(column + 1,) its speed at each time, m/s."""
-        return self.until_now(self._tracks.rows.speed)
+        return self.until_now(self._tracks.row_speed)
 
     @cached_property
     def connection(self) -> int:
         """The connection that it drives at a junction; -1 if no part of it is inside."""
         inside = self.row >= 0 and self._observed.stop_distance[self.row] < 0
         soon = round(RECENT_S / self._tracks.step_s) if inside else 0
-        rows = self._tracks.rows.index.rows(self.index, self._column, self._column + soon + 1)
+        rows = self._tracks.index.rows(self.index, self._column, self._column + soon + 1)
         links = self._road.connection_of_lane[self._observed.lane[rows]]
         at = np.flatnonzero(links >= 0)
         return int(links[at[0]]) if at.size else -1
@@ -198,7 +202,7 @@ class _Party:
         """Whether it ran into the other, which had stood there long enough to be braked for."""
         if self._column == 0 or not self.speed[-2] > other.speed[-2]:
             return False
-        away = (xy := other.until_now(self._tracks.rows.xy)) - xy[-1]
+        away = (xy := other.until_now(self._tracks.row_xy)) - xy[-1]
         stood = np.isfinite(self.speed) & (np.hypot(away[:, 0], away[:, 1]) < STOOD_M)
         before = np.flatnonzero(~stood)
         reaction = round(REACTION_S / self._tracks.step_s)
@@ -258,7 +262,7 @@ class _Causes:
                         return party, rule
         for party, other in (parties, parties[::-1]):
             if party.is_pedestrian:
-                rows = self.tracks.rows.index.rows(party.index, column - 1, column + 1)
+                rows = self.tracks.index.rows(party.index, column - 1, column + 1)
                 if (self.inputs.off_crossing | self.inputs.on_red)[rows].any():
                     return party, "walked where or when one may not"
                 if (other.speed[-1 - round(1.0 / self.tracks.step_s) :] < ROLLING_MPS).all():
@@ -288,7 +292,7 @@ class _Causes:
             return (two if stands else one), "ran into somebody who stood"
         is_behind = False  # as it is where one of the two was not seen
         if one.row >= 0 and two.row >= 0:
-            heading, xy = self.tracks.rows.heading[one.row], self.tracks.rows.xy
+            heading, xy = self.tracks.row_heading[one.row], self.tracks.row_xy
             facing = np.array([np.cos(heading), np.sin(heading)])
             is_behind = float((xy[two.row] - xy[one.row]) @ facing) < 0
         return (two if is_behind else one), "followed too closely"

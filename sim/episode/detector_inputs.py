@@ -35,12 +35,12 @@ def detector_inputs(
         held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
     off_crossing, on_red = _jaywalkers(tracks, road)
     return DetectorInputs(
-        row_index=tracks.rows.index,
+        row_index=tracks.index,
         time_s=tracks.time_s,
         drives=np.asarray(tracks.kind != PEDESTRIAN),
         length=tracks.length,
         width=tracks.width,
-        speed=tracks.rows.speed,
+        speed=tracks.row_speed,
         limit=np.where(np.isnan(observed.limit), np.inf, observed.limit),
         edge=edge_of[lane],
         lane=lane,
@@ -62,13 +62,13 @@ def detector_inputs(
 
 def _jaywalkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
     """(m,) rows of pedestrians on the carriageway off any crossing, and on one entered on red."""
-    row_index = tracks.rows.index
-    off, on_red = np.zeros((2, tracks.rows.speed.size), dtype=bool)
+    row_index = tracks.index
+    off, on_red = np.zeros((2, tracks.row_speed.size), dtype=bool)
     rows = np.flatnonzero(tracks.walking)
     if not rows.size:
         return off, on_red
-    xy = tracks.rows.xy[rows]
-    place = LaneGraph.of(road).project(xy, tracks.rows.heading[rows])
+    xy = tracks.row_xy[rows]
+    place = LaneGraph.of(road).project(xy, tracks.row_heading[rows])
     width = np.array([lane.width_m for lane in road.lanes])
     internal = np.array([lane.internal for lane in road.lanes])
     on_road = (np.abs(place.offset) < width[place.lane] / 2) & ~internal[place.lane]

@@ -75,9 +75,9 @@ def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Eve
     stops = np.zeros(len(road.lanes) + 1, dtype=bool)
     for link in road.connections:
         stops[road.lane_index[link.from_lane]] |= link.must_stop
-    row_index, distance = tracks.rows.index, observed.stop_distance
+    row_index, distance = tracks.index, observed.stop_distance
     red, first = observed.signal == Signal.RED.code, observed.gap > distance
-    stands = tracks.rows.speed < ROLLING_MPS
+    stands = tracks.row_speed < ROLLING_MPS
     grace = round(GRACE_S / tracks.step_s)
     passed = (distance[:-1] >= 0) & (distance[:-1] < 10.0) & ~row_index.begins[1:]
     passed &= (distance[1:] < 0) | (distance[1:] > 30.0)
@@ -91,7 +91,7 @@ def _lines_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Eve
         elif (stands[zone] & red[zone] & first[zone]).any():
             found.append(Event(EventKind.STOPPED, time_s, agent, rule="red light"))
         if stops[observed.lane[row]]:
-            rolled = tracks.rows.speed[zone].min() > ROLLING_MPS
+            rolled = tracks.row_speed[zone].min() > ROLLING_MPS
             kind = EventKind.STOP_ROLLED if rolled else EventKind.STOPPED
             found.append(Event(kind, time_s, agent, rule="" if rolled else "stop line"))
     return found
@@ -108,10 +108,10 @@ def _zones(row_index: RowIndex, distance: FloatArray, last: IntArray) -> list[sl
 
 
 def _wrong_way(tracks: Tracks, observed: Observables) -> list[Event]:
-    wrong = (np.abs(observed.lane_heading) > np.pi / 2) & (tracks.rows.speed > ROLLING_MPS)
+    wrong = (np.abs(observed.lane_heading) > np.pi / 2) & (tracks.row_speed > ROLLING_MPS)
     found = []
-    for run in tracks.rows.index.runs(wrong, round(1.0 / tracks.step_s)):
-        metres = float(tracks.rows.speed[run].sum()) * tracks.step_s
+    for run in tracks.index.runs(wrong, round(1.0 / tracks.step_s)):
+        metres = float(tracks.row_speed[run].sum()) * tracks.step_s
         agent, time_s = tracks.agent_and_time(run.start)
         found.append(Event(EventKind.WRONG_WAY, time_s, agent, distance_m=metres))
     return found

@@ -107,12 +107,11 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
             traffic.kind == PEDESTRIAN, traffic.signals[:, None],
             np.zeros(n, np.int64), np.arange(n), np.array([0, n]),
         )  # fmt: skip
-    seen, whole = traffic.rows, dict[str, Any]()
-    row_index = seen.index
+    row_index, whole = traffic.index, dict[str, Any]()
     for rows, first, begins in row_index.time_blocks():
         agent, end = row_index.agent[rows], first + begins.size - 1
         part = _observe(
-            road, seen.xy[rows], seen.heading[rows], seen.speed[rows],
+            road, traffic.row_xy[rows], traffic.row_heading[rows], traffic.row_speed[rows],
             traffic.length[agent], (traffic.kind == PEDESTRIAN)[agent],
             traffic.signals[:, first:end], row_index.step[rows] - first, np.arange(rows.size),
             begins,
@@ -123,7 +122,7 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
                 there = values >= 0
                 values[there] = rows[values[there]]
             if name not in whole:
-                whole[name] = np.empty(seen.speed.size, values.dtype)
+                whole[name] = np.empty(row_index.agent.size, values.dtype)
             whole[name][rows] = values
     return Observables(**whole)
 

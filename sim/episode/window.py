@@ -87,9 +87,9 @@ class Window:
 
     def of_tracks(self, tracks: Tracks) -> Tracks:
         """The tracks of the agents that count at the last time; they keep their whole past."""
-        if not tracks.rows.speed.size:
+        if not tracks.row_speed.size:
             return tracks
-        at = tracks.rows.index.at(-1)
-        rows = tracks.rows.index.agent[at]
-        inside = self.admits(tracks.ids[rows], tracks.rows.xy[at])
+        at = tracks.index.at(-1)
+        rows = tracks.index.agent[at]
+        inside = self.admits(tracks.ids[rows], tracks.row_xy[at])
         return tracks.part(rows[inside], slice(None)) if at.size else tracks

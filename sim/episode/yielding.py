@@ -69,13 +69,13 @@ class Walk(NamedTuple):
 
 def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Event]:
     """Events of vehicles that let a pedestrian go first at a crossing, or did not."""
-    walking, row_index = tracks.walking, tracks.rows.index
+    walking, row_index = tracks.walking, tracks.index
     walkers = np.flatnonzero(walking)
     if not walkers.size:
         return []
     found = []
     driving = np.flatnonzero(~walking)
-    xy = tracks.rows.xy[driving]
+    xy = tracks.row_xy[driving]
     longest = float(tracks.length.max())
     links = road.connection_of_lane[observed.lane]
     for crossing in road.crossings:
@@ -87,12 +87,12 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
         line, reach = crossing.centerline, crossing.width_m + longest / 2
         near = (xy >= line.min(axis=0) - reach) & (xy <= line.max(axis=0) + reach)
         near = driving[near.all(axis=1)]
-        facing = tracks.rows.heading[near]
+        facing = tracks.row_heading[near]
         forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
-        front = tracks.rows.xy[near] + 0.5 * tracks.length[row_index.agent[near], None] * forward
+        front = tracks.row_xy[near] + 0.5 * tracks.length[row_index.agent[near], None] * forward
         u, across, total = along(crossing.centerline, front)
         inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
-        on = np.zeros(tracks.rows.speed.size, dtype=bool)
+        on = np.zeros(tracks.row_speed.size, dtype=bool)
         on[near[inside]] = True
         for run in row_index.runs(on):
             if row_index.begins[run.start]:
@@ -107,9 +107,9 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
 
 def _walks(tracks: Tracks, crossing: Crossing, walkers: IntArray) -> list[Walk]:
     """Every walk over a crossing that was not begun on red; ``walkers`` are pedestrians' rows."""
-    row_index = tracks.rows.index
-    u = np.full(tracks.rows.speed.size, np.nan)
-    u[walkers], across, total = along(crossing.centerline, tracks.rows.xy[walkers])
+    row_index = tracks.index
+    u = np.full(tracks.row_speed.size, np.nan)
+    u[walkers], across, total = along(crossing.centerline, tracks.row_xy[walkers])
     on = np.zeros(u.size, dtype=bool)
     on[walkers] = np.abs(across) <= crossing.width_m / 2 + 1.0
     on &= (u > ON_CROSSING_M) & (u < total - ON_CROSSING_M)
@@ -141,7 +141,7 @@ def _verdict(
     Returns the kind of event and the pedestrian's id; None without an encounter. The vehicle's
     front comes to the crossing in ``row``, at ``path`` m along it.
     """
-    row_index, step_s = tracks.rows.index, tracks.step_s
+    row_index, step_s = tracks.index, tracks.step_s
     agent, entry = int(row_index.agent[row]), int(row_index.step[row])
     half = tracks.width[agent] / 2 + 0.3
     yielded: tuple[EventKind, int] | None = None
@@ -153,7 +153,7 @@ def _verdict(
         if come < row_index.first[agent] or row_index.step[come] != begin:
             continue  # unless the vehicle was lost from sight in between
 
-        speed = tracks.rows.speed[come : row + 1]
+        speed = tracks.row_speed[come : row + 1]
         left_m = float(speed.sum()) * step_s - np.cumsum(speed) * step_s
         if walk.blocks(path, half, entry):
             if could_stop(float(speed[0]), float(left_m[0])):
@@ -201,7 +201,7 @@ def _others_cross(
     tracks: Tracks, road: Road, links: IntArray, since: int, entry: int, until: int
 ) -> bool:
     """Whether another vehicle was on a connection that crosses or joins this vehicle's."""
-    row_index = tracks.rows.index
+    row_index = tracks.index
     agent, begin = int(row_index.agent[entry]), int(row_index.step[since])
     soon = int(row_index.step[entry]) + round(5.0 / tracks.step_s)
     near = links[row_index.rows(agent, begin, soon)]

@@ -109,17 +109,16 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
 
     Headings and speeds are computed from the motion.
     """
-    rows = tracks.rows
-    agent, xy = rows.index.agent, rows.xy.copy()
+    agent, xy = tracks.index.agent, tracks.row_xy.copy()
     rotation, shift = np.eye(2), np.zeros(2)
     turn, step = np.eye(2), np.zeros(2)
     for t in range(1, tracks.time_s.size):
-        before, here = rows.index.at(t - 1), rows.index.at(t)
+        before, here = tracks.index.at(t - 1), tracks.index.at(t)
         _, one, other = np.intersect1d(agent[before], agent[here], return_indices=True)
         if one.size >= MIN_AGENTS:
-            turn, step = rigid_motion(rows.xy[before[one]], rows.xy[here[other]])
+            turn, step = rigid_motion(tracks.row_xy[before[one]], tracks.row_xy[here[other]])
         shift = rotation @ step + shift
         rotation = rotation @ turn
-        xy[here] = rows.xy[here] @ rotation.T + shift
-    heading, speed = row_motion(agent, xy, tracks.time_s[rows.index.step], 0.0)
-    return replace(tracks, rows=replace(rows, xy=xy, heading=heading, speed=speed))
+        xy[here] = tracks.row_xy[here] @ rotation.T + shift
+    heading, speed = row_motion(agent, xy, tracks.time_s[tracks.index.step], 0.0)
+    return replace(tracks, row_xy=xy, row_heading=heading, row_speed=speed)

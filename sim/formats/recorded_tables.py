@@ -59,7 +59,7 @@ from sim.formats.common.tables import (
 )  # fmt: skip
 from sim.frames import AgentKind
 from sim.input_files import beside, broken_as_one_line, plain_name, stem
-from sim.road.files import read_road_file
+from sim.road.road_files import read_road_file
 from sim.units import in_si
 
 # --- NGSIM ----------------------------------------------------------------------------------------

@@ -227,19 +227,19 @@ def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[
     ids = [quoteattr(label) for label in tracks.names]
     types = [quoteattr(f"type-{label}") for label in tracks.names]
     element = ["person" if kind == PEDESTRIAN else "vehicle" for kind in tracks.kind]
-    seen = tracks.rows
-    front = seen.xy + 0.5 * tracks.length[seen.index.agent, None] * np.stack(
-        [np.cos(seen.heading), np.sin(seen.heading)], axis=1
+    front = tracks.row_xy + 0.5 * tracks.length[tracks.index.agent, None] * np.stack(
+        [np.cos(tracks.row_heading), np.sin(tracks.row_heading)], axis=1
     )
     for step, time_s in enumerate(tracks.time_s.tolist()):
         lines.append(f'    <timestep time="{time_s!r}">')
-        for at in seen.index.at(step).tolist():
-            row = int(seen.index.agent[at])
+        for at in tracks.index.at(step).tolist():
+            row = int(tracks.index.agent[at])
             x, y = front[at].tolist()
+            angle = (90.0 - math.degrees(tracks.row_heading[at])) % 360.0
             lines.append(
                 f'        <{element[row]} id={ids[row]} x="{x!r}" y="{y!r}" '
-                f'angle="{(90.0 - math.degrees(seen.heading[at])) % 360.0!r}" type={types[row]} '
-                f'speed="{float(seen.speed[at])!r}"{labels[row]}/>'
+                f'angle="{angle!r}" type={types[row]} '
+                f'speed="{float(tracks.row_speed[at])!r}"{labels[row]}/>'
             )
         lines.append("    </timestep>")
     lines.append("</fcd-export>\n")

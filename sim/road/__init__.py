@@ -15,8 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from sim.frames import FloatArray, IntArray, Signal
 
 MARGIN_M: Final = 10.0

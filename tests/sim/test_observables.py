@@ -146,10 +146,10 @@ def test_tracks_give_at_each_instant_what_each_frame_gives(junction):
                   kind=(np.arange(20) % 7 == 0) * PEDESTRIAN, signals=rng.integers(0, 3, 2))
         )  # fmt: skip
     steps = Tracks.from_frames(frames)
-    together, agent = observe(steps, junction), steps.rows.index.agent
+    together, agent = observe(steps, junction), steps.index.agent
     for step, one in enumerate(frames):
         alone = observe(one, junction)
-        here = steps.rows.index.step == step
+        here = steps.index.step == step
         for name in ("gap", "lane", "signal", "crossing_occupied", "s"):
             assert np.array_equal(
                 getattr(together, name)[here], getattr(alone, name), equal_nan=name == "s"

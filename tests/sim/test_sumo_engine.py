@@ -148,7 +148,7 @@ def test_only_the_reckless_drive_on_the_wrong_side():
         steps = tracks
         seen = observe(steps, scenario.road)
         wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
-        metres[behavior] = float(steps.rows.speed[wrong].sum()) * 0.1
+        metres[behavior] = float(steps.row_speed[wrong].sum()) * 0.1
     assert metres[Behavior.RECKLESS] > 50.0
     assert metres[Behavior.IMPATIENT] == 0.0
 

@@ -127,7 +127,7 @@ class _Steps:
     """The steps of agents from one time to the next at which they are seen."""
 
     def __init__(self, tracks: Tracks) -> None:
-        index, xy = tracks.rows.index, tracks.rows.xy
+        index, xy = tracks.index, tracks.row_xy
         self.row = np.flatnonzero(~index.begins[1:])
         self.agent = index.agent[self.row]
         self.moved = xy[self.row + 1] - xy[self.row]
@@ -161,7 +161,7 @@ def _place_doubt(tracks: Tracks, steps: _Steps) -> str | None:
     low, high = SPEEDS_MPS
     if low <= fast <= high:
         return None
-    xy = tracks.rows.xy
+    xy = tracks.row_xy
     extent = float(np.ptp(xy, axis=0).max())
     in_degrees = bool((np.abs(xy) <= (180.0, 90.0)).all())
     for by, cause in PLACES.items():
@@ -219,25 +219,26 @@ def _heading_doubt(tracks: Tracks, steps: _Steps, heading: FloatArray) -> str | 
 
 def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
     """(m,) rows of pedestrians who ride in a vehicle, while they are within its outline."""
-    rows = tracks.rows
-    agent, step = rows.index.agent, rows.index.step
+    agent, step = tracks.index.agent, tracks.index.step
     inside = np.zeros(agent.size, dtype=bool)
     walks = (tracks.kind == PEDESTRIAN)[agent]
-    fast = np.bincount(agent[walks & (rows.speed > RIDING_MPS)], minlength=len(tracks.names))
+    fast = np.bincount(agent[walks & (tracks.row_speed > RIDING_MPS)], minlength=len(tracks.names))
     theirs = np.flatnonzero(walks & (fast >= RIDING_ROWS)[agent])
     drives = np.flatnonzero(np.isin(tracks.kind, VEHICLES)[agent])
     drives = drives[np.argsort(step[drives], kind="stable")]
     begin, end = (np.searchsorted(step[drives], step[theirs], side=s) for s in ("left", "right"))
     for row, first, last in zip(theirs.tolist(), begin.tolist(), end.tolist(), strict=True):
         others = drives[first:last]
-        away = rows.xy[row] - rows.xy[others]
-        cos, sin = np.cos(rows.heading[others]), np.sin(rows.heading[others])
+        away = tracks.row_xy[row] - tracks.row_xy[others]
+        cos, sin = np.cos(tracks.row_heading[others]), np.sin(tracks.row_heading[others])
         along = np.abs(cos * away[:, 0] + sin * away[:, 1])
         across = np.abs(cos * away[:, 1] - sin * away[:, 0])
         owner = agent[others]
         within = (along <= tracks.length[owner] / 2 + 0.5) & (across <= tracks.width[owner] / 2)
         inside[row] = bool(within.any())
-    riding = np.bincount(agent[inside & (rows.speed > RIDING_MPS)], minlength=len(tracks.names))
+    riding = np.bincount(
+        agent[inside & (tracks.row_speed > RIDING_MPS)], minlength=len(tracks.names)
+    )
     return inside & (riding >= RIDING_ROWS)[agent]
 
 
@@ -249,7 +250,7 @@ def doubt_of_times(tracks: Tracks) -> str | None:
     """
     if tracks.time_s.size < 2:
         return None
-    steps, speed, n = _Steps(tracks), tracks.rows.speed, len(tracks.names)
+    steps, speed, n = _Steps(tracks), tracks.row_speed, len(tracks.names)
     before, after = speed[steps.row], speed[steps.row + 1]
     stated = (before + after) / 2 * steps.time_s
     # nobody knows how an agent went that was lost during a break

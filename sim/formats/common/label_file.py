@@ -44,7 +44,7 @@ class DriverLabel:
 
 
 _STYLES: Final = {style.value: DriverLabel(style) for style in Style}
-_BEHAVIORS: Final = {one.value: DriverLabel(one.style, one) for one in BEHAVIORS}
+_BEHAVIORS: Final = {str(one): DriverLabel(one.style, one) for one in BEHAVIORS}
 _WORDS: Final = {"label": _STYLES | _BEHAVIORS, "behavior": _BEHAVIORS, "style": _STYLES}
 """Columns that may say what a driver is, and what each word of them stands for."""
 

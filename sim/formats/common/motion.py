@@ -93,9 +93,11 @@ def at_rate(tracks: Tracks, rate_hz: float) -> Tracks:
 
     Speeds that are those of the motion are taken from it again; stated ones stay.
     """
-    first, rows = tracks.time_s[0], tracks.rows
+    first, index = tracks.time_s[0], tracks.index
     time_s = first + (tracks.time_s - first) / (rate_hz * tracks.step_s)
-    agent, step = rows.index.agent, rows.index.step
-    before, after = (row_motion(agent, rows.xy, t[step], 0.0)[1] for t in (tracks.time_s, time_s))
-    speed = np.where(np.isclose(rows.speed, before, rtol=1e-9), after, rows.speed)
-    return replace(tracks, rows=replace(rows, speed=speed), time_s=time_s)
+    before, after = (
+        row_motion(index.agent, tracks.row_xy, clock[index.step], 0.0)[1]
+        for clock in (tracks.time_s, time_s)
+    )
+    speed = np.where(np.isclose(tracks.row_speed, before, rtol=1e-9), after, tracks.row_speed)
+    return replace(tracks, row_speed=speed, time_s=time_s)

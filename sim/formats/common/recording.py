@@ -21,7 +21,7 @@ from behaviors.row_index import RowIndex
 from sim.formats.common.doubts import doubts_of, inside_vehicles
 from sim.formats.common.label_file import DriverLabel
 from sim.formats.common.motion import row_motion
-from sim.frames import KINDS, MAX_MAGNITUDE, AgentKind, FloatArray, TrackRows, Tracks
+from sim.frames import KINDS, MAX_MAGNITUDE, AgentKind, FloatArray, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
 
@@ -54,8 +54,8 @@ class Recording:
         name: the recording's own name.
         tracks: what was recorded; without labels unless the format carries them.
         notes: what had to be assumed or was left out, one sentence each.
-        road: the road that came with it, or its file as `sim.road.files.read_road_file` takes it;
-            None where there is none.
+        road: the road that came with it, or its file as `sim.road.road_files.read_road_file` takes
+            it; None where there is none.
         origin: latitude and longitude of (0, 0), degrees; None where not known.
         styles: by name, of the drivers of whom the style is known but not the behaviour.
         file: the file that it was read from, from the folder on that was read; "" where not known.
@@ -182,7 +182,8 @@ def recorded(
         ahead_m = ahead_lengths * sizes[agent, 0]
         xy = xy - ahead_m[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     tracks = Tracks(
-        rows=TrackRows(RowIndex.of_rows(agent, step, n, time_s.size), xy, heading, speed),
+        index=RowIndex.of_rows(agent, step, n, time_s.size),
+        row_xy=xy, row_heading=heading, row_speed=speed,
         ids=np.arange(n), names=tuple(names), kind=kind[present],
         length=sizes[:, 0], width=sizes[:, 1], time_s=time_s,
         signals=np.empty((0, time_s.size), dtype=np.int8),
@@ -286,10 +287,12 @@ def _each_once(
 
 def _without(tracks: Tracks, dropped: NDArray[np.bool_]) -> Tracks:
     """The tracks without some rows, and without agents that have no others."""
-    index, n, t = tracks.rows.index, len(tracks.names), tracks.time_s.size
-    kept = np.flatnonzero(~dropped)
-    index = RowIndex.of_rows(index.agent[kept], index.step[kept], n, t)
-    fewer = replace(tracks, rows=tracks.rows.taken(kept, index))
+    index, kept = tracks.index, np.flatnonzero(~dropped)
+    index = RowIndex.of_rows(index.agent[kept], index.step[kept], index.agents, index.times)
+    fewer = replace(
+        tracks, index=index, row_xy=tracks.row_xy[kept], row_heading=tracks.row_heading[kept],
+        row_speed=tracks.row_speed[kept],
+    )  # fmt: skip
     return fewer.part(np.unique(index.agent), slice(None))
 
 

@@ -68,7 +68,7 @@ def read_road_file(
         with opened(path) as file:
             commonroad = b"<commonRoad" in file.read(ROOT_BYTES)
         if commonroad:
-            from sim.road.maps.commonroad import read_map
+            from sim.road.maps.commonroad_lanelets import read_map
 
             return read_map(path, name)
         from sim.road.net import read_road
