@@ -130,3 +130,27 @@ def summarise(
                 share = (target - below[at]) / sums[i, first + at]
                 out[i, column + q] = low + share * (high - low)
             column += quantiles + 2
+
+
+@in_place()
+def change_within(
+    values: FloatArray,
+    rows: IntArray,
+    times: FloatArray,
+    first: int,
+    out: FloatArray,
+    elapsed: FloatArray,
+) -> None:
+    """Difference of each row's last values (m, T, 2) from its oldest known ones, and its time.
+
+    Times before ``first`` do not count. Where only the last time is left, nothing is known.
+    """
+    last = times.size - 1
+    for i in range(rows.size):
+        row, at = rows[i], first
+        while at < last and math.isnan(values[row, at, 0]):
+            at += 1
+        known = at < last
+        for axis in range(2):
+            out[i, axis] = values[row, last, axis] - values[row, at, axis] if known else math.nan
+        elapsed[i, 0] = times[last] - times[at] if known else 1.0

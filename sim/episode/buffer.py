@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.row_index import RowIndex, find_sorted
-from sim.frames import KINDS, MAX_MAGNITUDE, MOVING, OF_AGENTS, SIGNALS, Frame, Tracks
+from sim.frames import KINDS, MAX_MAGNITUDE, OF_AGENTS, SIGNALS, Frame, Tracks
 
 MAX_TIME_S: Final = MAX_MAGNITUDE
 """Latest time, s (as of recordings: 30 years; far later ones have no next step)."""
@@ -26,6 +27,7 @@ class FrameBuffer:
         if steps < 1:
             raise InputError(f"steps: found {steps}, expected at least 1")
         self._frames: deque[Frame] = deque(maxlen=steps)
+        self._moved: deque[NDArray[np.float64]] = deque(maxlen=steps)  # x, y, heading, speed
 
     def push(self, frame: Frame) -> None:
         """Add the next frame.
@@ -64,6 +66,7 @@ class FrameBuffer:
                     f"frame.{name}: found agent {agent} beyond {MAX_MAGNITUDE:g}, expected less"
                 )
         self._frames.append(frame)
+        self._moved.append(np.column_stack([frame.xy, frame.heading, frame.speed]))
 
     def __len__(self) -> int:
         """How many frames are kept now."""
@@ -85,22 +88,22 @@ class FrameBuffer:
         if not self._frames:
             return Tracks.from_frames(())
         frames, last = self._frames, self._frames[-1]
+        agents, times = len(last), len(frames)
         agent, here = find_sorted(last.ids, np.concatenate([frame.ids for frame in frames]))
-        rows = np.flatnonzero(here)
-        rows = rows[np.argsort(agent[rows], kind="stable")]
-        step = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[rows]
-        index = RowIndex.of_rows(agent[rows], step, len(last), len(frames))
-        moved: dict[str, Any] = {
-            f"row_{name}": np.concatenate([getattr(f, name) for f in frames]).take(rows, axis=0)
-            for name in MOVING
-        }
+        step = np.repeat(np.arange(times), [len(frame) for frame in frames])
+        source = np.full(agents * times, -1)  # the row of each agent at each time
+        source[(agent * times + step)[here]] = np.flatnonzero(here)
+        rows = source[source >= 0]
+        moved = np.concatenate(self._moved).take(rows, axis=0)
         return Tracks(
             ids=last.ids,
             names=tuple(map(str, last.ids.tolist())),
             **{name: getattr(last, name) for name in OF_AGENTS},
             time_s=np.array([frame.time_s for frame in frames]),
-            index=index,
-            **moved,
-            signals=np.stack([frame.signals for frame in frames], axis=1),
+            index=RowIndex.of_rows(agent[rows], step[rows], agents, times),
+            row_xy=moved[:, :2].copy(),
+            row_heading=moved[:, 2].copy(),
+            row_speed=moved[:, 3].copy(),
+            signals=np.array([frame.signals for frame in frames]).T.copy(),
             events=tuple(event for frame in frames for event in frame.events),
         )

@@ -307,7 +307,7 @@ def check_history(history: Tracks) -> None:
         if not ((codes >= 0) & (codes < len(most))).all():
             raise InputError(f"history.{name}: found other codes than 0 to {len(most) - 1}")
     for name in ("xy", "heading", "speed", "length", "width"):
-        values = getattr(history.rows if name in MOVING else history, name)
+        values = getattr(history, f"row_{name}" if name in MOVING else name)
         if np.abs(values).max(initial=0.0) <= MAX_MAGNITUDE:
             continue
         found = "a number that is not finite"
