@@ -97,7 +97,7 @@ class Registry(Mapping[str, T], Generic[T]):
     def _all(self) -> dict[str, Any]:
         """The entries of this package, then those that other distributions add; none twice."""
         found: dict[str, Any] = dict(self._entries)
-        for plugin in _entry_points(tuple(sys.path)).select(group=self._group):
+        for plugin in _plugins(tuple(sys.path), self._group):
             if plugin.name in found:
                 other = found[plugin.name]
                 owner = "graphrqi" if plugin.name in self._entries else _distribution(other)
@@ -142,9 +142,9 @@ def _distribution(plugin: EntryPoint) -> str:
     return f"{plugin.dist.name} {plugin.dist.version}" if plugin.dist else "an unknown distribution"
 
 
-@lru_cache(maxsize=1)
-def _entry_points(path: tuple[str, ...]) -> Any:
-    """Every installed entry point; looked for again when ``sys.path`` changes."""
+@lru_cache(maxsize=32)
+def _plugins(path: tuple[str, ...], group: str) -> tuple[EntryPoint, ...]:
+    """The installed entry points of a group; looked for again when ``sys.path`` changes."""
     from importlib.metadata import entry_points
 
-    return entry_points()
+    return tuple(entry_points(group=group))
