@@ -72,10 +72,12 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
 
     n = drives.size
     nearest, distance, beside = np.full((3, n), -1), np.full((3, n), np.inf), np.zeros(n)
+    bounds = SAME_PATH_M, BESIDE_M, ABREAST_M, SAME_WAY, PEDESTRIAN_AHEAD_M
     # copies: kernels are compiled again for read-only arrays
     find_around(
-        *graph.pairs, motion.xy.copy(), motion.direction, drives.copy(), nearest, distance, beside
-    )
+        *graph.pairs, motion.xy.copy(), motion.direction, drives.copy(), bounds, nearest, distance,
+        beside,
+    )  # fmt: skip
     leader, follower, _ = nearest
     gap, rear_gap, pedestrian_m = np.where(nearest >= 0, distance, np.nan)
     leader_speed, rear_speed = (

@@ -8,13 +8,6 @@ from __future__ import annotations
 import math
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.features.interaction import (
-    ABREAST_M,
-    BESIDE_M,
-    PEDESTRIAN_AHEAD_M,
-    SAME_PATH_M,
-    SAME_WAY,
-)
 from sim.compiled import in_place
 
 
@@ -25,6 +18,7 @@ def find_around(
     xy: FloatArray,
     direction: FloatArray,
     drives: BoolArray,
+    bounds: tuple[float, float, float, float, float],
     nearest: IntArray,
     distance: FloatArray,
     beside: FloatArray,
@@ -33,8 +27,9 @@ def find_around(
 
     ``row`` and ``other`` (m,) are joined vertices. ``nearest`` (3, n), -1 before, receives the
     nearest of each kind, and ``distance`` (3, n), infinite before, how far. ``beside`` (n,) counts
-    the drivers in the next lanes.
+    the drivers in the next lanes. ``bounds`` are those of `graphrqi.features.interaction`.
     """
+    same_path_m, beside_m, abreast_m, same_way, pedestrian_m = bounds
     for e in range(row.size):
         i, j = row[e], other[e]
         if not drives[i]:
@@ -42,19 +37,19 @@ def find_around(
         east, north = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
         ahead = east * direction[i, 0] + north * direction[i, 1]
         aside = abs(direction[i, 0] * north - direction[i, 1] * east)
-        if not aside < BESIDE_M:  # nor where a direction is unknown
+        if not aside < beside_m:  # nor where a direction is unknown
             continue
         if drives[j]:
             alike = direction[j, 0] * direction[i, 0] + direction[j, 1] * direction[i, 1]
-            if not alike > SAME_WAY:
+            if not alike > same_way:
                 continue
-            if aside >= SAME_PATH_M:
-                beside[i] += abs(ahead) < ABREAST_M
+            if aside >= same_path_m:
+                beside[i] += abs(ahead) < abreast_m
                 continue
             kind = 0 if ahead > 0.0 else 1
         else:
             kind = 2
-            if ahead >= PEDESTRIAN_AHEAD_M:
+            if ahead >= pedestrian_m:
                 continue
         if ahead != 0.0 and (kind == 1 or ahead > 0.0) and abs(ahead) < distance[kind, i]:
             nearest[kind, i], distance[kind, i] = j, abs(ahead)

@@ -5,32 +5,36 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from graphrqi.predict.learned.inputs import AROUND, FAR_M, PAST, PER_NEIGHBOR, STOPS
 from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
 from sim.compiled import in_place
 
-PAST_START, AROUND_START, AROUND_END = PAST.start, AROUND.start, AROUND.stop
+FAR_M = 100.0
+"""Distances are cut off here and divided by it."""
 
 
 @in_place()
 def describe(
     past: Any, place: Any, wishes: Any, around: Any, lanes: Any, paths: Any, stop_state: Any,
-    out: Any,
+    columns: Any, stops: int, out: Any,
 ) -> None:  # fmt: skip
     """Describe each driver; see `graphrqi.predict.learned.inputs.features_of`.
 
     Tuples hold columns of the history at its present and past moments, and of the scene, its agent
-    states, its lane graph and its paths. ``stop_state`` (R, A) has the moments that are shown.
-    ``out`` (n, FEATURES) must be zero.
+    states, its lane graph and its paths. ``stop_state`` (R, A) has the moments that are shown, of
+    at most ``stops`` constraints. ``columns`` are the first ones of the past, of the neighbours and
+    of the stop constraints in ``out`` (n, FEATURES), which must be zero.
     """
+    first, second, third = columns
     for i in range(len(out)):
-        _describe_own(i, past, place, wishes, lanes, out)
-        _describe_neighbors(i, past, place, around, out)
-        _describe_way(i, past, place, paths, stop_state, out)
+        _describe_own(i, past, place, wishes, lanes, first, out)
+        _describe_neighbors(i, past, place, around, second, out)
+        _describe_way(i, past, place, paths, stop_state, third, stops, out)
 
 
 @in_place(inner=True)
-def _describe_own(i: int, past: Any, place: Any, wishes: Any, lanes: Any, out: Any) -> None:
+def _describe_own(
+    i: int, past: Any, place: Any, wishes: Any, lanes: Any, first: int, out: Any
+) -> None:  # fmt: skip
     """Write the driver's own state and past."""
     seen, speed, heading, length = past
     on_path, lane, s, offset, lateral_speed, accel = place
@@ -48,13 +52,13 @@ def _describe_own(i: int, past: Any, place: Any, wishes: Any, lanes: Any, out: A
         out[i, 12] = min(max(lane_length[on] - s[i], 0.0), FAR_M) / FAR_M
     for k in range(1, seen.shape[1]):
         if seen[i, k]:
-            c = PAST_START + 3 * (k - 1)
+            c = first + 3 * (k - 1)
             out[i, c], out[i, c + 1] = 1.0, (speed[i, k] - now) / 5.0
             out[i, c + 2] = math.sin(heading[i, 0] - heading[i, k])
 
 
 @in_place(inner=True)
-def _describe_neighbors(i: int, past: Any, place: Any, around: Any, out: Any) -> None:
+def _describe_neighbors(i: int, past: Any, place: Any, around: Any, c: int, out: Any) -> None:
     """Write the leader, its leader, the follower and those on the lanes beside."""
     leader, gap, follower, adjacent, adjacent_gap = around
     _, speed, _, length = past
@@ -70,14 +74,16 @@ def _describe_neighbors(i: int, past: Any, place: Any, around: Any, out: Any) ->
         elif k > 2:
             who, far = adjacent[i, k - 3], adjacent_gap[i, k - 3]
         if who >= 0:
-            c = AROUND_START + PER_NEIGHBOR * k
             out[i, c], out[i, c + 1] = 1.0, 1.0 - min(max(far, -5.0), FAR_M) / FAR_M
             out[i, c + 2] = (speed[who, 0] - speed[i, 0]) / 10.0
             out[i, c + 3] = accel[who] / 3.0
+        c += 4
 
 
 @in_place(inner=True)
-def _describe_way(i: int, past: Any, place: Any, paths: Any, stop_state: Any, out: Any) -> None:
+def _describe_way(
+    i: int, past: Any, place: Any, paths: Any, stop_state: Any, first: int, stops: int, out: Any
+) -> None:
     """Write the next stop constraints, the next lower limit and where the path turns."""
     _, _, _, length = past
     on_path, _, s, _, _, _ = place
@@ -88,16 +94,16 @@ def _describe_way(i: int, past: Any, place: Any, paths: Any, stop_state: Any, ou
     shown, front = stop_state.shape[1], s[i] + length[i] / 2.0
     for k in range(stop_x.shape[1]):
         room = stop_x[q, k] - front
-        if not -1.0 < room < FAR_M or found == STOPS:
+        if not -1.0 < room < FAR_M or found == stops:
             continue
-        c = AROUND_END + found
+        c = first + found
         out[i, c] = 1.0 - max(room, 0.0) / FAR_M
         for a in range(shown):
             state = stop_state[stop_row[q, k], a]
-            out[i, c + STOPS * (1 + 2 * a)] = state == STOP
-            out[i, c + STOPS * (2 + 2 * a)] = state == STOP_IF_COMFORTABLE
+            out[i, c + stops * (1 + 2 * a)] = state == STOP
+            out[i, c + stops * (2 + 2 * a)] = state == STOP_IF_COMFORTABLE
         found += 1
-    c = AROUND_END + STOPS * (1 + 2 * shown)
+    c = first + stops * (1 + 2 * shown)
     for k in range(limit.shape[1]):
         if limit[q, k] < limit[q, 0] - 0.1 and math.isfinite(start[q, k]):
             out[i, c] = 1.0 - min(max(start[q, k] - s[i], 0.0), FAR_M) / FAR_M

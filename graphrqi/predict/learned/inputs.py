@@ -29,9 +29,6 @@ from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
 from sim.road.lane_graph import DIRECTIONS
 
-FAR_M = 100.0
-"""Distances are cut off here and divided by it."""
-
 PAST_S: Final = tuple(0.5 * i for i in range(1, 10))
 """Ages of the moments of the own past that are described, s."""
 
@@ -76,7 +73,7 @@ def features_of(scene: Scene) -> FloatArray:
         (states.leader, states.gap, states.follower, states.adjacent, states.adjacent_gap),
         (graph.left, graph.right, graph.internal, graph.length, limits(graph)),
         (scene.path, paths.limit, paths.start, paths.turn, paths.stop_x, paths.stop_row),
-        scene.stop_state[:, shown], out,
+        scene.stop_state[:, shown], (PAST.start, AROUND.start, AROUND.stop), STOPS, out,
     )  # fmt: skip
     return out
 
