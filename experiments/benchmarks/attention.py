@@ -33,8 +33,8 @@ from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.engines import get_engine
-from sim.episode.detector_inputs import detector_inputs
-from sim.episode.incidents import incidents
+from sim.episode.annotate import incidents
+from sim.episode.observables import detector_inputs
 from sim.episode.yielding import COULD_STOP_MPS2
 from sim.frames import AgentKind, EventKind, FloatArray, Tracks
 from sim.road import Road

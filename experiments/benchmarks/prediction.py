@@ -1,7 +1,7 @@
 """Every figure of the predictors on unseen episodes, and who yields to pedestrians.
 
 Will a driver let the pedestrian go first? An encounter is a driver about to reach an occupied
-crossing without a red light. It is scored where the episode's events (`sim.episode.incidents`) say
+crossing without a red light. It is scored where the episode's events (`sim.episode.annotate`) say
 whether the driver yielded. The behaviours' profiles state how often each yields, so beliefs about
 the driver give a chance: the paper's pedestrian figure, as a number.
 """

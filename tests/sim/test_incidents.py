@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from scenarios.networks.build import FOLDER, NET
-from sim.episode.annotate import annotate
-from sim.episode.incidents import incidents
+from sim.episode.annotate import annotate, incidents
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.road.net import read_road
 
