@@ -16,11 +16,9 @@ References:
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.predict.prediction import STEP_S
@@ -28,9 +26,7 @@ from graphrqi.predict.rollout.car_following import Rollout
 from graphrqi.predict.rollout.driver_table import DriverParameters, DriverTable, expected_parameters
 from graphrqi.predict.rollout.rollout import centre_ahead, on_lane_beside, positions, roll
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim.frames import FloatArray, IntArray
 
 WISHES: Final = ((0.0, 1.0), (0.5, 1.0), (1.0, 0.8), (1.0, 1.4), (1.0, 2.2))
 """Wished speeds, as shares of the limit, and time headways, s, that are tried."""
@@ -80,25 +76,13 @@ ACT_S: Final = 0.5
 """Time between two decisions, s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """A manoeuvre until the next decision.
+def plan(
+    scene: Scene, ego: int, probability: FloatArray, table: DriverTable
+) -> tuple[float, FloatArray]:
+    """The best manoeuvre of the vehicle in row ``ego`` until the next decision.
 
-    Attributes:
-        accel: m/s2.
-        centre: (H, 2) the centre line to steer along, from here on, m.
-        side: 0: in the same lane, 1: one to the left, -1: one to the right.
-    """
-
-    accel: float
-    centre: FloatArray
-    side: int
-
-
-def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) -> Plan:
-    """The best manoeuvre's beginning for the vehicle in row ``ego``, on the path it is to take.
-
-    Beliefs (n, 6) are about the drivers' behaviours; the table has the numbers of these.
+    Beliefs (n, 6) are about the drivers' behaviours; the table has the numbers of these. Returned
+    are an acceleration, m/s2, and the centre line (H, 2) to steer along from here on, m.
     """
     drivers = expected_parameters(scene, probability, table)
     length = scene.history.length.copy()
@@ -114,12 +98,12 @@ def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) ->
             rollout = roll(moved, driven, table.decay_s, planned=ego)
             worth = _worth(moved, rollout, ego, probability) - CHANGE_WEIGHT * abs(side)
             if worth > best:
-                best, chosen = worth, (side, moved, rollout)
+                best, chosen = worth, (moved, rollout)
     assert chosen is not None
-    side, moved, rollout = chosen
+    moved, rollout = chosen
     speed = float(max(scene.speed[ego], 0.0))
     accel = (rollout.speed[ego, round(ACT_S / STEP_S) - 1] - speed) / ACT_S
-    return Plan(float(accel), centre_ahead(moved, ego), side)
+    return float(accel), centre_ahead(moved, ego)
 
 
 def _moved(scene: Scene, ego: int, side: int) -> Scene | None:
