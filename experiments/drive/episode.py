@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from scipy.ndimage import convolve1d
 
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
@@ -20,7 +21,7 @@ from experiments.what_if.outcomes import RULES
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.incidents import incidents
-from sim.frames import EventKind, FloatArray, Frame, Tracks
+from sim.frames import EventKind, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.road import Road
 from sim.safety import ConflictKind
@@ -198,19 +199,15 @@ def _comfort(driven: Tracks, ego_id: int) -> dict[str, float]:
     speed, heading = driven.speed[row, seen], np.unwrap(driven.heading[row, seen])
     if speed.size < 4:
         return {"uncomfortable_share": 0.0, "rms_jerk_mps3": 0.0}
-    forward = _smooth(np.diff(speed)) / driven.step_s
-    sideways = speed[1:] * _smooth(np.diff(heading)) / driven.step_s
+    mean = np.full(3, 1 / 3)  # of neighbours, so that a single step's jump is no acceleration
+    forward = convolve1d(np.diff(speed), mean, mode="nearest") / driven.step_s
+    sideways = speed[1:] * convolve1d(np.diff(heading), mean, mode="nearest") / driven.step_s
     bad = (forward < FORWARD_MPS2[0]) | (forward > FORWARD_MPS2[1])
     bad |= np.abs(sideways) > SIDEWAYS_MPS2
     jerk = np.diff(forward) / driven.step_s
     return {
         "uncomfortable_share": float(bad.mean()), "rms_jerk_mps3": float(np.sqrt((jerk**2).mean()))
     }  # fmt: skip
-
-
-def _smooth(values: FloatArray) -> FloatArray:
-    """The mean of three neighbours, so that a single step's jump is no acceleration."""
-    return np.convolve(np.pad(values, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
 
 
 def score(figures: Mapping[str, float]) -> float:

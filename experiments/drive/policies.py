@@ -51,24 +51,22 @@ _model = functools.lru_cache(maxsize=2)(load_model)
 
 
 class Planner:
-    """Our planner at the wheel, which knows nothing, beliefs or the truth of the other drivers.
+    """Our planner at the wheel for one episode, of which it sees every frame.
 
-    It ``knows`` "nothing", "beliefs" or "truth", and sees every frame of the environment.
+    It ``knows`` "nothing", "beliefs" or "truth" of the other drivers.
     """
 
     def __init__(self, knows: str, env: Any) -> None:
         self._knows, self._env = knows, env
         self._frame: Frame | None = None
+        self._buffer = FrameBuffer(HISTORY_STEPS)
+        self._stream = BehaviorStream(_model(DEFAULT_MODEL)) if knows == "beliefs" else None
+        self._plan: tuple[float, FloatArray] | None = None
+        self._next_s = 0.0
         env.on_frame = self._see
 
     def _see(self, frame: Frame) -> None:
-        """Remember and classify a frame; one from before the last begins a new episode."""
-        if self._frame is None or frame.time_s <= self._frame.time_s:
-            self._buffer = FrameBuffer(HISTORY_STEPS)
-            classifies = self._knows == "beliefs"
-            self._stream = BehaviorStream(_model(DEFAULT_MODEL)) if classifies else None
-            self._plan: tuple[float, FloatArray] | None = None
-            self._next_s = 0.0
+        """Remember and classify a frame."""
         self._frame = frame
         self._buffer.push(frame)
         if self._stream is not None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from heapq import nlargest
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 from urllib.parse import urlencode
 
 import numpy as np
@@ -29,17 +31,10 @@ DRAWN: Final = {"predicted": "predicted behaviours and paths", "w": "traffic gra
 """The pictures of a scenario, by the mode of `Drawing`."""
 
 
-class Case(NamedTuple):
-    """An agent about which the run was wrong, and where to see it, relative to the report.
+Case = tuple[float, str, str]
+"""An agent about which the run was wrong: how badly, in words, and a link relative to the report.
 
-    The sort is "answer" or "prediction"; the badness is the probability given to the wrong
-    behaviour, or metres.
-    """
-
-    sort: str
-    badness: float
-    text: str
-    href: str
+The badness is the probability given to the wrong behaviour, or metres."""
 
 
 def take_excerpts(
@@ -61,20 +56,20 @@ def take_excerpts(
         what = f"looking at unseen episodes of {name}"
         parts = list(in_parallel(_looked_at, arguments, jobs, what, quiet))
         if parts:
-            cases = sorted((c for *_, own in parts for c in own), key=lambda case: -case.badness)
-            answers = [case for case in cases if case.sort == "answer"][:CASES]
-            predictions = [case for case in cases if case.sort == "prediction"][:CASES]
-            pictures, href, _ = parts[0]
-            yield {
-                "scenario": name, "pictures": pictures, "href": href,
-                "cases": answers + predictions,
-            }  # fmt: skip
+            answers = nlargest(CASES, itertools.chain(*(part[2] for part in parts)))
+            predictions = nlargest(CASES, itertools.chain(*(part[3] for part in parts)))
+            pictures, href, *_ = parts[0]
+            cases = answers + predictions
+            yield {"scenario": name, "pictures": pictures, "href": href, "cases": cases}
 
 
 def _looked_at(
     folder: Path, entry: EpisodeEntry, draw: bool
-) -> tuple[list[Picture], str, list[Case]]:
-    """Pictures of an episode if asked for, the link to its fullest moment, and all cases in it."""
+) -> tuple[list[Picture], str, list[Case], list[Case]]:
+    """Pictures of an episode if asked for, the link to its fullest moment, and all cases in it.
+
+    Cases are wrong answers, and wrong predictions.
+    """
     scene = gather(open_dataset(folder / "data"), entry, model=str(folder / "model"))
     page, moment = f"replays/{entry.id}.html", scene.fullest_s
     write_page(scene, folder / page, "predicted")
@@ -83,8 +78,8 @@ def _looked_at(
         for mode, words in DRAWN.items()
         if draw
     ]
-    cases = [*_wrong_answers(scene, page), *_wrong_predictions(scene, page)]
-    return pictures, _link(page, moment), cases
+    wrong = list(_wrong_answers(scene, page)), list(_wrong_predictions(scene, page))
+    return pictures, _link(page, moment), *wrong
 
 
 def _link(page: str, time_s: float, agent: str = "") -> str:
@@ -108,8 +103,7 @@ def _wrong_answers(scene: ReplayScene, page: str) -> Iterator[Case]:
                 f"driver {name} is {scene.tracks.classes[truth[row]]}, "
                 f"taken for {BEHAVIORS[code]} with {100 * last[code]:.0f} % at last"
             )
-            href = _link(page, float(scene.beliefs.time_s[surest]), name)
-            yield Case("answer", float(last[code]), text, href)
+            yield float(last[code]), text, _link(page, float(scene.beliefs.time_s[surest]), name)
 
 
 def _wrong_predictions(scene: ReplayScene, page: str) -> Iterator[Case]:
@@ -130,4 +124,4 @@ def _wrong_predictions(scene: ReplayScene, page: str) -> Iterator[Case]:
     for agent, time_s, error in worst.itertuples(index=False):
         name = tracks.names[agent]
         text = f"agent {name}, predicted at {time_s:.1f} s, ended {error:.1f} {scene.unit} away"
-        yield Case("prediction", error, text, _link(page, time_s, name))
+        yield error, text, _link(page, time_s, name)
