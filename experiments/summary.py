@@ -144,7 +144,7 @@ def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:
         events, traits = list(tracks.events), list(episode.shown_traits)
         gaps = dataset.rows(entry, "steps", ["agent", "speed_mps", "gap_m"]).to_pandas()
     headway = (gaps["gap_m"] / gaps["speed_mps"])[gaps["speed_mps"] > MOVES_MPS]
-    headway = headway[headway < FOLLOWS_S]
+    headway = headway[headway < FOLLOWS_S].astype(float)
     follows = pd.DataFrame({
         "headway": headway, "close": (headway < CLOSE_S).astype(float), "follows": 1.0
     }).groupby(gaps["agent"]).sum()  # fmt: skip

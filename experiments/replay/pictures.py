@@ -252,20 +252,13 @@ class Drawing:
                 if id(artist) not in self._still:
                     artist.remove()
             self._draw_stops(axes, step)
-            axes.add_collection(LineCollection(**overlay, zorder=3))
-            axes.add_collection(
-                PolyCollection(
-                    ghosts,
-                    facecolors="none",
-                    edgecolors=MUTED,
-                    linewidths=0.8,
-                    linestyles="--",
-                    zorder=4,
-                )
-            )
-            axes.add_collection(
-                PolyCollection(bodies, facecolors=colors, edgecolors=INK, linewidths=0.7, zorder=5)
-            )
+            for collection in (
+                LineCollection(**overlay, zorder=3),
+                PolyCollection(ghosts, facecolors="none", edgecolors=MUTED, linestyles="--",
+                               linewidths=0.8, zorder=4),
+                PolyCollection(bodies, facecolors=colors, edgecolors=INK, linewidths=0.7, zorder=5),
+            ):  # fmt: skip
+                axes.add_collection(collection)
             self._draw_collisions(axes, time_s)
         return self.figure
 

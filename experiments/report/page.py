@@ -24,12 +24,6 @@ from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
 from sim.store.catalogue import is_dataset
 
-MARK: Final = b"GraphRQI"
-"""Mark in the head of every page that is written here; another page is not overwritten."""
-
-HEAD_BYTES: Final = 2000
-"""Bytes of a page in which this mark is looked for."""
-
 FORMATS: Final = {"svg": ".svg", "pdf": ".pdf"}
 """Formats of pictures in files of their own, and their endings."""
 
@@ -77,8 +71,6 @@ def write_report(
     if out is None:
         out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
         out = Path("comparison.html") if many else out
-    if out.is_file() and MARK not in out.read_bytes()[:HEAD_BYTES]:
-        raise InputError(f"{out}: found a page that is not a report, expected none; move it away")
     rows = tables[0]
     if many:
         runs = names if len(set(names)) == len(names) else [str(path) for path in paths]
