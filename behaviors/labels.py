@@ -15,9 +15,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError, in_file, lookup
 from behaviors.profiles import PROFILE_FIELDS, Profile
-from behaviors.toml_files import in_file, read_toml, shipped_or_path
+from behaviors.toml_files import read_toml, shipped_or_path
 
 
 class Style(StrEnum):
@@ -134,33 +134,32 @@ def _behavior(name: str, said: Mapping[str, Any], known: Mapping[str, Behavior])
         raise InputError(f"{name!r:.60}: expected a name of small letters that is no style's")
     for key in said:
         lookup(dict.fromkeys(KEYS), key, f"key of {name}")
-    like = said.get("like")
-    if known and like is None:
+    if known and "like" not in said:
         raise InputError(f"{name}.like: found none, expected one of {', '.join(known)}")
-    base = lookup(known, str(like), f"{name}.like") if known else None
-    numbers = {key: said[key] for key in PROFILE_FIELDS if key in said}
-    said = {"color": OWN_COLOR, "style": base and base.style, "traits": [], "source": "", **said}
-    if not re.fullmatch("#[0-9A-Fa-f]{6}", str(said["color"])):
-        raise InputError(f"{name}.color: found {said['color']!r:.60}, expected such as '#009E73'")
-    if not isinstance(said["traits"], list | tuple):
-        raise InputError(f"{name}.traits: found {said['traits']!r:.60}, expected a list")
-    for key, value in numbers.items():
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            raise InputError(f"{name}.{key}: found {value!r:.60}, expected a number")
-        numbers[key] = float(value)
-    with in_file(name):
-        profile = (
-            Profile(**numbers) if base is None else dataclasses.replace(base.profile, **numbers)
-        )
+    base = lookup(known, str(said["like"]), f"{name}.like") if known else None
+    style = str(said.get("style", base and base.style))
     known_traits = {str(trait): trait for trait in Trait}
+    color, traits = str(said.get("color", OWN_COLOR)), said.get("traits", [])
+    if not re.fullmatch("#[0-9A-Fa-f]{6}", color):
+        raise InputError(f"{name}.color: found {color!r:.60}, expected such as '#009E73'")
+    if not isinstance(traits, list | tuple):
+        raise InputError(f"{name}.traits: found {traits!r:.60}, expected a list")
+    numbers = {} if base is None else dataclasses.asdict(base.profile)
+    for key in PROFILE_FIELDS:
+        if key in said:
+            if not isinstance(said[key], int | float) or isinstance(said[key], bool):
+                raise InputError(f"{name}.{key}: found {said[key]!r:.60}, expected a number")
+            numbers[key] = float(said[key])
+    with in_file(name):
+        profile = Profile(**numbers)
     return Behavior(
         name,
-        style=lookup({str(one): one for one in Style}, str(said["style"]), f"{name}.style"),
-        color=str(said["color"]),
+        style=lookup({str(one): one for one in Style}, style, f"{name}.style"),
+        color=color,
         profile=profile,
         like=name if base is None else base.like,
-        traits=tuple(lookup(known_traits, str(t), f"trait of {name}") for t in said["traits"]),
-        source=str(said["source"])[:1000],
+        traits=tuple(lookup(known_traits, str(t), f"trait of {name}") for t in traits),
+        source=str(said.get("source", ""))[:1000],
     )
 
 
@@ -226,10 +225,5 @@ def read_behaviors(
 
 
 def tables_of(behaviors: tuple[Behavior, ...]) -> dict[str, Any]:
-    """Behaviours as one table that `read_behaviors` reads back, equal.
-
-    Examples:
-        >>> read_behaviors(tables_of(read_behaviors("novice"))) == read_behaviors("novice")
-        True
-    """
+    """Behaviours as one table that `read_behaviors` reads back, equal."""
     return {str(one): one.table() for one in behaviors}

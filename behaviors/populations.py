@@ -27,15 +27,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.elementwise import exponential, logarithm
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError, in_file, lookup
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior
 from behaviors.profiles import FARTHEST_SPREADS, SPREAD_FIELDS, Profile
-from behaviors.toml_files import in_file, read_toml, shipped_or_path
-
-FloatArray = NDArray[np.float64]
+from behaviors.row_index import FloatArray
+from behaviors.toml_files import read_toml, shipped_or_path
 
 BELIEVED: Final[dict[str, tuple[float, float]]] = {
     "desired_speed_mps": (1.0, 100.0),
@@ -68,8 +66,7 @@ LOWEST_HEADWAY_S: Final = 0.35
 than a step)."""
 
 MOST_DRAWS, AT_ONCE = 10_000, 16
-"""Most draws for one driver, and how many are made together; a population whose drivers need more
-is refused."""
+"""Most draws for one driver, and how many are made together."""
 
 TEXTS: Final = ("name", "source", "law")
 """Texts of a file."""
@@ -82,14 +79,10 @@ POPULATIONS: Final = {
 
 
 class Around(StrEnum):
-    """Where the six behaviours' drivers are drawn."""
+    """Where the six behaviours' drivers are drawn; see the module."""
 
     POPULATION = "population"
-    """The behaviours are moved into the population: all six together have its medians and
-    spreads."""
-
     PROFILES = "profiles"
-    """Each behaviour's drivers lie around its profile, with the population's whole spread."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,45 +111,30 @@ class Population:
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not form a distribution."""
-        where = f"population {self.name}: "
-        for name, shape in (("median", (5,)), ("log_spread", (5,)), ("correlation", (5, 5))):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != shape or not np.isfinite(array).all():
-                found = array.shape if array.shape != shape else "numbers that are not finite"
-                raise InputError(f"{where}{name}: found {found}, expected {shape} numbers")
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        limits = [(f"{name}.median", *bounds) for name, bounds in BELIEVED.items()]
-        limits += [(f"{name}.log_spread", 0.0, MOST_SPREAD) for name in NUMBERS]
-        values = np.concatenate([self.median, self.log_spread]).tolist()
-        for (name, least, most), value in zip(limits, values, strict=True):
-            if not least <= value <= most:
-                raise InputError(f"{where}{name}: found {value:g}, expected {least:g} to {most:g}")
-        symmetric = np.allclose(self.correlation, self.correlation.T, atol=1e-6)
-        ones = np.allclose(np.diag(self.correlation), 1.0, atol=1e-6)
-        if not symmetric or not ones or np.linalg.eigvalsh(self.correlation)[0] < -1e-6:
-            raise InputError(
-                f"{where}correlation: found not a correlation matrix, expected a symmetric one "
-                "with ones on its diagonal and no negative eigenvalue"
-            )
-
-    def median_driver(self, behavior: Behavior) -> Profile:
-        """The median driver of a behaviour; the profile fills what the population does not give.
-
-        Examples:
-            >>> round(read_population("profiles").median_driver(Behavior.TIMID).time_headway_s, 6)
-            2.9
-        """
-        return _replaced(behavior.profile, exponential(_centre_of(self, behavior)))
+        with in_file(f"population {self.name}"):
+            for name in ("median", "log_spread", "correlation"):
+                array = np.array(getattr(self, name), dtype=np.float64)
+                if not np.isfinite(array).all():
+                    raise InputError(f"{name}: found numbers that are not finite")
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+            for k, name in enumerate(NUMBERS):
+                _check_range(f"{name}.median", self.median[k], *BELIEVED[name])
+                _check_range(f"{name}.log_spread", self.log_spread[k], 0.0, MOST_SPREAD)
+            given = self.correlation
+            ones = np.allclose(np.diag(given), 1.0, atol=1e-6)
+            even = np.allclose(given, given.T, atol=1e-6)
+            if not ones or not even or np.linalg.eigvalsh(given)[0] < -1e-6:
+                raise InputError(
+                    "correlation: found not a correlation matrix, expected a symmetric one with "
+                    "ones on its diagonal and no negative eigenvalue"
+                )
 
     def draw(self, behavior: Behavior, rng: np.random.Generator, spread: float) -> Profile:
         """One driver of a behaviour.
 
         Draws beyond `FARTHEST` spreads (`FARTHEST_SPREADS` for the profile's other numbers, whose
-        log-normal spread is ``spread``) are drawn again.
-
-        Raises:
-            InputError: if no draw reaches `LOWEST_HEADWAY_S`.
+        log-normal spread is ``spread``) are drawn again; so are headways below `LOWEST_HEADWAY_S`.
         """
         centre, (_, within, root) = _centre_of(self, behavior), _distribution(self)
         for _ in range(0, MOST_DRAWS, AT_ONCE):
@@ -165,8 +143,7 @@ class Population:
             good = (np.abs(z) <= FARTHEST).all(axis=1)
             good &= numbers[:, NUMBERS.index("time_headway_s")] >= LOWEST_HEADWAY_S
             if good.any():
-                found = _replaced(behavior.profile, numbers[int(good.argmax())])
-                return _varied(found, rng, spread)
+                return _driver(behavior.profile, numbers[int(good.argmax())], rng, spread)
         raise InputError(
             f"population {self.name}: time_headway_s: found no {behavior} driver with "
             f"{LOWEST_HEADWAY_S:g} s or more, expected a larger median or another spread"
@@ -200,6 +177,11 @@ class Population:
         return "\n".join([*lines, ""])
 
 
+def _check_range(name: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise InputError(f"{name}: found {value:g}, expected {least:g} to {most:g}")
+
+
 @lru_cache(maxsize=32)
 def _distribution(population: Population) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(6, 5) logarithms of the median drivers; spread and root of the correlation within each."""
@@ -225,28 +207,23 @@ def _centre_of(population: Population, behavior: Behavior) -> FloatArray:
     return centre
 
 
-def _replaced(profile: Profile, values: FloatArray) -> Profile:
-    numbers = {name: float(value) for name, value in zip(POPULATION_FIELDS, values, strict=True)}
-    return dataclasses.replace(profile, **numbers)
-
-
-def _varied(profile: Profile, rng: np.random.Generator, spread: float) -> Profile:
-    """The driver with drawn values of the numbers that the population does not give."""
+def _driver(
+    profile: Profile, numbers: FloatArray, rng: np.random.Generator, spread: float
+) -> Profile:
+    """A driver of a population's numbers, whose others are drawn around the profile."""
     names = [name for name in SPREAD_FIELDS if name not in POPULATION_FIELDS]
     z = rng.standard_normal(len(names))
     while (far := np.abs(z) > FARTHEST_SPREADS).any():
         z[far] = rng.standard_normal(int(far.sum()))
     factors = exponential(spread * z)
     drawn = {n: float(getattr(profile, n) * f) for n, f in zip(names, factors, strict=True)}
-    return dataclasses.replace(profile, **drawn)
+    given = dict(zip(POPULATION_FIELDS, numbers.tolist(), strict=True))
+    return dataclasses.replace(profile, **given, **drawn)
 
 
 def _plain(text: str) -> str:
     """A text that TOML can hold between quotes."""
     return "".join(c if c.isprintable() and c not in '"\\' else "_" for c in text)
-
-
-# --- files --------------------------------------------------------------------------------------
 
 
 def read_population(source: str | Path | Mapping[str, Any] | Population) -> Population:
@@ -279,38 +256,34 @@ def read_population(source: str | Path | Mapping[str, Any] | Population) -> Popu
 
 def _of_table(table: Mapping[str, Any]) -> Population:
     """The population that a table describes, as `Population.table` gives it."""
-    said = {"drivers": 0, "around": "population", **table}
-    whole = isinstance(said["drivers"], int) and said["drivers"] >= 0
-    checks = {
-        "schema_version": (said.get("schema_version") == 1, "1"),
-        **{key: (isinstance(said.get(key), str), "text") for key in TEXTS},
-        "drivers": (whole, "a whole number >= 0"),
-        "around": (said["around"] in tuple(Around), " or ".join(Around)),
-        "numbers": (isinstance(said.get("numbers"), Mapping), "a table for each number"),
-    }
-    for key, (good, expected) in checks.items():
-        if not good:
-            raise InputError(f"{key}: found {table.get(key)!r:.60}, expected {expected}")
-    for key in said:
-        lookup(checks, key, "key")
-    numbers = said["numbers"]
-    name, source, law = (_plain(said[key][:500]) for key in TEXTS)
-    found = [_number(numbers.get(key), f"numbers.{key}") for key in NUMBERS]
-    median, spread, correlation = (np.array(values) for values in zip(*found, strict=True))
+    said: dict[str, Any] = {"schema_version": None, "drivers": 0, "around": "population"}
+    for key in table:
+        lookup({**said, **dict.fromkeys((*TEXTS, "numbers"))}, key, "key")
+    said |= table
+    for key, values in (("schema_version", [1]), ("around", [*Around])):
+        if said[key] not in values:
+            expected = " or ".join(map(str, values))
+            raise InputError(f"{key}: found {said[key]!r:.60}, expected {expected}")
+    if not isinstance(said["drivers"], int):
+        raise InputError(f"drivers: found {said['drivers']!r:.60}, expected a whole number")
+    name, source, law = (_plain(str(said.get(key, ""))[:500]) for key in TEXTS)
+    numbers = [_number(said.get("numbers"), key) for key in NUMBERS]
+    median, spread, correlation = (np.array(values) for values in zip(*numbers, strict=True))
     around = Around(said["around"])
     return Population(name, source, law, said["drivers"], median, spread, correlation, around)
 
 
-def _number(said: object, where: str) -> tuple[float, float, list[float]]:
+def _number(numbers: Any, name: str) -> tuple[float, float, list[float]]:
     """Median, spread and correlations of one number, to six digits."""
+    said = numbers.get(name) if isinstance(numbers, Mapping) else None
     if not isinstance(said, Mapping):
-        raise InputError(f"{where}: found none, expected a table of that name")
+        raise InputError(f"numbers.{name}: found none, expected a table of that name")
     try:
         median, spread = (float(f"{said[key]:.6g}") for key in ("median", "log_spread"))
         correlation = [round(float(value), 6) for value in said["correlation"]]
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{where}: {error!s:.80}, expected numbers") from None
+        raise InputError(f"numbers.{name}: {error!s:.80}, expected numbers") from None
     if len(correlation) != len(NUMBERS):
         expected = f"{len(NUMBERS)} numbers, in the order {', '.join(NUMBERS)}"
-        raise InputError(f"{where}.correlation: found {correlation}, expected {expected}")
+        raise InputError(f"numbers.{name}.correlation: found {correlation}, expected {expected}")
     return median, spread, correlation

@@ -48,16 +48,22 @@ class Registry(Mapping[str, T], Generic[T]):
         what: str,
         group: str,
         entries: Mapping[str, str | T],
-        made: Callable[[str, Any], T] | None = None,
+        made: Callable[[str, Any], T] = lambda _, found: cast(T, found),
     ) -> None:
-        self._what, self._group, self._made = what, group, made
-        self._entries, self._loaded = dict(entries), dict[str, T]()
+        self._what, self._group, self._made, self._entries = what, group, made, dict(entries)
 
     def __getitem__(self, name: str) -> T:
         """The entry of that name, imported if it is asked for the first time."""
-        if name not in self._loaded:
-            self._loaded[name] = self._load(name, lookup(self._all(), name, self._what))
-        return self._loaded[name]
+        entry = lookup(self._all(), name, self._what)
+        if name in self._entries:
+            return self._made(name, loaded(entry)) if isinstance(entry, str) else cast(T, entry)
+        try:
+            return self._made(name, entry.load())
+        except Exception as error:  # a plugin's code may fail in any way
+            raise InputError(
+                f"{self._what} {name!r}: found a plugin that does not load, "
+                f"{_distribution(entry)} ({entry.value}): {_reason(error)}"
+            ) from error
 
     def __iter__(self) -> Iterator[str]:
         """The names: those of this package, then those of plugins."""
@@ -71,19 +77,13 @@ class Registry(Mapping[str, T], Generic[T]):
         """Whether there is an entry of that name; nothing is imported."""
         return name in self._all()
 
-    def get(self, name: str, default: Any = None) -> Any:
-        """The entry of that name, or the default if there is none."""
-        return self[name] if name in self else default  # noqa: SIM401  it would call itself
-
     def __setitem__(self, name: str, entry: T) -> None:
         """Set an entry in this process."""
         self._entries[name] = entry
-        self._loaded.pop(name, None)
 
     def __delitem__(self, name: str) -> None:
         """Delete an entry in this process."""
         del self._entries[name]
-        self._loaded.pop(name, None)
 
     def origin(self, name: str) -> str:
         """The distribution that an entry comes from: "graphrqi" or a plugin's name and version."""
@@ -97,7 +97,7 @@ class Registry(Mapping[str, T], Generic[T]):
     def _all(self) -> dict[str, Any]:
         """The entries of this package, then those that other distributions add; none twice."""
         found: dict[str, Any] = dict(self._entries)
-        for plugin in _entry_points(tuple(sys.path)).get(self._group, ()):
+        for plugin in _entry_points(tuple(sys.path)).select(group=self._group):
             if plugin.name in found:
                 other = found[plugin.name]
                 owner = "graphrqi" if plugin.name in self._entries else _distribution(other)
@@ -107,22 +107,6 @@ class Registry(Mapping[str, T], Generic[T]):
                 )
             found[plugin.name] = plugin
         return found
-
-    def _load(self, name: str, entry: Any) -> T:
-        """The entry itself, imported if need be."""
-        if name not in self._entries:
-            try:
-                entry = entry.load()
-            except Exception as error:  # a plugin's code may fail in any way
-                raise InputError(
-                    f"{self._what} {name!r}: found a plugin that does not load, "
-                    f"{_distribution(entry)} ({entry.value}): {_reason(error)}"
-                ) from error
-        elif isinstance(entry, str):
-            entry = loaded(entry)
-        else:
-            return cast(T, entry)
-        return cast(T, entry) if self._made is None else self._made(name, entry)
 
 
 def loaded(source: str) -> Any:
@@ -135,14 +119,7 @@ def own_function(what: str, source: str) -> Callable[..., Any]:
     """The function of the user's own that "module:function" names; messages say ``what`` it is.
 
     The module is installed or lies in the working folder. It runs, so no name that was read from a
-    file may come here.
-
-    Raises:
-        InputError: if there is none, or its module does not load.
-
-    Examples:
-        >>> own_function("root", "math:sqrt")(9.0)
-        3.0
+    file may come here. An `InputError` says that there is none, or that it does not load.
     """
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last: nothing in it stands in for an installed package
@@ -166,10 +143,8 @@ def _distribution(plugin: EntryPoint) -> str:
 
 
 @lru_cache(maxsize=1)
-def _entry_points(path: tuple[str, ...]) -> Mapping[str, tuple[EntryPoint, ...]]:
-    """Every entry point of our groups, by group; looked for again when ``sys.path`` changes."""
+def _entry_points(path: tuple[str, ...]) -> Any:
+    """Every installed entry point; looked for again when ``sys.path`` changes."""
     from importlib.metadata import entry_points
 
-    installed = entry_points()
-    groups = sorted(group for group in installed.groups if group.startswith("graphrqi."))
-    return {group: tuple(installed.select(group=group)) for group in groups}
+    return entry_points()

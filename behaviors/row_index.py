@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 V = TypeVar("V", bound=np.generic)
@@ -24,12 +25,7 @@ BLOCK_ROWS: Final = 200_000
 
 
 def find_sorted(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
-    """The index of each id in (m,) ascending ``known`` ones, and whether it is there.
-
-    Examples:
-        >>> find_sorted(np.array([2, 5, 9]), np.array([5, 7, 10]))
-        (array([1, 2, 2]), array([ True, False, False]))
-    """
+    """The index of each id in (m,) ascending ``known`` ones, and whether it is there."""
     if known.size == 0:
         return np.zeros(ids.shape, dtype=np.int64), np.zeros(ids.shape, dtype=bool)
     at = np.minimum(np.searchsorted(known, ids), known.size - 1)
@@ -46,6 +42,15 @@ class RowIndex:
         first: (N + 1,) first row of each agent.
         times: T.
         begins: (m,) not seen one time before.
+
+    Examples:
+        >>> seen = RowIndex.of(np.array([[False, True, True], [True, False, True]]))
+        >>> seen.agent.tolist(), seen.step.tolist(), seen.begins.tolist()
+        ([0, 0, 1, 1], [1, 2, 0, 2], [True, False, True, True])
+        >>> seen.over(np.array([1.0, 2.0, 4.0, 8.0]), 0, 0, 3, 0.0).tolist()
+        [0.0, 1.0, 2.0]
+        >>> [(run.start, run.stop) for run in seen.runs(np.array([1, 1, 1, 0]) > 0)]
+        [(0, 2), (2, 3)]
     """
 
     agent: IntArray
@@ -59,18 +64,11 @@ class RowIndex:
         """From the agent and the time of each row, in order, and how many of both there are."""
         begins = np.ones(agent.size, dtype=bool)
         begins[1:] = (agent[1:] != agent[:-1]) | (step[1:] != step[:-1] + 1)
-        first = np.searchsorted(agent, np.arange(agents + 1))
-        return cls(agent, step, first, times, begins)
+        return cls(agent, step, np.searchsorted(agent, np.arange(agents + 1)), times, begins)
 
     @classmethod
     def of(cls, valid: BoolArray) -> RowIndex:
-        """From a mask, (N, T) whether each agent was seen at each time.
-
-        Examples:
-            >>> seen = RowIndex.of(np.array([[False, True, True], [True, False, True]]))
-            >>> seen.agent.tolist(), seen.step.tolist(), seen.begins.tolist()
-            ([0, 0, 1, 1], [1, 2, 0, 2], [True, False, True, True])
-        """
+        """From a mask, (N, T) whether each agent was seen at each time."""
         agent, step = np.nonzero(valid)
         return cls.of_rows(agent, step, *valid.shape)
 
@@ -86,21 +84,8 @@ class RowIndex:
         until = high if end is None else low + int(step.searchsorted(end))
         return slice(low + int(step.searchsorted(begin)) if begin > 0 else low, until)
 
-    def row(self, agent: int, time: int) -> int:
-        """The row of one agent at one time; -1 if it was not seen then."""
-        at = self.rows(agent, time, time + 1)
-        return at.start if at.stop > at.start else -1
-
     def over(self, values: NDArray[V], agent: int, begin: int, end: int, empty: Any) -> NDArray[V]:
-        """(end - begin, ...) values of one agent from time ``begin`` until before ``end``.
-
-        ``values`` has one for each row; ``empty`` fills the times at which it was not seen.
-
-        Examples:
-            >>> seen = RowIndex.of(np.array([[False, True, True, False, True]]))
-            >>> seen.over(np.array([1.0, 2.0, 4.0]), 0, 2, 5, 0.0).tolist()
-            [2.0, 0.0, 4.0]
-        """
+        """(end - begin, ...) values of one agent at each time; ``empty`` where it was not seen."""
         at = self.rows(agent, begin, end)
         filled = np.full((end - begin, *values.shape[1:]), empty, dtype=values.dtype)
         filled[self.step[at] - begin] = values[at]
@@ -110,11 +95,6 @@ class RowIndex:
         """The rows of each unbroken stretch of time over which flags (m,) hold for one agent.
 
         Stretches shorter than ``shortest`` are left out.
-
-        Examples:
-            >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))
-            >>> [(run.start, run.stop) for run in seen.runs(np.array([0, 1, 1, 1, 1]) > 0)]
-            [(1, 3), (3, 4), (4, 5)]
         """
         at = np.flatnonzero(flags)  # usually few, so the rest works on these alone
         first = np.flatnonzero(self.begins[at] | (np.diff(at, prepend=-2) > 1))
@@ -130,9 +110,9 @@ class RowIndex:
         return order, np.concatenate([[0], np.cumsum(self.counts())])
 
     def at(self, step: int) -> IntArray:
-        """(k,) the rows of one time, by agent."""
+        """(k,) the rows of one time, by agent; -1 is the last time."""
         order, begins = self.by_time
-        step %= self.times  # -1 is the last one
+        step %= self.times
         return order[begins[step] : begins[step + 1]]
 
     def counts(self) -> IntArray:
@@ -159,22 +139,17 @@ class RowIndex:
         index = RowIndex.of_rows(agent[some], step[some], agents.size, times.size)
         return rows[some], index
 
-    def time_blocks(self, most: int = BLOCK_ROWS) -> Iterator[tuple[IntArray, int, IntArray]]:
+    def time_blocks(self) -> Iterator[tuple[IntArray, int, IntArray]]:
         """All rows, in at least one block of consecutive times, for loops that save memory.
 
         Yields:
-            (k,) rows in order of time, then of agent, at most ``most`` unless of one time; the
-            first of the t times; (t + 1,) where in the rows those of each time begin, and k.
-
-        Examples:
-            >>> seen = RowIndex.of(np.array([[True, True, True], [True, False, True]]))
-            >>> [rows.tolist() for rows, _, _ in seen.time_blocks(3)]
-            [[0, 3, 1], [2, 4]]
+            (k,) rows in order of time, then of agent, at most `BLOCK_ROWS` unless of one time;
+            the first of the t times; (t + 1,) where in the rows those of each begin, and k.
         """
         rows, begins = self.by_time
         first = 0
         while first < max(self.times, 1):
-            end = int(np.searchsorted(begins, begins[first] + most, side="right")) - 1
+            end = int(np.searchsorted(begins, begins[first] + BLOCK_ROWS, side="right")) - 1
             end = min(max(end, first + 1), self.times)
             yield rows[begins[first] : begins[end]], first, begins[first : end + 1] - begins[first]
             first = max(end, 1)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,7 @@ from behaviors.errors import InputError, lookup
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file says.
-
-    Raises:
-        InputError: if it is missing or no TOML; the message names it.
-    """
+    """What a TOML file says; an `InputError` names one that is missing or no TOML."""
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
@@ -30,13 +25,3 @@ def shipped_or_path(source: str | Path, shipped: Mapping[str, Path], what: str) 
     if isinstance(source, Path) or any(mark in source for mark in "./\\"):
         return Path(source)
     return lookup(shipped, source.strip(), what)
-
-
-@contextmanager
-def in_file(path: Path | str) -> Iterator[None]:
-    """Name a file in the errors about what it says."""
-    try:
-        yield
-    except InputError as error:
-        said = str(error)
-        raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None

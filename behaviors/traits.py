@@ -9,17 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.labels import Trait
-from behaviors.row_index import RowIndex
-
-FloatArray: TypeAlias = NDArray[np.float64]
-IntArray: TypeAlias = NDArray[np.int64]
-BoolArray: TypeAlias = NDArray[np.bool_]
+from behaviors.row_index import BoolArray, FloatArray, IntArray, RowIndex
 
 FOLLOWING_MPS: Final = 5.0
 """Above this speed a time headway says how closely a driver follows (our choice: all gaps in a

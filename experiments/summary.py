@@ -118,11 +118,11 @@ def _rows(keys: dict[str, Cell], sums: pd.DataFrame) -> Iterator[Row]:
 def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:
     """How much of each metric, in the columns, each agent of an episode has."""
     tracks, entry = episode.tracks, episode.entry
-    rows, road = tracks.rows, dataset.road(entry)
-    agent, n, goes = rows.index.agent, tracks.ids.size, ~rows.index.begins
+    road, n = dataset.road(entry), tracks.ids.size
+    agent, goes = tracks.index.agent, ~tracks.index.begins
     moved = np.zeros(agent.size)
-    moved[1:] = np.hypot(*np.diff(rows.xy, axis=0).T)
-    lasts = np.diff(tracks.time_s[rows.index.step], prepend=0.0)
+    moved[1:] = np.hypot(*np.diff(tracks.row_xy, axis=0).T)
+    lasts = np.diff(tracks.time_s[tracks.index.step], prepend=0.0)
     found = pd.DataFrame({
         "drivers": np.ones(n),
         "km": np.bincount(agent, np.where(goes, moved, 0.0), n) / 1000.0,
@@ -136,7 +136,7 @@ def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:
         events = [event for _, part in annotated for event in part.events]
         traits = [trait for _, part in annotated for trait in part.shown_traits]
         gaps = pd.concat([
-            pd.DataFrame({"agent": part.ids[part.rows.index.agent], "speed_mps": part.rows.speed,
+            pd.DataFrame({"agent": part.ids[part.index.agent], "speed_mps": part.row_speed,
                           "gap_m": seen.gap})
             for part, seen in annotated
         ] or [pd.DataFrame(columns=["agent", "speed_mps", "gap_m"], dtype=float)])  # fmt: skip

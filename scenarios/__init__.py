@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.registry import Registry
-from scenarios.entry import ScenarioEntry
+from scenarios.demand import ScenarioEntry
 from scenarios.environments import ENVIRONMENTS
 
 SCENARIOS: Final[Registry[ScenarioEntry]] = Registry(

@@ -1,13 +1,17 @@
-"""The demand on a road: flows, and the population of drivers, as a user writes them."""
+"""What a user writes for a scenario: its name and options, flows, and the population of drivers."""
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict, TypeVar
 
-from behaviors.errors import InputError
+from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.populations import Population, read_population
 from scenarios.networks.build import net_of
@@ -42,6 +46,60 @@ class PopulationOptions(TypedDict, total=False):
     jaywalk_share: float
     population: str | Path | Mapping[str, Any] | Population | None
     behaviors: str | Path | Mapping[str, Any] | None
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioEntry:
+    """A scenario by its registered name.
+
+    Attributes:
+        name: what it is registered as.
+        function: makes it from keyword options; those that a `functools.partial` has set are fixed,
+            and ``**population`` stands for all of `PopulationOptions`.
+        given: options that have another value unless they are given.
+        limits_mps: speed limits that the episodes of a dataset take in turn, m/s; empty for none.
+    """
+
+    name: str
+    function: Callable[..., Scenario]
+    given: Mapping[str, Any] = field(default_factory=dict)
+    limits_mps: tuple[float, ...] = ()
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """The default of each option that it takes; those of the population are `Scenario`'s."""
+        fixed = self.function.keywords if isinstance(self.function, functools.partial) else ()
+        found: dict[str, Any] = {}
+        for name, parameter in inspect.signature(self.function).parameters.items():
+            if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
+                found |= {} if name in fixed else {name: parameter.default}
+                continue
+            for one in dataclasses.fields(Scenario):
+                if one.name in PopulationOptions.__annotations__:
+                    default = one.default
+                    found[one.name] = None if default is dataclasses.MISSING else default
+        return found
+
+    def __call__(self, **options: Any) -> Scenario:
+        """Make the scenario; the docstring of its function explains the options.
+
+        Raises:
+            InputError: if an option is unknown or out of range; the message names it.
+        """
+        options = {**self.given, **options}
+        for name, value in options.items():
+            default = lookup(self.options, name, f"option of scenario {self.name!r},")
+            if not _fits(value, default):
+                raise InputError(f"{name}: found {value!r:.80}, expected a value like {default!r}")
+        return dataclasses.replace(self.function(**options), name=self.name)
+
+
+def _fits(value: object, default: object) -> bool:
+    """Whether a value has the type of the default, where that is a truth value or a number."""
+    if isinstance(default, bool) or not isinstance(default, int | float):
+        return isinstance(value, bool) or not isinstance(default, bool)
+    number = int if isinstance(default, int) else int | float
+    return isinstance(value, number) and not isinstance(value, bool)
 
 
 def make_scenario(
@@ -81,10 +139,7 @@ def parse_flow(flow: str | float, levels: Mapping[str, float], field: str = "flo
     """
     if isinstance(flow, str) and flow in levels:
         return levels[flow]
-    try:
-        value = math.nan if isinstance(flow, bool) else float(flow)
-    except (TypeError, ValueError, OverflowError):
-        value = math.nan
+    value = _number(flow)
     if not 0 <= value < math.inf:
         expected = " or ".join([*levels, "a number per hour >= 0"])
         raise InputError(f"{field}: found {flow!r:.80}, expected {expected}")
@@ -102,9 +157,6 @@ def parse_mix(
             as in ``"aggressive=.2,conservative=.8"``, stands for its three of the six behaviours in
             equal shares. Behaviours that are not named have no share.
         own: behaviours beside the six.
-
-    Returns:
-        Shares by behaviour.
 
     Raises:
         InputError: if a behaviour is unknown or named twice, a share is negative or no number, or
@@ -126,16 +178,7 @@ def parse_mix(
 def parse_kinds(
     kinds: str | Mapping[AgentKind, float] | Mapping[str, float] | None,
 ) -> dict[AgentKind, float]:
-    """The share of each kind of vehicle.
-
-    Args:
-        kinds: None for cars only, a mapping, or text like ``"car=.9,truck=.1"``.
-
-    Returns:
-        Shares by kind.
-
-    Raises:
-        InputError: as `parse_mix` does; pedestrians are not vehicles.
+    """The share of each kind of vehicle; None for cars only, else as `parse_mix` takes shares.
 
     Examples:
         >>> parse_kinds("car=.9,bus=.1")
@@ -145,6 +188,14 @@ def parse_kinds(
     return {AgentKind.CAR: 1.0} if kinds is None else _shares("kinds", kinds, vehicles, {})
 
 
+def _number(value: object) -> float:
+    """A value as a number; NaN if it is none."""
+    try:
+        return math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
 def _shares(
     field: str,
     given: str | Mapping[K, float] | Mapping[str, float],
@@ -152,37 +203,31 @@ def _shares(
     groups: Mapping[str, Sequence[K]],
 ) -> dict[K, float]:
     """Shares by member; the name of a group gives each of its members an equal part."""
-    if not isinstance(given, (str, Mapping)):
+    if isinstance(given, str):
+        parts = [part.partition("=") for part in given.split(",")]
+        for name, equals, _ in parts:
+            if not equals:
+                raise InputError(f"{field}: found {name.strip()!r}, expected name=share")
+        pairs: list[tuple[str, object]] = [
+            (name.strip(), share.strip()) for name, _, share in parts
+        ]
+    elif isinstance(given, Mapping):
+        pairs = [(str(name), share) for name, share in given.items()]
+    else:
         raise InputError(f"{field}: found {given!r:.80}, expected shares by name")
-    names = {**{str(member): [member] for member in members}, **groups}
+    named = {**{str(member): [member] for member in members}, **groups}
     shares: dict[K, float] = {}
-    for name, value in _split(field, given) if isinstance(given, str) else given.items():
-        if str(name) not in names:
-            expected = ", ".join(names)
-            raise InputError(f"{field}: found {str(name)!r:.80}, expected one of {expected}")
-        named = names[str(name)]
-        for member in named:
+    for name, value in pairs:
+        if name not in named:
+            raise InputError(f"{field}: found {name!r:.80}, expected one of {', '.join(named)}")
+        for member in named[name]:
             if member in shares:
                 raise InputError(f"{field}: found {str(member)!r} twice, expected it once")
-        try:
-            share = float(value)
-        except (TypeError, ValueError):
-            share = math.nan
+        share = _number(value)
         if not 0 <= share < math.inf:
             raise InputError(f"{field}: found {name}={value!r}, expected a share >= 0")
-        shares.update(dict.fromkeys(named, share / len(named)))
+        shares |= dict.fromkeys(named[name], share / len(named[name]))
     total = sum(shares.values())
     if abs(total - 1.0) > 1e-6:
         raise InputError(f"{field}: found shares adding to {total:g}, expected 1")
     return shares
-
-
-def _split(field: str, text: str) -> list[tuple[str, str]]:
-    """The pairs of name and share in a text."""
-    pairs = []
-    for part in text.split(","):
-        name, equals, value = part.partition("=")
-        if not equals:
-            raise InputError(f"{field}: found {part.strip()!r}, expected name=share")
-        pairs.append((name.strip(), value.strip()))
-    return pairs

@@ -8,7 +8,7 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -17,8 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from behaviors.labels import BEHAVIORS, Behavior
 from behaviors.row_index import RowIndex
 from sim.checked_arrays import cast, check_and_freeze, frozen
@@ -183,40 +182,12 @@ MAX_CELLS: Final = 5 * 10**7
 
 
 @dataclass(frozen=True, eq=False)
-class TrackRows:
-    """Where agents were: a row for each time at which each is present, by agent, then by time.
-
-    An agent is present for a small part of a long recording, so dense arrays are mostly empty.
-
-    Attributes:
-        index: the agent and the time of each of the m rows.
-        xy: (m, 2) m.
-        heading: (m,) rad.
-        speed: (m,) m/s.
-    """
-
-    index: RowIndex
-    xy: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-
-    def __post_init__(self) -> None:
-        """Make the arrays 64-bit and read-only, and check their shapes."""
-        m = self.index.agent.size
-        shapes = {"xy": (m, 2), "heading": (m,), "speed": (m,)}
-        check_and_freeze(self, {name: (np.float64, shape) for name, shape in shapes.items()})
-
-    def taken(self, rows: IntArray | BoolArray, index: RowIndex) -> TrackRows:
-        """Some of the rows, ascending, with the index that numbers their agents and times."""
-        return TrackRows(index, self.xy[rows], self.heading[rows], self.speed[rows])
-
-
-@dataclass(frozen=True, eq=False)
 class Tracks:
     """A whole episode: N agents at T times, and where each was while it was present.
 
-    Tracks keep rows. The dense arrays ``xy``, ``heading``, ``speed`` and ``valid`` are filled on
-    first use; above ``MAX_CELLS`` they raise an `InputError`, and everything else still works.
+    An agent is present for a small part of a long recording, so tracks keep a row for each time at
+    which each is present, by agent, then by time. The dense arrays ``xy``, ``heading``, ``speed``
+    and ``valid`` are filled on first use; above ``MAX_CELLS`` they raise an `InputError`.
 
     Attributes:
         ids: (N,) agent ids, ascending.
@@ -225,7 +196,10 @@ class Tracks:
         length: (N,) m.
         width: (N,) m.
         time_s: (T,) s, increasing.
-        rows: where the agents were.
+        index: the agent and the time of each of the m rows.
+        row_xy: (m, 2) where the agents were, m.
+        row_heading: (m,) rad.
+        row_speed: (m,) m/s.
         signals: (S, T) codes into ``SIGNALS``.
         behavior: (N,) codes into ``classes`` (-1: no label), or None without labels.
         events: every event, in time order.
@@ -238,7 +212,10 @@ class Tracks:
     length: FloatArray
     width: FloatArray
     time_s: FloatArray
-    rows: TrackRows
+    index: RowIndex
+    row_xy: FloatArray
+    row_heading: FloatArray
+    row_speed: FloatArray
     signals: CodeArray
     behavior: CodeArray | None = None
     events: tuple[Event, ...] = ()
@@ -246,21 +223,23 @@ class Tracks:
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
-        n, t = np.shape(self.ids)[0], np.shape(self.time_s)[0]
+        n, t, m = np.shape(self.ids)[0], np.shape(self.time_s)[0], self.index.agent.size
         shapes: dict[str, tuple[Any, tuple[int | None, ...]]] = {
             "ids": (np.int64, (n,)),
             "kind": (np.int8, (n,)),
             "length": (np.float64, (n,)),
             "width": (np.float64, (n,)),
             "time_s": (np.float64, (t,)),
+            "row_xy": (np.float64, (m, 2)),
+            "row_heading": (np.float64, (m,)),
+            "row_speed": (np.float64, (m,)),
             "signals": (np.int8, (None, t)),
         }
         if self.behavior is not None:
             shapes["behavior"] = (np.int8, (n,))
         check_and_freeze(self, shapes)
-        index = self.rows.index
-        if (index.agents, index.times) != (n, t):
-            found = f"{index.agents} agents at {index.times} times"
+        if (self.index.agents, self.index.times) != (n, t):
+            found = f"{self.index.agents} agents at {self.index.times} times"
             raise InputError(f"Tracks: found rows of {found}, expected {n} and {t}")
         if len(self.names) != n:
             raise InputError(f"Tracks.names: found {len(self.names)} names, expected {n}")
@@ -274,7 +253,7 @@ class Tracks:
             heading: (N, T) rad.
             speed: (N, T) m/s.
             valid: (N, T) whether the agent is present at that time.
-            facts: the other attributes of tracks but ``rows``.
+            facts: the attributes of tracks that are not of rows.
 
         Raises:
             InputError: if the shapes do not fit.
@@ -294,37 +273,38 @@ class Tracks:
             if found.shape != expected or seen.shape != (n, t):
                 shape = found.shape if seen.shape == (n, t) else seen.shape
                 raise InputError(f"Tracks.{name}: found shape {shape}, expected {expected}")
-            rows[name] = found[seen]
-        return cls(rows=TrackRows(RowIndex.of(seen), **rows), **facts)
+            rows[f"row_{name}"] = found[seen]
+        return cls(index=RowIndex.of(seen), **rows, **facts)
 
     def with_dense(self, **changes: Any) -> Tracks:
         """The same tracks with some arguments of `of_dense` replaced."""
-        names = {f.name for f in fields(self)} - {"rows"} | {"xy", "heading", "speed", "valid"}
+        names = {name for f in fields(self) if not (name := f.name).startswith(("row_", "index"))}
+        names |= {*MOVING, "valid"}
         return Tracks.of_dense(**changes, **{n: getattr(self, n) for n in names - set(changes)})
 
     @cached_property
     def xy(self) -> FloatArray:
         """(N, T, 2) m; NaN where not valid."""
-        return self._dense("xy", np.nan, self.rows.xy)
+        return self._dense("xy", np.nan, self.row_xy)
 
     @cached_property
     def heading(self) -> FloatArray:
         """(N, T) rad; NaN where not valid."""
-        return self._dense("heading", np.nan, self.rows.heading)
+        return self._dense("heading", np.nan, self.row_heading)
 
     @cached_property
     def speed(self) -> FloatArray:
         """(N, T) m/s; NaN where not valid."""
-        return self._dense("speed", np.nan, self.rows.speed)
+        return self._dense("speed", np.nan, self.row_speed)
 
     @cached_property
     def valid(self) -> BoolArray:
         """(N, T) whether the agent is present at that time."""
-        return self._dense("valid", False, np.ones(self.rows.speed.size, dtype=bool))
+        return self._dense("valid", False, np.ones(self.row_speed.size, dtype=bool))
 
     def _dense(self, name: str, empty: Any, values: NDArray[Any]) -> NDArray[Any]:
         """One quantity as a read-only array of all agents at all times."""
-        index = self.rows.index
+        index = self.index
         if index.agents * index.times > MAX_CELLS:
             raise InputError(
                 f"Tracks.{name}: found {index.agents} agents at {index.times} times, expected a "
@@ -371,7 +351,8 @@ class Tracks:
             classes = tuple(dict.fromkeys((*BEHAVIORS, *(b for b in labels if b is not None))))
             codes = np.array([-1 if b is None else classes.index(b) for b in labels], dtype=np.int8)
         return cls(
-            rows=TrackRows(index, *(joined(name)[order] for name in MOVING)),
+            index=index,
+            **{f"row_{name}": joined(name)[order] for name in MOVING},
             ids=ids,
             names=tuple((names or {}).get(int(i), str(int(i))) for i in ids),
             **{name: joined(name)[last] for name in OF_AGENTS},
@@ -386,12 +367,12 @@ class Tracks:
         """The frame at index ``step``: the agents that are valid there."""
         time_s = float(self.time_s[step])
         before = float(self.time_s[step - 1]) if step > 0 else -np.inf
-        at = self.rows.index.at(step)
-        rows = self.rows.index.agent[at]
+        at = self.index.at(step)
+        rows = self.index.agent[at]
         return Frame(
             time_s=time_s,
             ids=self.ids[rows],
-            **{name: getattr(self.rows, name)[at] for name in MOVING},
+            **{name: getattr(self, f"row_{name}")[at] for name in MOVING},
             **{name: getattr(self, name)[rows] for name in OF_AGENTS},
             signals=self.signals[:, step],
             events=tuple(e for e in self.events if before < e.time_s <= time_s),
@@ -410,8 +391,7 @@ class Tracks:
             steps: how many frames at most; fewer at the beginning of the recording.
         """
         columns = slice(max(0, stop - steps), stop)
-        index = self.rows.index
-        return self.part(index.agent[index.at(stop - 1)], columns)
+        return self.part(self.index.agent[self.index.at(stop - 1)], columns)
 
     def part(self, rows: IntArray, columns: slice | IntArray) -> Tracks:
         """Some agents at some of the times, with the events between the first and the last of them.
@@ -421,8 +401,10 @@ class Tracks:
             columns: which times, at least one; as indices, ascending.
         """
         begin, end = self.time_s[columns][0], self.time_s[columns][-1]
+        at, index = self.index.part(rows, columns)
         return Tracks(
-            rows=self.rows.taken(*self.rows.index.part(rows, columns)),
+            index=index,
+            **{f"row_{name}": getattr(self, f"row_{name}")[at] for name in MOVING},
             ids=self.ids[rows],
             names=tuple(self.names[i] for i in rows),
             **{name: getattr(self, name)[rows] for name in OF_AGENTS},
@@ -443,18 +425,18 @@ class Tracks:
     @property
     def walking(self) -> BoolArray:
         """(m,) whether the agent of each row is a pedestrian."""
-        return np.asarray((self.kind == PEDESTRIAN)[self.rows.index.agent])
+        return np.asarray((self.kind == PEDESTRIAN)[self.index.agent])
 
     def agent_and_time(self, row: int) -> tuple[int, float]:
         """The agent's id and the time, s, of a row."""
-        index = self.rows.index
+        index = self.index
         return int(self.ids[index.agent[row]]), float(self.time_s[index.step[row]])
 
     def positions(self, agent: IntArray, step: IntArray) -> FloatArray:
         """(..., 2) positions of agents at times, both as indices, m; NaN where not present."""
-        row, present = self.rows.index.find(agent, step)
+        row, present = self.index.find(agent, step)
         found = np.full((*row.shape, 2), np.nan)
-        found[present] = self.rows.xy[row[present]]
+        found[present] = self.row_xy[row[present]]
         return found
 
     def between_breaks(self) -> Iterator[Tracks]:
@@ -471,12 +453,8 @@ class Tracks:
         for begin, end in pairwise([*begins, self.time_s.size]):
             if end - begin > 1:
                 part = self.part(np.arange(self.ids.size), slice(begin, end))
-                seen = np.flatnonzero(np.diff(part.rows.index.first))
+                seen = np.flatnonzero(np.diff(part.index.first))
                 yield part.part(seen, slice(None))
-
-    def with_behavior(self, behavior: CodeArray) -> Tracks:
-        """The same tracks with other labels (-1: no label)."""
-        return replace(self, behavior=behavior)
 
     def __repr__(self) -> str:
         """The agents by kind, the times, and counts of labels, signals and events."""
@@ -484,7 +462,7 @@ class Tracks:
         parts = [
             _by_kind(self.kind),
             self._times(),
-            counted(self.rows.speed.size, "row"),
+            counted(self.row_speed.size, "row"),
             f"{labelled} labelled",
             counted(len(self.signals), "signal group"),
             counted(len(self.events), "event"),
@@ -501,11 +479,10 @@ class Tracks:
         """A table with a row per kind of agent, for notebooks."""
         import pandas
 
-        seen = self.rows
         rows = []
         for code in np.unique(self.kind).tolist():
             of_kind = self.kind == code
-            speed = seen.speed[of_kind[seen.index.agent]]
+            speed = self.row_speed[of_kind[self.index.agent]]
             rows.append(
                 (
                     str(KINDS[code]),
@@ -528,8 +505,7 @@ class Tracks:
         """
         import pandas
 
-        seen = self.rows
-        rows, columns = seen.index.agent, seen.index.step
+        rows, columns = self.index.agent, self.index.step
         codes = np.full(len(self.ids), -1) if self.behavior is None else self.behavior
         kinds = np.array([str(kind) for kind in KINDS], dtype=object)
         behaviors = np.array([*map(str, self.classes), None], dtype=object)  # code -1 is the last
@@ -539,10 +515,10 @@ class Tracks:
                 "name": np.array(self.names, dtype=object)[rows],
                 "kind": kinds[self.kind[rows]],
                 "time_s": self.time_s[columns],
-                "x": seen.xy[:, 0],
-                "y": seen.xy[:, 1],
-                "heading": seen.heading,
-                "speed": seen.speed,
+                "x": self.row_xy[:, 0],
+                "y": self.row_xy[:, 1],
+                "heading": self.row_heading,
+                "speed": self.row_speed,
                 "length": self.length[rows],
                 "width": self.width[rows],
                 "behavior": behaviors[codes[rows]],

@@ -1,6 +1,6 @@
 """Lines of points, (P, 2) m, and the outlines of vehicles, in numpy.
 
-The compiled counterparts for loops are in `sim.road.lane_coordinates`. Outlines are rectangles
+The compiled counterparts for loops are in `sim.road.lane_search`. Outlines are rectangles
 about the vehicles' centres, turned by their headings. Two are apart if their projections onto one
 of the four axes are (separating axis theorem).
 

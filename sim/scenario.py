@@ -14,8 +14,7 @@ from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from behaviors.labels import BEHAVIORS, Behavior, Style, tables_of
 from behaviors.populations import Population
 from behaviors.profiles import DEFAULT_SPREAD, Profile, sample_profile

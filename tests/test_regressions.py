@@ -21,7 +21,7 @@ from experiments.replay.scene import read_beliefs
 from scenarios import get_scenario
 from sim.formats import get_reader
 from sim.frames import Frame, Tracks
-from sim.road.files import read_road_file
+from sim.road.road_files import read_road_file
 from sim.store.dataset import open_dataset
 
 FOLDER = Path(__file__).parent / "data" / "regressions"

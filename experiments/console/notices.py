@@ -31,7 +31,7 @@ _URL: Final = re.compile(r"\b(s3|gs|gcs|az|abfs|abfss|memory|hdfs|https?):/(?=[^
 
 def for_terminal(text: str) -> str:
     """A message with nothing raw in it, and URLs with both slashes."""
-    from behaviors.display import printable  # which imports numpy
+    from behaviors.errors import printable  # which imports numpy
 
     return _URL.sub(r"\1://", printable(text))
 

@@ -6,7 +6,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from behaviors.display import printable
+from behaviors.errors import printable
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar

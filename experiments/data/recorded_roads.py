@@ -21,9 +21,9 @@ from experiments.guard import guarded_call
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, Tracks
 from sim.road import Road
-from sim.road.files import read_road_file
 from sim.road.lane_graph import LaneGraph
 from sim.road.net import net_offset
+from sim.road.road_files import read_road_file
 
 MOVING_MPS: Final = 1.0
 """Slower agents do not count: parked cars stand beside lanes, m/s."""
@@ -95,22 +95,21 @@ class MapFit:
 
 def map_fit(road: Road, tracks: Tracks) -> MapFit:
     """How a map fits a recording: the share inside, and how speeds compare with limits."""
-    rows = tracks.rows
-    drives = (tracks.kind != PEDESTRIAN)[rows.index.agent]
-    moving = np.flatnonzero(drives & (rows.speed >= MOVING_MPS))
+    drives = (tracks.kind != PEDESTRIAN)[tracks.index.agent]
+    moving = np.flatnonzero(drives & (tracks.row_speed >= MOVING_MPS))
     if moving.size > MOST_POINTS:
         moving = moving[np.linspace(0, moving.size - 1, MOST_POINTS).astype(np.int64)]
     if moving.size < LEAST_POINTS or all(lane.walking for lane in road.lanes):
         return MapFit()
-    xy, heading = rows.xy[moving], rows.heading[moving]
+    xy, heading = tracks.row_xy[moving], tracks.row_heading[moving]
     graph = LaneGraph.of(road)
     place = graph.project(xy, heading)
     nearest, direction = graph.position(place.lane, place.s)
     inside = np.hypot(*(nearest - xy).T) <= graph.width[place.lane] / 2
     inside &= np.cos(direction - heading) > 0
     limit = np.array([lane.speed_limit_mps for lane in road.lanes])[place.lane]
-    agent = rows.index.agent[moving]
-    ratio = pd.Series(rows.speed[moving] / limit, index=agent)
+    agent = tracks.index.agent[moving]
+    ratio = pd.Series(tracks.row_speed[moving] / limit, index=agent)
     fastest = ratio[np.isfinite(ratio)].groupby(level=0).max()
     typical = float(fastest.median()) if len(fastest) >= LEAST_VEHICLES else math.nan
     return MapFit(float(np.mean(inside)), typical, np.unique(agent).size)

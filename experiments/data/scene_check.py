@@ -68,13 +68,12 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> tuple[str, ...]:
         (1, 0)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
-    rows = tracks.rows
-    count = int((np.diff(rows.index.first) > 0).sum())
+    count = int((np.diff(tracks.index.first) > 0).sum())
     if not count:
         return ()
     looks = _looks(tracks.time_s)
     nearest_m, hits, overlapping = _overlaps(tracks, looks)
-    looked = max(int(np.isin(rows.index.step, looks).sum()), 1)
+    looked = max(int(np.isin(tracks.index.step, looks).sum()), 1)
     share, jumps = hits / looked, int(_jumps(tracks).sum())
     near = 2 * int((nearest_m < NEAREST_M).sum()) > max(looked, 2 * OVERLAPPING_IDS)
     most = OVERLAPPING if outlines else OVERLAPPING_BOXES
@@ -131,17 +130,16 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
     nearest: list[FloatArray] = []
     hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
     sides = np.stack([tracks.length, tracks.width], axis=1)
-    seen = tracks.rows
     for step in looks:
-        here = seen.index.at(step)
+        here = tracks.index.at(step)
         if here.size < 2:
             continue
-        rows, xy = seen.index.agent[here], seen.xy[here]
+        rows, xy = tracks.index.agent[here], tracks.row_xy[here]
         tree = cKDTree(xy)
         nearest.append(np.asarray(tree.query(xy, k=2)[0])[:, 1])
         pairs = tree.query_pairs(LONGEST_CORE_M * math.sqrt(2.0), output_type="ndarray")
         one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-        away, heading = xy[other] - xy[one], seen.heading[here[one]]
+        away, heading = xy[other] - xy[one], tracks.row_heading[here[one]]
         cos, sin = np.cos(heading), np.sin(heading)
         along = np.abs(cos * away[:, 0] + sin * away[:, 1])
         across = np.abs(cos * away[:, 1] - sin * away[:, 0])
@@ -155,9 +153,8 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
 
 def _jumps(tracks: Tracks) -> BoolArray:
     """(N,) which agents go faster than any vehicle from one frame to the next."""
-    rows = tracks.rows
-    agent, step = rows.index.agent, rows.index.step
-    at = np.flatnonzero(~rows.index.begins[1:])
-    moved = np.hypot(*(rows.xy[at + 1] - rows.xy[at]).T)
+    agent, step = tracks.index.agent, tracks.index.step
+    at = np.flatnonzero(~tracks.index.begins[1:])
+    moved = np.hypot(*(tracks.row_xy[at + 1] - tracks.row_xy[at]).T)
     far = FASTEST_MPS * np.diff(tracks.time_s)[step[at]] + JUMP_M
     return np.bincount(agent[at[moved > far]], minlength=tracks.ids.size) > 0

@@ -142,7 +142,7 @@ def _csp_hash(text: str) -> str:
 def _opening_s(scene: ReplayScene) -> float:
     """The first time at which there are beliefs and half of the largest number of agents, s."""
     tracks, beliefs = scene.tracks, scene.beliefs
-    present = tracks.rows.index.counts()
+    present = tracks.index.counts()
     half_full_s = float(tracks.time_s[int(np.argmax(2 * present >= present.max()))])
     known = np.isfinite(beliefs.probability).all(axis=2).any(axis=0)
     wanted = known & (beliefs.time_s >= half_full_s - 1e-6)
@@ -161,7 +161,7 @@ def _data(scene: ReplayScene) -> dict[str, Any]:
         truth=-1 if tracks.behavior is None else tracks.behavior,
         profile=[_numbers(None if spec is None else spec.profile) for spec in specs],
     )
-    xy = tracks.rows.xy
+    xy = tracks.row_xy
     extent = scene.road.bounds if scene.road else (*xy.min(axis=0), *xy.max(axis=0))
     index, packed = pack(_arrays(scene))
     return {
@@ -251,18 +251,17 @@ def _arrays(scene: ReplayScene) -> dict[str, NDArray[Any]]:
     nobody.
     """
     tracks, graph, futures = scene.tracks, scene.graph, scene.futures
-    seen, begin_s = tracks.rows, tracks.time_s[0]
-    agent, step = seen.index.agent, seen.index.step
+    begin_s, agent, step = tracks.time_s[0], tracks.index.agent, tracks.index.step
     runs = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
     largest = np.nan_to_num(graph.w).max(axis=0, initial=0.0)
     share = np.sqrt(np.nan_to_num(graph.w) / np.maximum(largest, 1e-12)[None])
     edges = graph.edges[np.argsort(graph.edges[:, 2], kind="stable")]
     found = {
         "time": (tracks.time_s - begin_s).astype("f4"),
-        "x": differences(seen.xy[:, 0], UNITS["x"]),
-        "y": differences(seen.xy[:, 1], UNITS["y"]),
-        "heading": differences(np.unwrap(seen.heading), UNITS["heading"]),
-        "speed": differences(seen.speed, UNITS["speed"]),
+        "x": differences(tracks.row_xy[:, 0], UNITS["x"]),
+        "y": differences(tracks.row_xy[:, 1], UNITS["y"]),
+        "heading": differences(np.unwrap(tracks.row_heading), UNITS["heading"]),
+        "speed": differences(tracks.row_speed, UNITS["speed"]),
         "runAgent": agent[runs].astype("u2"),
         "runStep": step[runs].astype("i4"),
         "runSize": np.diff(runs, append=agent.size).astype("i4"),
@@ -277,12 +276,12 @@ def _arrays(scene: ReplayScene) -> dict[str, NDArray[Any]]:
         "edgeEnd": edges[:, 3].astype("i4"),
     }
     if scene.ghosts is not None:
-        places = scene.ghosts.rows
+        ghosts = scene.ghosts
         found |= {
-            "ghostOf": places.index.agent.astype("u2"),
-            "ghostStep": places.index.step.astype("i4"),
-            "ghostXY": differences(places.xy, UNITS["x"]),
-            "ghostHeading": places.heading.astype("f4"),
+            "ghostOf": ghosts.index.agent.astype("u2"),
+            "ghostStep": ghosts.index.step.astype("i4"),
+            "ghostXY": differences(ghosts.row_xy, UNITS["x"]),
+            "ghostHeading": ghosts.row_heading.astype("f4"),
         }
     if futures is not None:
         instants, begins = np.unique(futures.time_s, return_index=True)

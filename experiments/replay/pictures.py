@@ -184,7 +184,7 @@ def draw_road(axes: Axes, road: Road, width: float) -> None:
 
 def shown_extent(scene: ReplayScene) -> FloatArray:
     """(2, 2) x0, y0, x1, y1 of what a picture shows: the road, or where a junction's traffic is."""
-    places = scene.tracks.rows.xy
+    places = scene.tracks.row_xy
     if scene.road is None:
         low, high = places.min(axis=0), places.max(axis=0)
         margin = max(0.03 * float((high - low).max()), 1.0)
@@ -208,7 +208,7 @@ class Drawing:
 
     def __init__(self, scene: ReplayScene, mode: str, size: tuple[int, int] = (1280, 720)) -> None:
         self.scene, self.mode = scene, mode
-        self.fastest = max(1.0, float(np.quantile(scene.tracks.rows.speed, 0.995)))
+        self.fastest = max(1.0, float(np.quantile(scene.tracks.row_speed, 0.995)))
         self._stops = () if scene.road is None else road_shapes(scene.road).stops
         width, height = size
         tall = height - HEAD_PX - FOOT_PX
@@ -240,9 +240,9 @@ class Drawing:
         """The figure of the scene as it is at a time, s; the next call draws on the same one."""
         tracks, step = self.scene.tracks, self._step(time_s)
         self._clock.set_text(f"{time_s:.1f} s")
-        at = tracks.rows.index.at(step)
-        rows, xy = tracks.rows.index.agent[at], tracks.rows.xy[at]
-        colors = self._colors(rows, tracks.rows.speed[at], time_s)
+        at = tracks.index.at(step)
+        rows, xy = tracks.index.agent[at], tracks.row_xy[at]
+        colors = self._colors(rows, tracks.row_speed[at], time_s)
         ghosts = [] if self.scene.ghosts is None else self._bodies(self.scene.ghosts, step)
         bodies = self._bodies(tracks, step)
         overlay = self._overlay(dict(zip(rows.tolist(), xy, strict=True)),
@@ -268,7 +268,7 @@ class Drawing:
         if self.scene.road is not None:
             draw_road(axes, self.scene.road, self._thin)
             return
-        paths = [tracks.rows.xy[tracks.rows.index.rows(row)] for row in range(tracks.ids.size)]
+        paths = [tracks.row_xy[tracks.index.rows(row)] for row in range(tracks.ids.size)]
         axes.add_collection(LineCollection(paths, colors=TRACK, linewidths=1.0, zorder=1))
 
     def _draw_words(self, middle: float) -> None:
@@ -352,10 +352,9 @@ class Drawing:
 
     def _bodies(self, tracks: Tracks, step: int) -> list[FloatArray]:
         """The outlines of agents at a step, at least a few pixels large."""
-        seen, found = tracks.rows, []
-        at = seen.index.at(step)
-        for row, xy, heading in zip(seen.index.agent[at], seen.xy[at], seen.heading[at],
-                                    strict=True):  # fmt: skip
+        at, found = tracks.index.at(step), []
+        for row, xy, heading in zip(tracks.index.agent[at], tracks.row_xy[at],
+                                    tracks.row_heading[at], strict=True):  # fmt: skip
             size = np.maximum((tracks.length[row], tracks.width[row]), LEAST_PX / self.scale)
             walks = tracks.kind[row] == PEDESTRIAN
             shape = ROUND * size[1] / 2 if walks else BODY * size / 2

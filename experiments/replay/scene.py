@@ -37,8 +37,7 @@ from graphrqi.predict import predict
 from graphrqi.predict.metrics import SAMPLE_S
 from graphrqi.spectrum import SOLVERS
 from graphrqi.stream import HISTORY_STEPS
-from sim.episode.annotate import annotate_recording
-from sim.episode.incidents import near_misses
+from sim.episode.annotate import annotate_recording, near_misses
 from sim.formats import FORMATS
 from sim.frames import Event, EventKind, FloatArray, IntArray, Tracks
 from sim.road import Road
@@ -177,7 +176,7 @@ class ReplayScene:
     @property
     def fullest_s(self) -> float:
         """The time with most agents, s."""
-        return float(self.tracks.time_s[self.tracks.rows.index.counts().argmax()])
+        return float(self.tracks.time_s[self.tracks.index.counts().argmax()])
 
 
 def chosen_entry(dataset: Dataset, episode: str | None) -> EpisodeEntry:
@@ -249,7 +248,7 @@ def gather(
     scaled = entry.engine not in FORMATS or SCALED in entry.options
     unit = "m" if scaled else FORMATS[entry.engine].unit
     stride = max(1, round(SHOWN_EVERY_S / tracks.step_s))
-    stride = max(stride, -(-tracks.rows.speed.size // MAX_PLACES))
+    stride = max(stride, -(-tracks.row_speed.size // MAX_PLACES))
     if unit == "px":  # boxes are as large as the perspective makes them: draw cars of one size
         box = np.quantile(np.sqrt(tracks.length * tracks.width), DRAWN_QUANTILE)
         length = np.full(tracks.ids.size, float(box))
@@ -271,10 +270,9 @@ def gather(
 
 def _without_parked(tracks: Tracks, events: Sequence[Event]) -> tuple[Event, ...]:
     """The events but for near misses with a parked vehicle: passing it closely is no conflict."""
-    rows = tracks.rows
     parked = set()
     for row, agent in enumerate(tracks.ids.tolist()):
-        places = rows.xy[rows.index.rows(row)]
+        places = tracks.row_xy[tracks.index.rows(row)]
         if len(places) and np.ptp(places, axis=0).max() < PARKED_M:
             parked.add(agent)
     near = EventKind.NEAR_MISS
@@ -365,7 +363,7 @@ def _predicted(
     """
     parts = []
     seconds = sampled(tracks, PREDICT_EVERY_S)
-    stride = -(-int(tracks.rows.index.counts()[seconds].sum()) // MAX_PREDICTED)
+    stride = -(-int(tracks.index.counts()[seconds].sum()) // MAX_PREDICTED)
     for step in seconds[1 :: max(stride, 1)]:
         history = tracks.window(int(step) + 1, HISTORY_STEPS)
         if not history.ids.size:
@@ -391,7 +389,7 @@ def _predicted(
 
 def graph_history(tracks: Tracks) -> GraphHistory:
     """Follow the paper's accumulated 4-nearest-neighbour graph through an episode."""
-    steps, seen, many = kept_steps(tracks), tracks.rows, tracks.ids.size
+    steps, index, many = kept_steps(tracks), tracks.index, tracks.ids.size
     sample_of = {step: sample for sample, step in enumerate(steps.tolist())}
     w = np.full((many, steps.size), np.nan)
     graph = TrafficGraph.empty(neighbors=NEIGHBORS, reset=RESET, kind="accumulated")
@@ -399,9 +397,9 @@ def graph_history(tracks: Tracks) -> GraphHistory:
     since: dict[int, int] = {}
     edges: list[tuple[int, int, int, int]] = []
     for step in range(tracks.time_s.size):
-        at = seen.index.at(step)
-        rows = seen.index.agent[at]
-        graph = graph.observe(tracks.ids[rows], seen.xy[at])
+        at = index.at(step)
+        rows = index.agent[at]
+        graph = graph.observe(tracks.ids[rows], tracks.row_xy[at])
         sample = sample_of.get(step)
         if sample is None:
             continue

@@ -24,7 +24,7 @@ from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeMeta, Manifest
 from sim.store.writing import made_with, new_dataset
 from sim.sumo.branches import ENGINE_LAWS, Trunk, check_platform
-from sim.sumo.control.acting import Action
+from sim.sumo.control import Action
 
 NAMED_DRIVERS: Final = 12
 """Most drivers that an error names (they fit a line or two)."""

@@ -152,7 +152,7 @@ def _leaders(tracks: Tracks, road: Road | None) -> tuple[IntArray, FloatArray, B
         for column in range(t):
             leader[:, column], gap[:, column] = inferred_leaders(tracks, column)
         return leader, gap, tracks.valid & (leader >= 0)
-    index, seen = tracks.rows.index, observe(tracks, road)
+    index, seen = tracks.index, observe(tracks, road)
     at = index.agent, index.step
     has = (seen.leader >= 0) & (seen.gap < FARTHEST_M)
     leader[at] = np.where(has, index.agent[seen.leader], -1)

@@ -2,8 +2,8 @@
 
 OpenStreetMap and OpenDRIVE are read by netconvert itself. Lanelet2, CommonRoad and Argoverse 2 maps
 are read as recordings read them, and written lane by lane for netconvert
-(`scenarios.networks.lanes`). Nets can have their signals taken out or their limits lowered. A net
-is kept for the next time under the hash of what it was made from.
+(`scenarios.networks.plain_xml`). Nets can have their signals taken out or their limits lowered. A
+net is kept for the next time under the hash of what it was made from.
 """
 
 from __future__ import annotations
@@ -19,18 +19,15 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from scenarios.networks.build import NET, cache_folder, find_program, has_program, run_program
-from scenarios.networks.lanes import plain_files
+from scenarios.networks.build import NET, cache_folder, find_program, program_path, run_program
+from scenarios.networks.plain_xml import plain_files
 from sim.files import temporary_folder, write_whole
 from sim.input_files import read_bytes
 from sim.road import Road
-from sim.road.files import read_road_file
 from sim.road.maps.sources import Source, prepared
 from sim.road.net import MAX_NET_BYTES, read_road
+from sim.road.road_files import read_road_file
 from sim.xml_tree import read_tree, refuse_declarations
-
-MAX_MAP_BYTES: Final = 2**28
-"""Largest map, unpacked (256 MiB, as of nets)."""
 
 KINDS: Final[dict[str, str]] = {
     "sumo": "SUMO net",
@@ -49,6 +46,7 @@ _COMMON: Final = (
 )  # fmt: skip
 OPTIONS: Final[dict[str, tuple[str, ...]]] = {
     "openstreetmap": (
+        "--osm-files", "map.osm",
         *_COMMON, "--geometry.remove", "true", "--roundabouts.guess", "true",
         "--junctions.join", "true", "--tls.guess-signals", "true", "--tls.discard-simple", "true",
         "--tls.join", "true", "--ramps.guess", "true", "--keep-edges.by-vclass", "passenger",
@@ -56,30 +54,25 @@ OPTIONS: Final[dict[str, tuple[str, ...]]] = {
         "--osm.all-attributes", "false",
     ),
     "opendrive": (
+        "--opendrive-files", "map.xodr",
         *_COMMON, "--opendrive.curve-resolution", "2", "--junctions.limit-turn-speed", "5.5",
     ),
-    "sumo": ("--no-internal-links", "false"),
-    "lanes": (*_COMMON, "--junctions.limit-turn-speed", "5.5", "--geometry.remove", "false"),
+    "sumo": ("--sumo-net-file", "map.net.xml", "--no-internal-links", "false"),
 }  # fmt: skip
-"""netconvert's options for each kind of map, after SUMO's guide for OpenStreetMap. Signals have
-fixed programmes, turnarounds are left out, and turns are as slow as in the shipped nets."""
+"""netconvert's options for the kinds of maps that it reads itself: first the file's own, then those
+after SUMO's guide for OpenStreetMap. Signals have fixed programmes, turnarounds are left out, and
+turns are as slow as in the shipped nets."""
+
+LANE_OPTIONS: Final = (
+    "--node-files", "map.nod.xml", "--edge-files", "map.edg.xml",
+    "--connection-files", "map.con.xml",
+    *_COMMON, "--junctions.limit-turn-speed", "5.5", "--geometry.remove", "false",
+)  # fmt: skip
+"""The same for the files of `scenarios.networks.plain_xml`."""
 
 MOST_GAP_M: Final = 1.0
 """Lanes that a way joins without a path are at most this far apart, m (less than a vehicle moves in
 a step)."""
-
-_READ_BY_NETCONVERT: Final[dict[str, tuple[str, ...]]] = {
-    "openstreetmap": ("--osm-files", "map.osm"),
-    "opendrive": ("--opendrive-files", "map.xodr"),
-    "sumo": ("--sumo-net-file", "map.net.xml"),
-}
-"""Kinds of maps that netconvert reads itself: its option for them, and a file's name."""
-
-_PLAIN_FILES: Final = (
-    "--node-files", "map.nod.xml", "--edge-files", "map.edg.xml",
-    "--connection-files", "map.con.xml",
-)  # fmt: skip
-"""netconvert's options for the files of `scenarios.networks.lanes`."""
 
 _ROOT: Final = re.compile(
     rb"\A(?:\xef\xbb\xbf)?\s*(?:(?:<\?.*?\?>|<!--.*?-->)\s*)*<([A-Za-z_][\w.:-]*)", re.DOTALL
@@ -88,9 +81,6 @@ _ROOT: Final = re.compile(
 
 LEAST_LIMIT_MPS: Final = 1.0
 """Lowest speed limit that may be asked for, m/s (walking pace)."""
-
-_WITHOUT_LIGHTS: Final = {"O": "M", "o": "m"}
-"""A link's state without its light, by its state with one that is off."""
 
 
 @dataclass(frozen=True)
@@ -113,14 +103,11 @@ class MapFile:
 
         A SUMO net without paths over its junctions gets them if netconvert is there; without paths,
         vehicles would jump over the junctions.
-
-        Raises:
-            InputError: if the map is broken, netconvert refuses it, or is needed and missing.
         """
         if self.kind == "sumo" and (
             b'function="internal"' in self.source.content
             or not _jumps(read_road(self.path))
-            or not has_program("netconvert")
+            or program_path("netconvert") is None
         ):
             return self.path
         return self._made
@@ -128,45 +115,38 @@ class MapFile:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Assumptions about the map, and netconvert's warnings when it makes the net."""
-        if not has_program("netconvert"):
-            return self.source.assumed
+        if program_path("netconvert") is None:
+            return self.source.warnings
         file = self._made.with_name("warnings.txt")
         warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
-        return (*self.source.assumed, *warned)
+        return (*self.source.warnings, *warned)
 
     @cached_property
     def _made(self) -> Path:
         """The net that netconvert makes of the map, kept for the next time with its warnings."""
-        kind, content = self.kind, self.source.content
-        by_lanes = kind not in OPTIONS
-        inputs = _PLAIN_FILES if by_lanes else _READ_BY_NETCONVERT[kind]
-        options = OPTIONS["lanes" if by_lanes else kind]
-        if self.source.left_hand or (by_lanes and read_road_file(self.path).left_hand):
+        content = self.source.content
+        road = None if self.kind in OPTIONS else read_road_file(self.path)
+        options = LANE_OPTIONS if road is not None else OPTIONS[self.kind]
+        if self.source.left_hand or (road is not None and road.left_hand):
             options = (*options, "--lefthand", "true")
 
         def make(net: Path) -> None:
-            command = [find_program("netconvert"), *inputs, *options]
+            command = [find_program("netconvert"), *options]
+            inputs = {options[1]: content} if road is None else plain_files(road)
             with temporary_folder("map") as scratch:
-                if by_lanes:
-                    for name, text in plain_files(read_road_file(self.path)).items():
-                        (scratch / name).write_text(text, encoding="utf-8")
-                else:
-                    (scratch / inputs[1]).write_bytes(content)
+                for name, data in inputs.items():
+                    (scratch / name).write_bytes(data)
                 warned = run_program(command, scratch, net, str(self.path))
             write_whole(net.with_name("warnings.txt"), "\n".join(warned).encode("utf-8"))
 
-        return _kept_net([kind, "oncoming lanes apart", *options], content, make)
+        return _kept_net([self.kind, *options], content, make)
 
 
 def open_map(path: Path, left_hand: bool | None = None) -> MapFile:
-    """A map of any kind; ``left_hand`` says the side of traffic of OpenStreetMap, None as it says.
-
-    Raises:
-        InputError: if the file is broken or no map.
-    """
+    """A map of any kind; ``left_hand`` is the side of traffic of OpenStreetMap, None as it says."""
     if path.is_dir():
         raise InputError(f"{path}: found a folder, expected a map file")
-    content = read_bytes(path, MAX_MAP_BYTES)
+    content = read_bytes(path, MAX_NET_BYTES)
     refuse_declarations(path, content)
     kind = _kind(path, content)
     if left_hand is not None and kind != "openstreetmap":
@@ -254,7 +234,7 @@ def _take_signals_out(root: ET.Element) -> None:
             junction.set("type", "priority")
     for link in root.iter("connection"):
         if link.attrib.pop("tl", None) is not None:
-            link.attrib.pop("linkIndex", None)
-            link.attrib.pop("linkIndex2", None)
-            state = str(link.get("state"))
-            link.set("state", _WITHOUT_LIGHTS.get(state, state))
+            for name in ("linkIndex", "linkIndex2"):
+                link.attrib.pop(name, None)
+            state = str(link.get("state"))  # O and o are those of lights that are off
+            link.set("state", {"O": "M", "o": "m"}.get(state, state))

@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from behaviors.errors import InputError
 from scenarios.networks.convert import KINDS, name_of, open_map
-from scenarios.own.flows import EdgeGraph, capacity_per_h, routes_of
+from scenarios.own.flows import EdgeGraph
 from sim.road import MapKnowledge, Road
-from sim.road.files import read_road_file
 from sim.road.net import read_road
+from sim.road.road_files import read_road_file
 
 SOURCE, SINK = "#2f7d4f", "#2c5f9e"
 """The colours of the edges at which vehicles enter and leave, in a picture."""
@@ -22,7 +21,6 @@ class Survey:
     """Survey of a map.
 
     Attributes:
-        name: what it is called.
         kind: a key of `scenarios.networks.convert.KINDS`.
         net: the SUMO net that both engines drive on.
         graph: the edges for cars of the road of that net, and the ways between them.
@@ -30,7 +28,6 @@ class Survey:
         warnings: netconvert's warnings, and edges without an entry or an exit.
     """
 
-    name: str
     kind: str
     net: Path
     graph: EdgeGraph
@@ -44,7 +41,7 @@ class Survey:
 
     def rows(self) -> list[dict[str, str | int | float]]:
         """Findings, gaps and every warning, as rows of ``what`` and ``value``."""
-        road, graph = self.road, self.graph
+        road, graph, routes = self.road, self.graph, self.graph.routes()
         cars = [lane for lanes in graph.lanes.values() for lane in lanes]
         limits = [lane.speed_limit_mps for lane in cars]
         found: dict[str, str | int | float] = {
@@ -58,15 +55,10 @@ class Survey:
             "crossings": len(road.crossings),
             "entries": len(graph.sources),
             "exits": len(graph.sinks),
-            "routes": 0,
+            "routes": len(routes),
         }
-        try:
-            routes = routes_of(graph)
-        except InputError:
-            pass
-        else:
-            found["routes"] = len(routes)
-            found["vehicles per hour that it can carry"] = round(capacity_per_h(graph, routes))
+        if routes:
+            found["vehicles per hour that it can carry"] = round(graph.capacity_per_h(routes))
         found["lacks"] = ", ".join(self.knows.unknown) or "nothing"
         found["warnings"] = len(self.warnings)
         rows = [{"what": what, "value": value} for what, value in found.items()]
@@ -100,13 +92,14 @@ def survey(path: Path, left_hand: bool | None = None) -> Survey:
         for then in ways:
             back[then].append(one)
     cut_off = [
-        *(f"edge {edge}: found no way to it from any entry"
-          for edge in _unreached(graph.onward, graph.entries)),
-        *(f"edge {edge}: found no way from it out of the road"
-          for edge in _unreached(back, graph.exits)),
-    ]  # fmt: skip
-    warnings = (*doubts, *found.warnings, *cut_off)
-    return Survey(name_of(path), found.kind, found.net, graph, knows, warnings)
+        f"edge {edge}: found no way {how}"
+        for ways, fringe, how in (
+            (graph.onward, graph.entries, "to it from any entry"),
+            (back, graph.exits, "from it out of the road"),
+        )
+        for edge in _unreached(ways, fringe)
+    ]
+    return Survey(found.kind, found.net, graph, knows, (*doubts, *found.warnings, *cut_off))
 
 
 def _unreached(ways: Mapping[str, Iterable[str]], fringe: list[str]) -> list[str]:

@@ -25,7 +25,6 @@ import json
 import re
 import uuid
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,7 +42,6 @@ from sim.formats.common.recording import CARS_ASSUMED, Recording, left_out, reco
 from sim.formats.common.tables import (
     among,
     kinds_in,
-    names_in,
     read_columns,
     read_table,
     rows_of,
@@ -51,10 +49,9 @@ from sim.formats.common.tables import (
     words_in,
 )  # fmt: skip
 from sim.frames import KINDS, PEDESTRIAN, AgentKind, FloatArray, Tracks
-from sim.geometry import borders
 from sim.input_files import beside, broken_as_one_line, stem
 from sim.road import Road
-from sim.road.maps.argoverse2 import read_map
+from sim.road.maps.argoverse2 import read_map, static_map
 
 MAP_NOTE: Final = "limits, signals and who has priority are not in this format: unknown"
 
@@ -86,7 +83,7 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
         raise InputError(
             f"step_s: found {tracks.step_s:g}, expected a divisor of {PERIOD_S} for this format"
         )
-    time_s, index = tracks.time_s, tracks.rows.index
+    time_s, index = tracks.time_s, tracks.index
     wanted = time_s + PERIOD_S
     after = np.minimum(np.searchsorted(time_s, wanted), time_s.size - 1)
     nearest = after - (wanted - time_s[after - 1] < time_s[after] - wanted)
@@ -293,58 +290,6 @@ def _scenario(window: Tracks, focal: int, identity: str, city: str) -> pa.Table:
     return pa.table({k: pa.array(v, type=SCHEMA.field(k).type) for k, v in columns.items()})
 
 
-def static_map(road: Road | None) -> dict[str, Any]:
-    """The map of a road as the official package reads it; an empty one of none."""
-    segments, areas, crossings = dict[str, Any](), dict[str, Any](), dict[str, Any]()
-    written = {
-        "drivable_areas": areas,
-        "lane_segments": segments,
-        "pedestrian_crossings": crossings,
-    }
-    if road is None:
-        return written
-    number = {lane.id: i + 1 for i, lane in enumerate(road.lanes) if not lane.walking}
-    chains = [(c.from_lane, *c.via, c.to_lane) for c in road.connections]
-    follows = [p for chain in chains for p in pairwise(chain) if number.keys() >= {*p}]
-    by_place = {(lane.edge, lane.index): lane.id for lane in road.lanes if not lane.walking}
-    for lane in road.lanes:
-        if lane.walking:
-            continue
-        identity = number[lane.id]
-        left, right = borders(lane.centerline, lane.width_m)
-        segment = {
-            "id": identity,
-            "is_intersection": lane.internal,
-            "lane_type": "VEHICLE",
-            "centerline": _points(lane.centerline),
-            "left_lane_boundary": _points(left),
-            "right_lane_boundary": _points(right),
-        }
-        beside = {
-            side: by_place.get((lane.edge, lane.index + step))
-            for side, step in (("left", 1), ("right", -1))
-        }
-        for side, other in beside.items():
-            segment[f"{side}_neighbor_id"] = None if other is None else number[other]
-        for side, other in beside.items():
-            line = "SOLID_WHITE" if other is None else "DASHED_WHITE"
-            segment[f"{side}_lane_mark_type"] = "NONE" if lane.internal else line
-        segment["predecessors"] = sorted({number[a] for a, b in follows if b == lane.id})
-        segment["successors"] = sorted({number[b] for a, b in follows if a == lane.id})
-        segments[str(identity)] = segment
-        boundary = np.concatenate([left, right[::-1]])
-        areas[str(identity)] = {"id": identity, "area_boundary": _points(boundary)}
-    for identity, crossing in enumerate(road.crossings, len(road.lanes) + 1):
-        left, right = borders(crossing.centerline[[0, -1]], crossing.width_m)
-        edges = {"edge1": _points(left), "edge2": _points(right)}
-        crossings[str(identity)] = {"id": identity, **edges}
-    return written
-
-
-def _points(line: FloatArray) -> list[dict[str, float]]:
-    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in line]
-
-
 # --- motion forecasting 1 -------------------------------------------------------------------------
 
 CSV_STEPS: Final = 50
@@ -467,7 +412,7 @@ def read_log(path: Path) -> Iterator[Recording]:
     ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(path, boxes)[:, :, 0])
     centre = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
     agents = pandas.DataFrame(
-        {"id": names_in(boxes["track_uuid"]), "t": time_s[at], "x": xy[:, 0], "y": xy[:, 1],
+        {"id": boxes["track_uuid"], "t": time_s[at], "x": xy[:, 0], "y": xy[:, 1],
          "heading": np.arctan2(ahead[:, 1], ahead[:, 0]), "length": boxes["length_m"],
          "width": boxes["width_m"], "kind": kinds_in(boxes["category"], CATEGORIES)}
     )  # fmt: skip

@@ -14,25 +14,46 @@ from __future__ import annotations
 import io
 import math
 import pickle
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
-from sim.formats.common.driving_scene import STATES, DrivingScene, recording_of
 from sim.formats.common.recording import Recording
-from sim.frames import KINDS, AgentKind, FloatArray, Signal, Tracks
+from sim.formats.driving_scenes import DrivingScene, recording_of
+from sim.frames import KINDS, AgentKind, BoolArray, FloatArray, IntArray, Signal, Tracks
+from sim.geometry import borders
 from sim.input_files import read_bytes, stem
 from sim.road import Road
 from sim.road.maps.lanelets import Lanelet
 from sim.units import in_si
+
+PERIOD_S: Final = 0.1
+"""Time between two steps where the file does not say it, s (ScenarioNet's own rate)."""
+
+TYPES: Final[dict[AgentKind, str]] = {
+    AgentKind.CAR: "VEHICLE",
+    AgentKind.BUS: "VEHICLE",
+    AgentKind.TRUCK: "VEHICLE",
+    AgentKind.BICYCLE: "CYCLIST",
+    AgentKind.MOTORCYCLE: "CYCLIST",
+    AgentKind.PEDESTRIAN: "PEDESTRIAN",
+}
+"""MetaDrive's type of each kind; of the kinds of a type, the first one is read."""
+
+READ_KINDS: Final = {word: kind for kind, word in reversed(TYPES.items())}
+"""Types of objects that are road-agents; cones, barriers and the like are left out."""
+
+STREET, ACROSS, BIKE_LANE = "LANE_SURFACE_STREET", "LANE_SURFACE_UNSTRUCTURE", "LANE_BIKE_LANE"
+LANES: Final = frozenset({STREET, ACROSS, BIKE_LANE, "LANE_UNKNOWN", "LANE_FREEWAY"})
+"""Types of lanes; an unstructured one is a way across a junction."""
+
+CROSSWALK: Final = "CROSSWALK"
 
 # --- reading ------------------------------------------------------------------------------------
 
@@ -50,22 +71,6 @@ PLAIN: Final = frozenset(
 DICTIONARIES: Final = frozenset({"ScenarioDescription", "Dict", "EasyDict", "Config"})
 """Classes that are dictionaries with a name."""
 
-PERIOD_S: Final = 0.1
-"""Time between two steps where the file does not say it, s (ScenarioNet's own rate)."""
-
-READ_KINDS: Final = {
-    "VEHICLE": AgentKind.CAR,
-    "PEDESTRIAN": AgentKind.PEDESTRIAN,
-    "CYCLIST": AgentKind.BICYCLE,
-}
-"""Types of objects that are road-agents; cones, barriers and the like are left out."""
-
-BIKE_LANE: Final = "LANE_BIKE_LANE"
-LANES: Final = frozenset({
-    "LANE_UNKNOWN", "LANE_FREEWAY", "LANE_SURFACE_STREET", BIKE_LANE, "LANE_SURFACE_UNSTRUCTURE",
-})  # fmt: skip
-"""Types of lanes; an unstructured one is a way across a junction."""
-
 LIGHTS: Final = (
     ("RED", Signal.RED), ("STOP", Signal.RED), ("YELLOW", Signal.YELLOW),
     ("CAUTION", Signal.YELLOW), ("GREEN", Signal.GREEN), ("GO", Signal.GREEN),
@@ -77,10 +82,7 @@ BEHAVIOR_CODES: Final = {str(behavior): code for code, behavior in enumerate(BEH
 
 def read(path: Path) -> Iterator[Recording]:
     """The recording of the scenario in one ``sd_*.pkl``, with its road."""
-    found = PlainUnpickler(io.BytesIO(read_bytes(path))).load()
-    if not isinstance(found, Mapping) or not isinstance(found.get("tracks"), Mapping):
-        raise InputError(f"{path}: found no tracks, expected a dictionary of ScenarioNet")
-    yield recording_of(_scene(path, found))
+    yield recording_of(_scene(path, PlainUnpickler(io.BytesIO(read_bytes(path))).load()))
 
 
 class Unknown:
@@ -118,133 +120,98 @@ class PlainUnpickler(pickle.Unpickler):
 def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     tracks, metadata = found["tracks"], found.get("metadata", {})
     steps = max((len(track["state"]["position"]) for track in tracks.values()), default=0)
-    if found.get("length", steps) != steps:
-        raise InputError(f"{path}: length: found {found['length']!r:.40}, expected {steps} states")
-    times = metadata.get("ts", metadata.get("timestep"))
-    stated = np.arange(steps) * PERIOD_S if times is None else _column("ts", times, steps)
-    time_s: FloatArray = stated.astype(np.float64)
-    if stated.dtype == np.float32:
+    times = np.asarray(metadata.get("ts", metadata.get("timestep", np.arange(steps) * PERIOD_S)))
+    time_s: FloatArray = times.astype(np.float64)
+    if times.dtype == np.float32:
         # Single precision tells a step of .1 s to a ten-millionth only, and late times worse.
         time_s = np.round(time_s, 4)
-    name = _word(found.get("id")) or _word(metadata.get("scenario_id")) or stem(path)
-    scene = DrivingScene(path, name, time_s, lights=[{} for _ in range(steps)])
+    name = found.get("id") or metadata.get("scenario_id") or stem(path)
+    scene = DrivingScene(path, str(name)[:100], time_s, lights=[{} for _ in range(steps)])
     for label, track in tracks.items():
-        kind = READ_KINDS.get(_word(track["type"]))
+        kind = READ_KINDS.get(track["type"])
         if kind is None:
             scene.left_out += 1
             continue
-        scene.agents.append((_word(label), kind, *_states(track["state"], steps)))
-        behavior = _word(track.get("metadata", {}).get("behavior"))
-        scene.behaviors[_word(label)] = BEHAVIOR_CODES.get(behavior, -1)
+        scene.agents.append((str(label), kind, *_states(track["state"], steps)))
+        behavior = track.get("metadata", {}).get("behavior")
+        scene.behaviors[str(label)] = BEHAVIOR_CODES.get(behavior, -1)
     numbers = _add_map(scene, found.get("map_features", {}))
     for name, light in found.get("dynamic_map_states", {}).items():
-        lane = numbers.get(_word(light.get("lane", name)))
-        if lane is None:
-            continue
+        lane = numbers.get(str(light.get("lane", name)))
         state = light["state"]
         words = state["object_state"] if isinstance(state, Mapping) else state
         for shown, word in zip(scene.lights, words, strict=False):
-            shown[lane] = _light(_word(word))
+            if lane is not None:
+                signals = (signal for end, signal in LIGHTS if str(word).upper().endswith(end))
+                shown[lane] = next(signals, Signal.OFF)
     return scene
 
 
-def _states(state: Mapping[str, Any], steps: int) -> tuple[NDArray[np.int64], FloatArray]:
+def _states(state: Mapping[str, Any], steps: int) -> tuple[IntArray, FloatArray]:
     """The steps at which an agent is seen, and what is known of it there."""
-    size = state.get("size", state.get("dimension"))
-    if size is not None:
-        size = np.broadcast_to(_numbers("size", size), (steps, np.shape(size)[-1]))
+    size = state.get("size", state.get("dimension"))  # length, width and height, maybe of each step
     length, width = (
-        state[side] if side in state or size is None else size[:, k]
+        state[side] if side in state else np.asarray(size)[..., k]
         for k, side in enumerate(("length", "width"))
     )
-    x, y = _points(state["position"]).T
-    columns = {"x": x, "y": y, "heading": state["heading"],
-               "velocity": np.hypot(*_points(state["velocity"]).T), "length": length,
-               "width": width}  # fmt: skip
-    table = np.stack([_column(field, values, steps) for field, values in columns.items()], axis=1)
-    seen = np.flatnonzero(_column("valid", state["valid"], steps).astype(bool))
-    return seen, table[seen].astype(np.float64)
+    velocity = np.hypot(*_points(state["velocity"]).T)
+    columns = (*_points(state["position"]).T, state["heading"], velocity, length, width)
+    table = np.stack([_column(values, steps) for values in columns], axis=1)
+    seen = np.flatnonzero(_column(state["valid"], steps))
+    return seen, table[seen]
 
 
-def _column(field: str, values: Any, steps: int) -> NDArray[Any]:
+def _column(values: Any, steps: int) -> FloatArray:
     """A number of each step; some converters write one for all, or a column of a table."""
-    found = _numbers(field, values)
-    if found.ndim == 2 and found.shape[1] == 1:
-        found = found[:, 0]
-    if found.ndim and found.shape != (steps,):
-        raise InputError(f"{field}: found {found.shape} numbers, expected one of each of {steps}")
-    return np.broadcast_to(found, (steps,))
-
-
-def _numbers(field: str, values: Any) -> NDArray[Any]:
-    """An array of numbers."""
-    found = np.asarray(values)
-    if found.dtype.kind not in "biuf":
-        raise InputError(f"{field}: found no numbers, expected some")
-    return found
+    found = np.asarray(values, dtype=np.float64)
+    return np.broadcast_to(found[:, 0] if found.ndim == 2 else found, steps)
 
 
 def _points(values: Any) -> FloatArray:
     """(P, 2) points, m; heights go."""
-    found = _numbers("points", values).reshape(len(values), -1) if len(values) else np.empty((0, 2))
-    return np.asarray(found[:, :2], dtype=np.float64)
-
-
-def _word(value: Any) -> str:
-    """A name, which may be a number; "" for anything else, whose text might be endless."""
-    return str(value)[:100] if isinstance(value, str | int) else ""
-
-
-def _light(word: str) -> int:
-    """What a light shows, as an index into `STATES`."""
-    signals = (signal for end, signal in LIGHTS if word.upper().endswith(end))
-    return STATES.index(next(signals, Signal.OFF))
+    return np.asarray(values, dtype=np.float64)[..., :2].reshape(-1, 2)
 
 
 def _add_map(scene: DrivingScene, features: Mapping[Any, Any]) -> dict[str, int]:
     """Take in lanes and crosswalks; gives the number of each lane by its name."""
-    lanes = {_word(name): one for name, one in features.items() if _word(one["type"]) in LANES}
+    lanes = {str(name): one for name, one in features.items() if one["type"] in LANES}
     numbers = {name: number for number, name in enumerate(lanes)}
     if all(name.isascii() and name.isdecimal() and len(name) < 16 for name in numbers):
         numbers = {name: int(name) for name in numbers}
 
-    def known(names: Any) -> tuple[int, ...]:
-        """Numbers of lanes by their names, or by Waymo's records of them."""
-        words = [_word(one.get("feature_id") if isinstance(one, Mapping) else one) for one in names]
-        return tuple(numbers[word] for word in words if word in numbers)
-
     for name, lane in lanes.items():
-        before, after, left, right = (
-            known(tuple(lane.get(key) or ())[:16])
-            for key in ("entry_lanes", "exit_lanes", "left_neighbor", "right_neighbor")
-        )
+        beside: dict[str, tuple[int, ...]] = {}
+        for key in ("entry_lanes", "exit_lanes", "left_neighbor", "right_neighbor"):
+            others = lane.get(key)  # names of lanes, or Waymo's records of them
+            words = [
+                str(one["feature_id"] if isinstance(one, Mapping) else one)
+                for one in ([] if others is None else others)
+            ]
+            beside[key] = tuple(numbers[word] for word in words if word in numbers)
         # converters write none or 0 for an unknown limit, and mostly a width at every point
-        limit_mph, limit_kmh = (
-            float(lane.get(f"speed_limit_{unit}") or math.nan) for unit in ("mph", "kmh")
-        )
-        limits = in_si(limit_mph, "mph"), in_si(limit_kmh, "km/h")
+        limits = [
+            in_si(float(lane[key]), unit)
+            for key, unit in (("speed_limit_mph", "mph"), ("speed_limit_kmh", "km/h"))
+            if lane.get(key)
+        ]
         width = lane.get("width")
-        width_m = math.nan if width is None or np.ndim(width) else float(width)
-        if not (math.isnan(width_m) or 0.0 < width_m <= 100.0):
-            raise InputError(f"map_features: found a width of {width_m:g} m, expected up to 100")
-        unstructured = lane["type"] == "LANE_SURFACE_UNSTRUCTURE"
         scene.lanes.append(
             Lanelet(
                 id=numbers[name],
                 centerline=_points(lane["polyline"]),
-                limit_mps=limits[1] if math.isnan(limit_mph) else limits[0],
+                limit_mps=next(iter(limits), math.nan),
                 cars=lane["type"] != BIKE_LANE,
-                internal=unstructured or bool(lane.get("interpolating", False)),
-                predecessors=before,
-                successors=after,
-                left=left[0] if left else None,
-                right=right[0] if right else None,
-                width_m=width_m,
+                internal=lane["type"] == ACROSS or bool(lane.get("interpolating", False)),
+                predecessors=beside["entry_lanes"],
+                successors=beside["exit_lanes"],
+                left=next(iter(beside["left_neighbor"]), None),
+                right=next(iter(beside["right_neighbor"]), None),
+                width_m=math.nan if width is None or np.ndim(width) else float(width),
             )
         )
     for name, feature in features.items():
-        if _word(feature["type"]) == "CROSSWALK" and "polygon" in feature:
-            scene.crosswalks[_word(name)] = _points(feature["polygon"])
+        if feature["type"] == CROSSWALK and "polygon" in feature:
+            scene.crosswalks[str(name)] = _points(feature["polygon"])
     return numbers
 
 
@@ -260,21 +227,6 @@ MOVED_M: Final = 1.0
 HEIGHT_M: Final = 1.6
 """Height that is written for everyone, m: the format wants one and traffic here is flat."""
 
-TYPES: Final[dict[AgentKind, str]] = {
-    AgentKind.CAR: "VEHICLE",
-    AgentKind.BUS: "VEHICLE",
-    AgentKind.TRUCK: "VEHICLE",
-    AgentKind.MOTORCYCLE: "CYCLIST",
-    AgentKind.BICYCLE: "CYCLIST",
-    AgentKind.PEDESTRIAN: "PEDESTRIAN",
-}
-"""MetaDrive's type of each kind."""
-
-
-def _flat(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(P, 3) points of height 0."""
-    return np.concatenate([points, np.zeros((len(points), 1))], axis=1)
-
 
 def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str, Any]:
     """An episode as the format's dictionary, of plain numbers, words and numpy arrays.
@@ -288,28 +240,26 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
         The dictionary; numbers are 0 where an agent is not valid.
     """
     heading, speed, valid = tracks.heading, tracks.speed, tracks.valid
-    velocity = np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=2)
     steps = int(tracks.time_s.size)
+    series = {
+        "position": _flat(tracks.xy),
+        "heading": heading,
+        "velocity": np.stack([speed * np.cos(heading), speed * np.sin(heading)], axis=2),
+        "valid": valid,
+        "length": tracks.length[:, None],
+        "width": tracks.width[:, None],
+        "height": np.array([[HEIGHT_M]]),
+    }
+    for field, values in series.items():
+        if field != "valid":
+            seen = valid[..., None] if values.ndim == 3 else valid
+            series[field] = np.where(seen, values, 0.0).astype(np.float32)
     agents: dict[str, Any] = {}
     for i, label in enumerate(tracks.names):
         code = -1 if tracks.behavior is None else int(tracks.behavior[i])
-        series = {
-            "position": _flat(tracks.xy[i]),
-            "heading": heading[i],
-            "velocity": velocity[i],
-            "length": tracks.length[i],
-            "width": tracks.width[i],
-            "height": HEIGHT_M,
-        }
-        state: dict[str, Any] = {}
-        for field, own in series.items():
-            seen = valid[i][:, None] if np.ndim(own) == 2 else valid[i]
-            state[field] = np.where(seen, own, 0.0).astype(np.float32)
-            if field == "velocity":
-                state["valid"] = valid[i].copy()
         agents[label] = {
             "type": TYPES[KINDS[tracks.kind[i]]],
-            "state": state,
+            "state": {field: values[i].copy() for field, values in series.items()},
             "metadata": {
                 "track_length": steps,
                 "type": TYPES[KINDS[tracks.kind[i]]],
@@ -343,7 +293,7 @@ def description(name: str, tracks: Tracks, road: Road | None = None) -> dict[str
 
 def _object_summary(name: str, agent: Mapping[str, Any]) -> dict[str, Any]:
     """What the format says in short of one agent."""
-    valid: NDArray[np.bool_] = agent["state"]["valid"]
+    valid: BoolArray = agent["state"]["valid"]
     seen = np.flatnonzero(valid)
     # how long it is seen from the first time on, until it is lost for the first time
     first = valid[seen[0] :] if seen.size else valid[:0]
@@ -396,34 +346,33 @@ class Index:
         return paths
 
 
+def _flat(points: FloatArray) -> FloatArray:
+    """(..., 3) points of height 0."""
+    return np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)
+
+
 def _map_features(road: Road) -> dict[str, Any]:
+    """Lanes and crosswalks."""
     features: dict[str, Any] = {}
-    after: dict[str, list[str]] = {}
-    before: dict[str, list[str]] = {}
-    for connection in road.connections:
-        chain = [connection.from_lane, *connection.via, connection.to_lane]
-        for one, two in pairwise(chain):
-            after.setdefault(one, []).append(two)
-            before.setdefault(two, []).append(one)
-    for lane in road.lanes:
-        if lane.walking:
-            continue
+    before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+    for link in road.connections:
+        for one, two in pairwise((link.from_lane, *link.via, link.to_lane)):
+            after[one].add(two)
+            before[two].add(one)
+    for lane in (lane for lane in road.lanes if not lane.walking):
         features[lane.id] = {
-            "type": "LANE_SURFACE_UNSTRUCTURE" if lane.internal else "LANE_SURFACE_STREET",
+            "type": ACROSS if lane.internal else STREET,
             "polyline": _flat(lane.centerline).astype(np.float32),
-            "entry_lanes": sorted(set(before.get(lane.id, []))),
-            "exit_lanes": sorted(set(after.get(lane.id, []))),
+            "entry_lanes": sorted(before[lane.id]),
+            "exit_lanes": sorted(after[lane.id]),
             "width": lane.width_m,
         }
         if np.isfinite(lane.speed_limit_mps):
             features[lane.id]["speed_limit_kmh"] = 3.6 * lane.speed_limit_mps
     for crossing in road.crossings:
-        along = crossing.centerline[[0, -1]]
-        way = along[1] - along[0]
-        across = np.array([-way[1], way[0]]) / max(float(np.hypot(*way)), 1e-9)
-        side = 0.5 * crossing.width_m * across
-        corners = np.stack([along[0] + side, along[1] + side, along[1] - side, along[0] - side])
-        features[crossing.id] = {"type": "CROSSWALK", "polygon": _flat(corners).astype(np.float32)}
+        left, right = borders(crossing.centerline[[0, -1]], crossing.width_m)
+        outline = _flat(np.concatenate([left, right[::-1]])).astype(np.float32)
+        features[crossing.id] = {"type": CROSSWALK, "polygon": outline}
     return features
 
 

@@ -20,21 +20,19 @@ from __future__ import annotations
 import functools
 import json
 import math
-import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import google_crc32c
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
-from google.protobuf.message import DecodeError
 
 from behaviors.errors import InputError
-from sim.formats.common.driving_scene import DrivingScene, recording_of
 from sim.formats.common.recording import Recording
-from sim.frames import AgentKind, FloatArray
+from sim.formats.driving_scenes import DrivingScene, recording_of
+from sim.frames import AgentKind, FloatArray, Signal
 from sim.input_files import opened, plain_name, read_bytes, stem
 from sim.road.maps.lanelets import Lanelet
 from sim.units import in_si
@@ -45,17 +43,18 @@ PERIOD_S: Final = 0.1
 KINDS: Final = {1: AgentKind.CAR, 2: AgentKind.PEDESTRIAN, 3: AgentKind.BICYCLE}
 """Types of objects that are road-agents; 0 and 4 (unset, other) are left out."""
 
-BIKE_LANE: Final = 3
-"""The type of lanes for bicycles."""
-
 WORDS: Final = dict(zip(("vehicle", "pedestrian", "cyclist"), KINDS.values(), strict=True))
 """The same in Nocturne's words."""
 
-_EXAMPLE: Final = re.compile(
-    rb"\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n(?:[\x80-\xff]{0,9}[\0-\x7f])\n[\x01-\x7f][\w/.-]{3}",
-    re.DOTALL,
-)
-"""A tf.Example: features, the first of them, and the beginning of its name."""
+BIKE_LANE: Final = 3
+"""The type of lanes for bicycles."""
+
+STATES: Final = {
+    "UNKNOWN": Signal.OFF, "ARROW_STOP": Signal.RED, "ARROW_CAUTION": Signal.YELLOW,
+    "ARROW_GO": Signal.GREEN, "STOP": Signal.RED, "CAUTION": Signal.YELLOW, "GO": Signal.GREEN,
+    "FLASHING_STOP": Signal.RED, "FLASHING_CAUTION": Signal.YELLOW,
+}  # fmt: skip
+"""What lights show, by the words of Nocturne, which stand in the order of Waymo's numbers."""
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -63,20 +62,8 @@ def read(path: Path) -> Iterator[Recording]:
     if plain_name(path).lower().endswith(".json"):
         yield recording_of(_from_json(path))
         return
-    message = scenario_class()
     for number, record in enumerate(read_records(path), 1):
-        if _EXAMPLE.match(record):
-            raise InputError(
-                f"{path}: record {number}: found features of a tf.Example, expected a Waymo "
-                "scenario: those are in the dataset's folder scenario, not tf_example"
-            )
-        try:
-            scenario = message.FromString(record)
-        except DecodeError:
-            raise InputError(
-                f"{path}: record {number}: found another message, expected a Waymo scenario"
-            ) from None
-        yield recording_of(_from_message(path, scenario, number))
+        yield recording_of(_from_message(path, scenario_class().FromString(record), number))
 
 
 # --- records ------------------------------------------------------------------------------------
@@ -120,9 +107,6 @@ def read_records(path: Path) -> Iterator[bytes]:
 
 PACKAGE: Final = "waymo.open_dataset"
 
-_PLAIN: Final = ("double", "float", "int32", "int64", "bool", "string")
-"""Kinds of fields that are no messages."""
-
 MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
     "ObjectState": {
         "center_x": (2, "double"), "center_y": (3, "double"), "length": (5, "float"),
@@ -153,21 +137,12 @@ MESSAGES: Final[dict[str, dict[str, tuple[int, str]]]] = {
 }  # fmt: skip
 """Number and kind of every field that is read, by message; ``*`` marks what repeats."""
 
-
 ENUMS: Final[dict[str, tuple[str, ...]]] = {
-    "Track.ObjectType": (
-        "TYPE_UNSET", "TYPE_VEHICLE", "TYPE_PEDESTRIAN", "TYPE_CYCLIST", "TYPE_OTHER",
-    ),
-    "LaneCenter.LaneType": (
-        "TYPE_UNDEFINED", "TYPE_FREEWAY", "TYPE_SURFACE_STREET", "TYPE_BIKE_LANE",
-    ),
-    "TrafficSignalLaneState.State": (
-        "LANE_STATE_UNKNOWN", "LANE_STATE_ARROW_STOP", "LANE_STATE_ARROW_CAUTION",
-        "LANE_STATE_ARROW_GO", "LANE_STATE_STOP", "LANE_STATE_CAUTION", "LANE_STATE_GO",
-        "LANE_STATE_FLASHING_STOP", "LANE_STATE_FLASHING_CAUTION",
-    ),
-}  # fmt: skip
-"""The names of numbers from 0 on, by message and enumeration; JSON has the names."""
+    "ObjectType": ("TYPE_UNSET", "TYPE_VEHICLE", "TYPE_PEDESTRIAN", "TYPE_CYCLIST", "TYPE_OTHER"),
+    "LaneType": ("TYPE_UNDEFINED", "TYPE_FREEWAY", "TYPE_SURFACE_STREET", "TYPE_BIKE_LANE"),
+    "State": tuple(f"LANE_STATE_{word}" for word in STATES),
+}
+"""The names of numbers from 0 on, by enumeration; JSON has the names."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -176,24 +151,21 @@ def scenario_class() -> Any:
     file = descriptor_pb2.FileDescriptorProto(
         name="graphrqi/waymo_scenario.proto", package=PACKAGE, syntax="proto2"
     )
+    for name, words in ENUMS.items():
+        enum = file.enum_type.add(name=name)
+        for number, word in enumerate(words):
+            enum.value.add(name=word, number=number)
     for name, fields in MESSAGES.items():
         message = file.message_type.add(name=name)
         for label, (number, kind) in fields.items():
-            repeated, plain = kind.startswith("*"), kind.removeprefix("*")
+            plain = kind.removeprefix("*")
             field = message.field.add(name=label, number=number)
-            field.label = field.LABEL_REPEATED if repeated else field.LABEL_OPTIONAL
-            values = ENUMS.get(f"{name}.{plain}")
-            if plain in _PLAIN:
-                field.type = getattr(field, f"TYPE_{plain.upper()}")
-            elif values is not None:
-                field.type = field.TYPE_ENUM
-                field.type_name = f".{PACKAGE}.{name}.{plain}"
-                enum = message.enum_type.add(name=plain)
-                for value, word in enumerate(values):
-                    enum.value.add(name=word, number=value)
-            else:
-                field.type = field.TYPE_MESSAGE
+            field.label = field.LABEL_OPTIONAL if plain == kind else field.LABEL_REPEATED
+            if plain in MESSAGES or plain in ENUMS:
+                field.type = field.TYPE_MESSAGE if plain in MESSAGES else field.TYPE_ENUM
                 field.type_name = f".{PACKAGE}.{plain}"
+            else:
+                field.type = getattr(field, f"TYPE_{plain.upper()}")
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{PACKAGE}.Scenario"))
@@ -201,7 +173,11 @@ def scenario_class() -> Any:
 
 def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
     """A scenario in Waymo's own message."""
-    where = f"{path}: record {number}"
+    if not scenario.tracks:
+        raise InputError(
+            f"record {number}: found no tracks, expected a Waymo scenario: those are in the "
+            "dataset's folder scenario, not tf_example"
+        )
     name = scenario.scenario_id[:100] or f"{stem(path)}-{number}"
     scene = DrivingScene(path, name, np.array(scenario.timestamps_seconds, dtype=np.float64))
     for track in scenario.tracks:
@@ -209,45 +185,39 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
         if kind is None:
             scene.left_out += 1
             continue
-        states = track.states
-        if len(states) > scene.time_s.size:
-            raise InputError(
-                f"{where}: track {track.id}: found {len(states)} states, expected one for each of "
-                f"the {scene.time_s.size} times"
-            )
-        steps = np.array([t for t, s in enumerate(states) if s.valid], dtype=np.int64)
+        seen = [(t, s) for t, s in enumerate(track.states) if s.valid]
         values = [
             (s.center_x, s.center_y, s.heading, math.hypot(s.velocity_x, s.velocity_y), s.length,
              s.width)
-            for s in states if s.valid
+            for _, s in seen
         ]  # fmt: skip
-        table = np.array(values, dtype=np.float64).reshape(-1, 6)
-        scene.agents.append((str(track.id), kind, steps, table))
-    stops = {lane for f in scenario.map_features if f.HasField("stop_sign")
-             for lane in f.stop_sign.lane}  # fmt: skip
-    for feature in scenario.map_features:
+        steps = np.array([t for t, _ in seen], dtype=np.int64)
+        scene.agents.append((str(track.id), kind, steps, np.reshape(values, (-1, 6))))
+    features = scenario.map_features
+    stops = {i for one in features if one.HasField("stop_sign") for i in one.stop_sign.lane}
+    for feature in features:
         if feature.HasField("lane"):
             lane = feature.lane
             scene.lanes.append(
                 Lanelet(
                     id=feature.id,
-                    centerline=np.array([(p.x, p.y) for p in lane.polyline]).reshape(-1, 2),
+                    centerline=_xy(lane.polyline),
                     width_m=math.nan,
                     limit_mps=in_si(lane.speed_limit_mph, "mph") or math.nan,
                     cars=lane.type != BIKE_LANE,
                     internal=lane.interpolating,
-                    predecessors=tuple(lane.entry_lanes)[:16],
-                    successors=tuple(lane.exit_lanes)[:16],
-                    left=lane.left_neighbors[0].feature_id if lane.left_neighbors else None,
-                    right=lane.right_neighbors[0].feature_id if lane.right_neighbors else None,
+                    predecessors=tuple(lane.entry_lanes),
+                    successors=tuple(lane.exit_lanes),
+                    left=next((one.feature_id for one in lane.left_neighbors), None),
+                    right=next((one.feature_id for one in lane.right_neighbors), None),
                     must_stop=feature.id in stops,
                 )
             )
         elif feature.HasField("crosswalk"):
-            outline = np.array([(p.x, p.y) for p in feature.crosswalk.polygon]).reshape(-1, 2)
-            scene.crosswalks[str(feature.id)] = outline
+            scene.crosswalks[str(feature.id)] = _xy(feature.crosswalk.polygon)
+    signals = tuple(STATES.values())
     for shown in scenario.dynamic_map_states:
-        scene.lights.append({s.lane: s.state for s in shown.lane_states})
+        scene.lights.append({s.lane: signals[s.state] for s in shown.lane_states})
     return scene
 
 
@@ -256,31 +226,19 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
 
 def _from_json(path: Path) -> DrivingScene:
     """A scenario in either kind of JSON."""
-    try:
-        found = json.loads(read_bytes(path))
-    except ValueError as error:
-        raise InputError(f"{path}: found broken JSON ({error!s:.100})") from None
-    if not isinstance(found, dict) or not {"objects", "tracks", "timestampsSeconds",
-                                           "timestamps_seconds"} & set(found):  # fmt: skip
-        keys = f"the keys {', '.join(map(str, found))}" if isinstance(found, dict) else "a list"
-        raise InputError(
-            f"{path}: found JSON with {keys if found else 'nothing'!s:.120}, expected a scenario: "
-            "objects or tracks"
-        )
+    found = json.loads(read_bytes(path))
     if "objects" in found:
         return _from_nocturne(path, found)
-    try:
-        message = json_format.ParseDict(found, scenario_class()(), ignore_unknown_fields=True)
-    except json_format.ParseError as error:
-        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
+    message = json_format.ParseDict(found, scenario_class()(), ignore_unknown_fields=True)
     if not message.scenario_id:
         message.scenario_id = stem(path)
     return _from_message(path, message, 1)
 
 
-def _xy(points: Sequence[Mapping[str, float]]) -> FloatArray:
-    """(P, 2) the points of a line, m."""
-    return np.array([(p["x"], p["y"]) for p in points], dtype=np.float64).reshape(-1, 2)
+def _xy(points: Any) -> FloatArray:
+    """(P, 2) the points of a line, messages or dictionaries, m."""
+    pairs = [(p["x"], p["y"]) if isinstance(p, Mapping) else (p.x, p.y) for p in points]
+    return np.array(pairs, dtype=np.float64).reshape(-1, 2)
 
 
 def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
@@ -296,13 +254,7 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
             scene.left_out += 1
             continue
         xy, velocity = _xy(one["position"]), _xy(one["velocity"])
-        if not len(xy) == len(velocity) == len(one["heading"]) == len(one["valid"]):
-            raise InputError(
-                f"{path}: objects.{index}: found {len(xy)} positions, {len(velocity)} velocities, "
-                f"{len(one['heading'])} headings and {len(one['valid'])} valid, expected as many "
-                "of each"
-            )
-        sides = [np.resize(np.atleast_1d(one[side]), len(xy)) for side in ("length", "width")]
+        sides = [np.broadcast_to(one[side], len(xy)) for side in ("length", "width")]
         speed = np.hypot(*velocity.T)
         table = np.column_stack([xy, one["heading"], speed, *sides]).astype(np.float64)
         seen = np.flatnonzero(one["valid"])
@@ -321,12 +273,11 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
             scene.crosswalks[str(identity)] = _xy(line)
     known = {lane.id for lane in scene.lanes}
     scene.lights = [{} for _ in time_s]
-    words = ENUMS["TrafficSignalLaneState.State"]
     for lane, shown in (found.get("tl_states") or {}).items():
         for t, state in zip(shown["time_index"], shown["state"], strict=False):
-            word = f"LANE_STATE_{str(state).upper().removeprefix('LANE_STATE_')}"
+            word = str(state).upper().removeprefix("LANE_STATE_")
             if int(lane) in known and 0 <= t < steps:
-                scene.lights[t][int(lane)] = words.index(word) if word in words else 0
+                scene.lights[t][int(lane)] = STATES.get(word, Signal.OFF)
     return scene
 
 

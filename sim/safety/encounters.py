@@ -53,27 +53,26 @@ class Driven:
     @classmethod
     def of(cls, tracks: Tracks) -> Driven:
         """State of the rows of tracks."""
-        rows = tracks.rows
-        agent, time_s = rows.index.agent, tracks.time_s[rows.index.step]
+        agent, time_s = tracks.index.agent, tracks.time_s[tracks.index.step]
         usual_s = float(np.median(np.diff(tracks.time_s))) if tracks.time_s.size > 1 else 1.0
-        begins = rows.index.begins.copy()
+        begins = tracks.index.begins.copy()
         begins[1:] |= np.diff(time_s) > max(BREAK_S, BREAK_STEPS * usual_s)
         run, here = np.cumsum(begins), np.arange(begins.size)
         first, last = np.searchsorted(run, run), np.searchsorted(run, run, side="right") - 1
         after, before = np.minimum(here + 1, last), np.maximum(here - 1, first)
         wide = max(1, round(TURN_WINDOW_S / usual_s))
         late, early = np.minimum(here + wide, last), np.maximum(here - wide, first)
-        piece_s, heading, speed = time_s[after] - time_s, rows.heading, rows.speed
+        piece_s, heading, speed = time_s[after] - time_s, tracks.row_heading, tracks.row_speed
         faster = _rate(speed[after] - speed[before], time_s[after] - time_s[before])
         length, width = tracks.length[agent], tracks.width[agent]
         return cls(
-            index=rows.index,
-            bodies=Bodies(rows.xy, heading, speed, faster, length, width),
+            index=tracks.index,
+            bodies=Bodies(tracks.row_xy, heading, speed, faster, length, width),
             time_s=time_s,
             turning=_rate(wrapped(heading[late] - heading[early]), time_s[late] - time_s[early]),
             walking=tracks.walking,
             piece_s=piece_s,
-            piece_mps=_rate(rows.xy[after] - rows.xy, piece_s[:, None]),
+            piece_mps=_rate(tracks.row_xy[after] - tracks.row_xy, piece_s[:, None]),
             piece_heading=heading + 0.5 * wrapped(heading[after] - heading),
         )
 

@@ -281,7 +281,7 @@ def _moments(
     count = end - begin + 1
     number = np.repeat(np.arange(count.size), count)
     step = np.arange(number.size) - np.repeat(np.cumsum(count) - count - begin, count)
-    rows, there = zip(*(tracks.rows.index.find(each[number], step) for each in agents), strict=True)
+    rows, there = zip(*(tracks.index.find(each[number], step) for each in agents), strict=True)
     both = there[0] & there[1]
     return number[both], np.stack(rows)[:, both]
 

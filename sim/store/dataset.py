@@ -21,15 +21,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic import ValidationError
 
-from behaviors.display import counted
-from behaviors.errors import InputError
+from behaviors.errors import InputError, counted
 from behaviors.labels import BEHAVIORS, Behavior, Style, read_behaviors
 from behaviors.traits import ShownTrait
 from sim.files import place_of, temporary_folder
 from sim.frames import Tracks
 from sim.invalid_fields import first_wrong_field
 from sim.road import Road
-from sim.road.files import read_road_file
+from sim.road.road_files import read_road_file
 from sim.safety import Conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import DRAWN, EPISODES, WORDS, words_of

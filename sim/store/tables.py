@@ -18,7 +18,7 @@ from behaviors.row_index import RowIndex
 from behaviors.traits import ShownTrait
 from sim.episode.annotate import Annotations
 from sim.files import Place
-from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, TrackRows, Tracks
+from sim.frames import KINDS, SIGNALS, AgentKind, Event, EventKind, Tracks
 from sim.road import Road
 from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.scenario import AgentSpec
@@ -53,13 +53,14 @@ STEPS: Final = ["agent", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
 
 def rounded(tracks: Tracks) -> Tracks:
     """Simulated tracks as they are stored: multiples of the quanta, as float32 has them."""
-    rows = tracks.rows
-    heading = _multiples(rows.heading, HEADING_QUANTUM)
+    heading = _multiples(tracks.row_heading, HEADING_QUANTUM)
     # pi itself rounds to a multiple above pi, and -pi is outside (-pi, pi].
     heading -= HEADING_QUANTUM * (heading > np.pi)
     heading += HEADING_QUANTUM * (heading < -np.pi)
-    xy, speed = (_multiples(values, POSITION_QUANTUM) for values in (rows.xy, rows.speed))
-    return replace(tracks, rows=TrackRows(rows.index, xy, heading, speed))
+    xy, speed = (
+        _multiples(values, POSITION_QUANTUM) for values in (tracks.row_xy, tracks.row_speed)
+    )
+    return replace(tracks, row_xy=xy, row_heading=heading, row_speed=speed)
 
 
 def _multiples(values: NDArray[np.float64], quantum: float) -> NDArray[np.float64]:
@@ -84,11 +85,11 @@ def encode(
     Raises:
         InputError: if a number is not finite, or there are too many rows.
     """
-    rows = tracks.rows
-    agent, step = tracks.ids[rows.index.agent], rows.index.step
+    agent, step = tracks.ids[tracks.index.agent], tracks.index.step
     if agent.size > MAX_STEPS:
         raise InputError(f"steps: found {agent.size} rows, expected at most {MAX_STEPS}")
-    moved = {"x": rows.xy[:, 0], "y": rows.xy[:, 1], "heading": rows.heading, "speed": rows.speed}
+    (x, y), heading, speed = tracks.row_xy.T, tracks.row_heading, tracks.row_speed
+    moved = {"x": x, "y": y, "heading": heading, "speed": speed}
     for name, values in moved.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -168,7 +169,7 @@ def _conflict_columns(met: Conflicts) -> dict[str, pa.Array]:
 
 def road_columns(tracks: Tracks, found: Annotations, road: Road) -> dict[str, pa.Array]:
     """The columns of simulated steps that come from the road."""
-    agent = tracks.ids[tracks.rows.index.agent]
+    agent = tracks.ids[tracks.index.agent]
     lane = pa.array(found.lane, pa.int32(), mask=found.lane < 0)
     lane_ids = pa.array([lane.id for lane in road.lanes], pa.string())
     return {
@@ -190,11 +191,10 @@ def _derived(values: NDArray[np.float64], exact: bool) -> pa.Array:
 
 def _acceleration(tracks: Tracks) -> NDArray[np.float64]:
     """(m,) change of speed since the agent's step before, m/s²; NaN where it was not seen then."""
-    rows = tracks.rows
-    found = np.full(rows.speed.size, np.nan)
-    at = np.flatnonzero(~rows.index.begins)
-    time_s = tracks.time_s[rows.index.step]
-    found[at] = (rows.speed[at] - rows.speed[at - 1]) / (time_s[at] - time_s[at - 1])
+    found = np.full(tracks.row_speed.size, np.nan)
+    at = np.flatnonzero(~tracks.index.begins)
+    time_s = tracks.time_s[tracks.index.step]
+    found[at] = (tracks.row_speed[at] - tracks.row_speed[at - 1]) / (time_s[at] - time_s[at - 1])
     return found
 
 
@@ -266,7 +266,10 @@ def read_tables(
     names = agents.column("name").to_pylist()
     index = RowIndex.of_rows(row, step.astype(np.int64), seen.size, time_s.size)
     tracks = Tracks(
-        rows=TrackRows(index, np.stack([x, y], axis=1), heading, speed),
+        index=index,
+        row_xy=np.stack([x, y], axis=1),
+        row_heading=heading,
+        row_speed=speed,
         ids=ids[seen],
         names=tuple(names[i] for i in seen),
         kind=_codes(agents, "kind", KINDS)[seen],

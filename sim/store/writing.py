@@ -30,7 +30,7 @@ from sim.episode.annotate import annotate
 from sim.files import PARTIAL_PREFIX, Place, local_path, new_folder, place_of, temporary_folder
 from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
-from sim.road.files import ENDINGS, SUFFIX, encode_road, read_road_file
+from sim.road.road_files import ENDINGS, SUFFIX, encode_road, read_road_file
 from sim.safety import Conflicts, conflicts
 from sim.scenario import AgentSpec
 from sim.store.catalogue import EPISODES, catalogue_table, write_catalogue
@@ -212,7 +212,7 @@ class EpisodeWriter:
             known = road_columns(tracks, found, where)
         if since_s is not None:
             first = int(np.searchsorted(tracks.time_s, since_s + 1e-9))
-            later = pa.array(tracks.rows.index.step >= first)
+            later = pa.array(tracks.index.step >= first)
             known = {name: column.filter(later) for name, column in known.items()}
             shown = tuple(trait for trait in shown if trait.begin_s > since_s)
             tracks = tracks.part(np.arange(tracks.ids.size), slice(first, None))
@@ -238,7 +238,7 @@ class EpisodeWriter:
         Raises:
             InputError: if a number is not finite.
         """
-        n, index = tracks.ids.size, tracks.rows.index
+        n, index = tracks.ids.size, tracks.index
         codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
         seen, first_s = np.diff(index.first) > 0, np.full(n, tracks.time_s[:1].sum())
         first_s[seen] = tracks.time_s[index.step[index.first[:-1][seen]]]
@@ -290,7 +290,7 @@ class EpisodeWriter:
         """
         kept = {} if road is None else self._keep_road(road)
         sha256 = next((file.sha256 for file in kept.values()), None)
-        index = tracks.rows.index
+        index = tracks.index
         entry = EpisodeEntry(
             **meta.model_dump(),
             id=_identity(meta, drawn or agents, sha256, tracks if exact else None),
@@ -334,9 +334,8 @@ def _identity(
     content = hashlib.sha256(json.dumps(made_from, sort_keys=True, allow_nan=False).encode())
     content.update(repr(list(agents)).encode())
     if recorded is not None:
-        rows = recorded.rows
-        for values in (recorded.time_s, recorded.signals, rows.index.agent, rows.index.step,
-                       rows.xy, rows.heading, rows.speed):  # fmt: skip
+        for values in (recorded.time_s, recorded.signals, recorded.index.agent, recorded.index.step,
+                       recorded.row_xy, recorded.row_heading, recorded.row_speed):  # fmt: skip
             content.update(np.ascontiguousarray(values).tobytes())
     return content.hexdigest()[:16]
 

@@ -5,13 +5,12 @@ A trunk is a process of its own that runs an episode and holds nothing else. Cop
 trunk's next frames to the bit; a changed branch differs by the changed driver alone. SUMO's own
 saved states do not restore exactly.
 
-Linux only: other systems cannot copy a running process, or end its copies with it.
+Linux only: other systems cannot copy a running process.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import socket
@@ -21,13 +20,13 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
-from typing import Final, NoReturn
+from typing import Any, Final
 
-from behaviors.errors import InputError
+from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS, Behavior
 from sim.frames import Frame
 from sim.scenario import AgentSpec, CarFollowing, Scenario, with_behavior
-from sim.sumo.control.acting import Action, Change
+from sim.sumo.control import Action, Change
 from sim.sumo.control.controls import NAMED
 from sim.sumo.engine import run_with
 from sim.sumo.vehicle_types import SumoSettings
@@ -38,18 +37,12 @@ ENGINE_LAWS: Final[dict[str, CarFollowing]] = {"sumo": "Krauss", "sumo-idm": "ID
 _MEMORY: Final = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1", "PYTHONMALLOC": "malloc"}
 """Memory in huge pages: a fork copies fewer page tables and takes half the time."""
 
-_PR_SET_PDEATHSIG: Final = 1
-"""Number of the ``prctl`` call that ends a process together with its parent (linux/prctl.h)."""
 
-
-class Branch(AbstractContextManager["Branch"]):
+class Branch(Connection):
     """One continuation of a trunk; iterating over it gives its frames.
 
     Closing a branch, or leaving its ``with`` block, ends its process; the trunk is not affected.
     """
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames after the instant of the branch, in order of time.
@@ -57,15 +50,7 @@ class Branch(AbstractContextManager["Branch"]):
         Raises:
             InputError: if the simulation failed, or its process was ended from outside.
         """
-        yield from _received(self._connection, "branch")
-
-    def close(self) -> None:
-        """End the branch; frames that were not read are lost."""
-        self._connection.close()
-
-    def __exit__(self, *_: object) -> None:
-        """Close it."""
-        self.close()
+        return _received(self, "branch")
 
 
 class Trunk(AbstractContextManager["Trunk"]):
@@ -77,6 +62,9 @@ class Trunk(AbstractContextManager["Trunk"]):
         seed: of the simulator's own noise.
         engine: "sumo" or "sumo-idm".
 
+    Attributes:
+        drivers: every driver of the episode, at any time, by id.
+
     Raises:
         InputError: on other systems than Linux, or with an engine that is not SUMO's.
     """
@@ -85,24 +73,24 @@ class Trunk(AbstractContextManager["Trunk"]):
         self, scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str = "sumo"
     ) -> None:
         check_platform()
-        if engine not in ENGINE_LAWS:
-            raise InputError(f"engine: found {engine!r}, expected {' or '.join(ENGINE_LAWS)}")
+        law = lookup(ENGINE_LAWS, engine, "engine of branches")
         here, there = socket.socketpair()
         with there:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "sim.sumo.branches", str(there.fileno())],
                 pass_fds=[there.fileno()],
                 env={**os.environ, **_MEMORY},
+                process_group=0,  # Ctrl-C ends the parent, which ends this
             )
         self._connection: Connection = Connection(here.detach())
-        self._drivers = {a.id: a for a in agents if a.profile is not None}
+        self.drivers = {a.id: a for a in agents if a.profile is not None}
         self._spread, self._population = scenario.spread, scenario.population
         others = tuple(
             self.alternative(agent, behavior)
-            for agent in self._drivers
+            for agent in self.drivers
             for behavior in (*BEHAVIORS, *scenario.behaviors)
         )
-        self._connection.send((scenario, tuple(agents), seed, ENGINE_LAWS[engine], others))
+        self._connection.send((scenario, tuple(agents), seed, SumoSettings(law), others))
 
     def advance(self, until_s: float) -> tuple[Frame, ...]:
         """Drive the trunk on.
@@ -150,11 +138,7 @@ class Trunk(AbstractContextManager["Trunk"]):
         with there:
             self._connection.send((until_s, changed, True))
             send_handle(self._connection, there.fileno(), self.process_id)
-        return Branch(Connection(here.detach()))
-
-    def drives(self, agent: int) -> bool:
-        """Whether a driver of that id exists in the episode, at any time."""
-        return agent in self._drivers
+        return Branch(here.detach())
 
     def driver(self, agent: int) -> AgentSpec:
         """A driver of the episode.
@@ -162,12 +146,12 @@ class Trunk(AbstractContextManager["Trunk"]):
         Raises:
             InputError: if no driver of that id exists.
         """
-        if agent not in self._drivers:
-            some = ", ".join(map(str, sorted(self._drivers)[:NAMED]))
+        if agent not in self.drivers:
+            some = ", ".join(map(str, sorted(self.drivers)[:NAMED]))
             raise InputError(
                 f"agent {agent}: found no such driver in the episode, expected one such as {some}"
             )
-        return self._drivers[agent]
+        return self.drivers[agent]
 
     def alternative(self, agent: int, behavior: Behavior) -> AgentSpec:
         """A driver as it is with another behaviour: `sim.scenario.with_behavior`'s.
@@ -212,41 +196,43 @@ def _received(connection: Connection, whose: str) -> Iterator[Frame]:
         yield Frame(**fields)  # made again, so that it is checked and read-only
 
 
-def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> bool:
-    """Send frames up to a time, then None; False after the reason of a failure."""
+def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> None:
+    """Send frames up to a time, then None, or instead the reason of a failure."""
+    reason = None
     try:
         for frame in frames:
             connection.send({name: getattr(frame, name) for name in frame.__dataclass_fields__})
             if frame.time_s >= until_s - 1e-9:
                 break
-        connection.send(None)
     except InputError as error:
-        connection.send(str(error))
-        return False
-    return True
+        reason = str(error)
+    connection.send(reason)
 
 
 def _serve(connection: Connection) -> None:
-    """Run an episode as the other end of the connection asks for it."""
+    """Run an episode as the other end of the connection asks for it, then end all branches."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the parent, which ends this
     with contextlib.suppress(EOFError, OSError):
-        scenario, agents, seed, law, alternatives = connection.recv()
-        until_s, to, is_branch = connection.recv()
-        try:
-            frames = run_with(scenario, agents, seed, SumoSettings(law), alternatives)
-        except InputError as error:
-            connection.send(str(error))
-            return
+        frames = _episode(*connection.recv())
         while True:
-            if is_branch:
-                handle, trunk = recv_handle(connection), os.getpid()
-                if os.fork() == 0:
-                    _be_branch(trunk, connection, Connection(handle), _changed(frames, to), until_s)
-                os.close(handle)
-            elif not _send(connection, frames, until_s):
-                return
             until_s, to, is_branch = connection.recv()
+            if not is_branch:
+                _send(connection, frames, until_s)
+                continue
+            handle = recv_handle(connection)
+            if os.fork() == 0:
+                try:
+                    connection.close()
+                    _send(Connection(handle), _changed(frames, to), until_s)
+                finally:
+                    os._exit(0)  # without any of Python's exit code
+            os.close(handle)
+    os.killpg(0, signal.SIGKILL)
+
+
+def _episode(*arguments: Any) -> Generator[Frame, Change | None]:
+    """The frames of an episode, whose failures all come with the first."""
+    yield from run_with(*arguments)
 
 
 def _changed(frames: Generator[Frame, Change | None], to: Change | None) -> Iterator[Frame]:
@@ -255,21 +241,6 @@ def _changed(frames: Generator[Frame, Change | None], to: Change | None) -> Iter
         with contextlib.suppress(StopIteration):
             yield frames.send(to)
     yield from frames
-
-
-def _be_branch(
-    trunk: int, control: Connection, out: Connection, frames: Iterator[Frame], until_s: float
-) -> NoReturn:
-    """Work of the copied process; it ends without any of Python's exit code."""
-    try:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() == trunk:  # else the trunk ended before the line above
-            control.close()
-            _send(out, frames, until_s)
-            out.close()
-    except (OSError, KeyboardInterrupt):
-        os._exit(1)  # the reader of this branch is gone
-    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from behaviors.errors import InputError
 from sim.files import temporary_folder
 from sim.frames import Frame
 from sim.scenario import AgentSpec, Scenario, check_agents
-from sim.sumo.control.acting import Change
+from sim.sumo.control import Change
 from sim.sumo.control.controls import Controls
 from sim.sumo.control.jaywalking import jaywalking_places
 from sim.sumo.frame_reader import FrameReader
@@ -63,11 +63,7 @@ def run(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[
 
 
 def run_idm(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> Iterator[Frame]:
-    """Drive a scenario in SUMO; drivers follow by IDM. See `run`.
-
-    The profiles are the same. A model that is trained on both laws depends less on the traces that
-    either law leaves in the motion.
-    """
+    """Drive a scenario in SUMO as `run` does; drivers of the same profiles follow by IDM."""
     return run_with(scenario, agents, seed, SumoSettings(law="IDM"))
 
 
@@ -78,18 +74,11 @@ def run_with(
     settings: SumoSettings,
     alternatives: Sequence[AgentSpec] = (),
 ) -> Generator[Frame, Change | None]:
-    """As `run`, with another law, lane discipline or step, and with drivers that change.
+    """As `run`, with what is the same for all vehicles, and with drivers that change.
 
-    Args:
-        scenario: as in `run`.
-        agents: as in `run`.
-        seed: as in `run`.
-        settings: what is the same for all vehicles.
-        alternatives: drivers as they may become. One of them sent to the generator replaces the
-            driver of the same id before the next step; an id with an action makes it act.
-
-    Raises:
-        InputError: as in `run`, and if a driver that is to change cannot.
+    ``alternatives`` are drivers as they may become. One of them sent to the generator replaces the
+    driver of the same id before the next step; an id with an action makes it act. A driver that
+    cannot change is an `InputError`.
     """
     check_agents(scenario, agents, seed)
     road, step_s = scenario.road, scenario.step_s
@@ -115,8 +104,8 @@ def run_with(
                             now_s = step * step_ms / 1000
                             reader.note_collisions(now_s)
                             controls.step(now_s, *reader.names())
-                            reader.note_removed(controls.removed, now_s)
-                        frame = reader.read(time_s, controls.walking_speeds)
+                            reader.note_removed(controls.overtaking.removed, now_s)
+                        frame = reader.read(time_s, controls.jaywalking.speeds)
                     except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                         reason = _reason(log, str(error))
                         raise SumoError(f"sumo: stopped at {time_s:g} s: {reason}") from None
@@ -124,7 +113,7 @@ def run_with(
                     if changed is not None:
                         controls.change(changed, time_s)
             finally:
-                if controls.moved:
+                if controls.jaywalking.moved:
                     sumo.simulation_step(0.0)  # libsumo crashes if closed after moving an agent
 
     return frames()

@@ -74,7 +74,7 @@ class FrameReader:
         self._touching: set[tuple[int, int]] = set()
         self._events: list[Event] = []
         self._names: tuple[Sequence[str], Sequence[str]] = ((), ())
-        self._looked_up: tuple[Sequence[str], Sequence[str]] | None = None
+        self._is_new = True
         self._letters = [""] * len(self._plans)
         self._signals = np.zeros(len(road.signal_groups), dtype=np.int8)
 
@@ -93,20 +93,8 @@ class FrameReader:
         """Names of vehicles and pedestrians, the same two objects until an agent comes or goes."""
         names = self._sumo.vehicle_getIDList(), self._sumo.person_getIDList()
         if names != self._names:
-            self._names = names
+            self._names, self._is_new = names, True
         return self._names
-
-    def _look_up(self, vehicles: Sequence[str], persons: Sequence[str]) -> None:
-        """Look up the constants of the n agents that are present, in SUMO's order and by row."""
-        n = len(vehicles) + len(persons)
-        rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
-        self._angle = np.zeros(len(vehicles))
-        for i in np.flatnonzero(np.isnan(self._axles[rows[: len(vehicles)], 0])).tolist():
-            # SUMO's angle is only needed when a vehicle departs
-            self._angle[i] = self._sumo.vehicle_getAngle(vehicles[i])
-        self._order = rows.argsort()
-        self._rows = rows[self._order]
-        self._constant = {name: values[self._rows] for name, values in self._of_all.items()}
 
     def note_removed(self, agents: Sequence[int], time_s: float) -> None:
         """Record the agents that controllers removed as events."""
@@ -119,10 +107,18 @@ class FrameReader:
         SUMO does not know the speeds, m/s, of the pedestrians that a controller moves.
         """
         sumo = self._sumo
-        vehicles, persons = names = self.names()
-        if names is not self._looked_up:
-            self._looked_up = names
-            self._look_up(vehicles, persons)
+        vehicles, persons = self.names()
+        n = len(vehicles) + len(persons)
+        if self._is_new:
+            self._is_new = False
+            rows = np.fromiter(map(self._row.__getitem__, chain(vehicles, persons)), np.int64, n)
+            self._order = rows.argsort()
+            self._rows = rows[self._order]
+            self._constant = {name: values[self._rows] for name, values in self._of_all.items()}
+            self._angle = np.zeros(len(vehicles))
+            for i in np.flatnonzero(np.isnan(self._axles[rows[: len(vehicles)], 0])).tolist():
+                # SUMO's angle is only needed when a vehicle departs
+                self._angle[i] = sumo.vehicle_getAngle(vehicles[i])
         places: Iterator[float] = chain.from_iterable(map(sumo.vehicle_getPosition, vehicles))
         speeds: Iterator[float] = map(sumo.vehicle_getSpeed, vehicles)
         angle = self._angle
@@ -134,7 +130,6 @@ class FrameReader:
             speeds = chain(speeds, walking)
             angles = np.fromiter(map(sumo.person_getAngle, persons), np.float64, len(persons))
             angle = np.concatenate([angle, angles])
-        n = self._rows.size
         front = np.fromiter(places, np.float64, 2 * n)
         speed = np.fromiter(speeds, np.float64, n)[self._order]
         xy, heading = np.empty((n, 2)), np.empty(n)
@@ -170,22 +165,14 @@ def find_poses(
     pedestrian: BoolArray, areas: FloatArray, cells: Cells, axles: FloatArray, xy: FloatArray,
     heading: FloatArray,
 ) -> None:  # fmt: skip
-    """Centres and headings, from where the front bumpers are now and where they were before.
+    """Centres (n, 2), m, and headings (n,), rad in (-pi, pi], from the motion of front bumpers.
 
-    Args:
-        order: (n,) index of each agent in ``front`` and ``angle``, which are in SUMO's order.
-        rows: (n,) row of each agent in ``length``, ``pedestrian`` and ``axles``.
-        front: (2n,) centre of each front bumper, x and y alternating, m.
-        angle: (n,) SUMO's angle, degrees clockwise from north; used for pedestrians and for
-            vehicles that have just departed.
-        length: (N,) of every agent, m.
-        pedestrian: (N,) whether an agent is a pedestrian.
-        areas: (J, 4) west, south, east and north side of each place where the road turns, m.
-        cells: those of ``areas``, with at least `STRAIGHTENING_M` around them.
-        axles: (N, 4) front bumper and rear axle at the last call, m; NaN for vehicles that have
-            just departed. Updated in place.
-        xy: (n, 2) receives the centres, m.
-        heading: (n,) receives the headings, rad in (-pi, pi].
+    Agent i is number ``order[i]`` in ``front`` (2n,), centres of the front bumpers, x and y
+    alternating, m, and in ``angle`` (n,), degrees clockwise from north. The angle is that of
+    pedestrians and of vehicles that have just departed. Agent i is row ``rows[i]`` of all N agents:
+    their lengths, m, which of them are pedestrians, and ``axles`` (N, 4), the front bumper and the
+    rear axle at the last call, m. These are updated; NaN stands for just departed. ``areas`` are
+    `turning_areas`, and ``cells`` theirs.
     """
     x0, y0, size, columns, lines, first, items = cells
     for i in range(rows.size):

@@ -23,27 +23,13 @@ from dataclasses import dataclass
 from typing import Final
 from xml.sax.saxutils import quoteattr
 
-from behaviors.errors import InputError, lookup
+from behaviors.errors import InputError
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S, Profile
 from sim.frames import AgentKind
 from sim.scenario import IMPERFECTION, KIND_LIMITS, WALK_START_M, AgentSpec
 
-VEHICLE_CLASS: Final[dict[AgentKind, str]] = {
-    AgentKind.CAR: "passenger",
-    AgentKind.BUS: "bus",
-    AgentKind.TRUCK: "truck",
-    AgentKind.MOTORCYCLE: "motorcycle",
-    AgentKind.BICYCLE: "bicycle",
-    AgentKind.PEDESTRIAN: "pedestrian",
-}
+VEHICLE_CLASS: Final = {kind: kind.value for kind in AgentKind} | {AgentKind.CAR: "passenger"}
 """SUMO's class of each kind."""
-
-LONGEST_STEP_S: Final = 0.1
-"""SUMO's own step is at most this long by default; frames further apart are made of several."""
-
-LANE_CHANGE_S: Final = 2.5
-"""Default duration of a lane change, s (Toledo and Zohar 2007, Transportation Research Record
-1999)."""
 
 REFERENCE_MPS: Final = 13.89
 """Speed at which a law without a time headway gets the same gap as one with it: 50 km/h, the
@@ -83,30 +69,19 @@ class SumoSettings:
         imperfection: sigma of Krauss's law and its relatives, 0 to 1.
         keep_right: SUMO's lcKeepRight: 0 never returns to the right lane for its own sake, 1 is
             SUMO's default.
-        lane_change_s: how long a lane change takes, s; 0 is a jump.
-        longest_step_s: SUMO's own step is at most this long, s.
+        lane_change_s: how long a lane change takes, s; 0 is a jump (the default is that of Toledo
+            and Zohar 2007, Transportation Research Record 1999).
+        longest_step_s: SUMO's own step is at most this long, s; frames further apart are made of
+            several.
         options: further options of SUMO, such as those of its outputs, after the product's own.
     """
 
     law: str = "Krauss"
     imperfection: float = IMPERFECTION
     keep_right: float = 0.0
-    lane_change_s: float = LANE_CHANGE_S
-    longest_step_s: float = LONGEST_STEP_S
+    lane_change_s: float = 2.5
+    longest_step_s: float = 0.1
     options: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse what SUMO would silently take."""
-        lookup(dict.fromkeys(LAWS), self.law, "car-following law")
-        for name, least, most in (
-            ("imperfection", 0.0, 1.0),
-            ("keep_right", 0.0, 100.0),
-            ("lane_change_s", 0.0, 60.0),
-            ("longest_step_s", 0.001, 1.0),
-        ):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise InputError(f"{name}: found {value}, expected {least:g} to {most:g}")
 
 
 DEFAULT_SETTINGS: Final = SumoSettings()
@@ -119,10 +94,10 @@ def alternative_name(agent: AgentSpec) -> str:
 
 
 def vehicle_type(
-    agent: AgentSpec, settings: SumoSettings = DEFAULT_SETTINGS, name: str | None = None
+    agent: AgentSpec, settings: SumoSettings = DEFAULT_SETTINGS, name: str = ""
 ) -> dict[str, str]:
-    """All vType attributes of one agent, with the settings of the run."""
-    words = {"id": str(agent.id) if name is None else name, "vClass": VEHICLE_CLASS[agent.kind]}
+    """All vType attributes of one agent, named by its id unless it has another name."""
+    words = {"id": name or str(agent.id), "vClass": VEHICLE_CLASS[agent.kind]}
     numbers = {"length": agent.length_m, "width": agent.width_m}
     profile = agent.profile
     if agent.kind is AgentKind.PEDESTRIAN:
@@ -179,9 +154,9 @@ def route_file(
     yield "<routes>"
     ordered = sorted(agents, key=lambda a: (a.depart_s, a.id))
     for agent in ordered:
-        yield _element(vehicle_type(agent, settings), agent)
+        yield type_element(agent, settings=settings)
     for agent in alternatives:
-        yield _element(vehicle_type(agent, settings, alternative_name(agent)), agent)
+        yield type_element(agent, alternative_name(agent), settings=settings)
     for agent in ordered:
         edges = quoteattr(" ".join(agent.route))
         named = f' id="{agent.id}" type="{agent.id}" depart="{agent.depart_s:.3f}"'
@@ -196,18 +171,21 @@ def route_file(
     yield "</routes>"
 
 
-def type_element(agent: AgentSpec, name: str, probability: float) -> str:
-    """The vType of a driver as a member of a vTypeDistribution."""
-    attributes = vehicle_type(agent, name=name) | {"probability": f"{probability:.6g}"}
-    return _element(attributes, agent)
+def type_element(
+    agent: AgentSpec,
+    name: str = "",
+    probability: float | None = None,
+    settings: SumoSettings = DEFAULT_SETTINGS,
+) -> str:
+    """The vType of a driver; with a probability it is a member of a vTypeDistribution.
 
-
-def _element(attributes: dict[str, str], agent: AgentSpec) -> str:
-    """The vType of an agent, with SUMO's driver-state device if the driver errs.
-
-    Half of the device's awareness and twice its usual coefficients make its Ornstein-Uhlenbeck
-    process one of standard deviation 1 and correlation time `ERROR_TIME_S`.
+    A driver that errs has SUMO's driver-state device. Half of the device's awareness and twice its
+    usual coefficients make its Ornstein-Uhlenbeck process one of standard deviation 1 and
+    correlation time `ERROR_TIME_S`.
     """
+    attributes = vehicle_type(agent, settings, name)
+    if probability is not None:
+        attributes["probability"] = f"{probability:.6g}"
     noise = 0.0 if agent.profile is None else agent.profile.perception_noise
     if not noise:
         return f"<vType{_attributes(attributes)}/>"
@@ -222,7 +200,7 @@ def _element(attributes: dict[str, str], agent: AgentSpec) -> str:
         "speedDifferenceChangePerceptionThreshold": 0.0,
     }
     parameters = {"has.driverstate.device": "true"}
-    parameters |= {f"device.driverstate.{name}": f"{value:.6g}" for name, value in numbers.items()}
+    parameters |= {f"device.driverstate.{key}": f"{value:.6g}" for key, value in numbers.items()}
     inner = "".join(
         f"<param{_attributes({'key': key, 'value': value})}/>" for key, value in parameters.items()
     )

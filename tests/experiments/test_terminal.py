@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from behaviors.display import printable
+from behaviors.errors import printable
 
 EVIL = "\x1b[2J\x1b]0;t\x07\r\n/tmp/out: 5 episodes\u202e\x9b31m"
 

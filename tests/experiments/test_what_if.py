@@ -19,7 +19,7 @@ from experiments.what_if.branches import branch_of, change_of, make_what_if
 from experiments.what_if.outcomes import branches_of, delays, factual_of, new_incidents
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.store.dataset import open_dataset
-from sim.sumo.control.acting import Action
+from sim.sumo.control import Action
 from tests.experiments.shared import content
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
@@ -156,8 +156,7 @@ def test_ghosts_stand_where_the_factual_episode_differs() -> None:
     changed = moving({1: [10, 10, 5, 5, 5, 5], 2: [5.0] * 6}, since=3)
     ghosts = find_ghosts(factual, changed)
     assert ghosts.length.tolist() == [4.0, 4.0]  # of 1, who falls back, and of 3, who is not there
-    places = ghosts.rows
-    first = places.index.at(0)
-    assert places.index.agent[first].tolist() == [0, 1]
-    assert places.xy[first].tolist() == [[30.0, 0.0], [3.0, 0.0]]
-    assert places.index.agent[places.index.at(3)].size == 2
+    first = ghosts.index.at(0)
+    assert ghosts.index.agent[first].tolist() == [0, 1]
+    assert ghosts.row_xy[first].tolist() == [[30.0, 0.0], [3.0, 0.0]]
+    assert ghosts.index.agent[ghosts.index.at(3)].size == 2

@@ -14,7 +14,7 @@ from experiments.cli.commands import app
 from experiments.generate.world_roads import straight_net
 from scenarios.networks.build import find_program
 from scenarios.networks.convert import open_map
-from scenarios.own.own_road import own_road
+from scenarios.own.scenario_file import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
 from sim.road.net import read_road

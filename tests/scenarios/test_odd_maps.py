@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from scenarios.own.flows import EdgeGraph
-from scenarios.own.own_road import own_road
+from scenarios.own.scenario_file import own_road
 from scenarios.own.survey import survey
 from sim.engines import get_engine
 from sim.frames import Frame

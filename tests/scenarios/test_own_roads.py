@@ -13,8 +13,7 @@ from experiments.generate.world_roads import ramp_net
 from scenarios import SCENARIOS, get_scenario
 from scenarios.networks.build import grid_net
 from scenarios.own.flows import EdgeGraph, flows_of
-from scenarios.own.own_road import own_road
-from scenarios.own.scenario_file import ScenarioFile
+from scenarios.own.scenario_file import ScenarioFile, own_road
 from sim.engines import get_engine
 from sim.road.net import read_road
 from sim.scenario import sample_agents

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from behaviors.errors import LONGEST, InputError
 from scenarios import get_scenario
 from sim.formats import get_reader
-from sim.formats.argoverse import static_map
-from sim.road.files import read_road_file
+from sim.road.maps.argoverse2 import static_map
+from sim.road.road_files import read_road_file
 from tests.sim.scenes import (
     COMMONROAD,
     KITTI_CALIB,
@@ -109,7 +109,7 @@ def altered(data: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
 def reader_of(kind: str) -> Callable[[Path], object]:
     if kind in MAPS:
         return read_road_file
-    return lambda path: [one.tracks.rows for one in get_reader(kind)(path)]
+    return lambda path: [one.tracks.row_xy for one in get_reader(kind)(path)]
 
 
 @pytest.mark.parametrize("kind", FILES)

@@ -13,11 +13,10 @@ import pytest
 from scenarios import SCENARIOS
 from sim.episode.annotate import annotate
 from sim.episode.observables import observe
-from sim.formats.argoverse import static_map
 from sim.frames import AgentKind, Event
 from sim.road import Road
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.maps.argoverse2 import read_map
+from sim.road.maps.argoverse2 import read_map, static_map
 
 
 def points(*xy: tuple[float, float]) -> list[dict[str, float]]:
@@ -156,9 +155,9 @@ def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:
     steps = tracks
     seen = observe(steps, road)
     # parked cars are beside the lanes, and some come from beyond the map
-    moves = (steps.kind == AgentKind.CAR.code)[steps.rows.index.agent] & (steps.rows.speed > 2.0)
+    moves = (steps.kind == AgentKind.CAR.code)[steps.index.agent] & (steps.row_speed > 2.0)
     x0, y0, x1, y1 = road.bounds
-    moves &= ((steps.rows.xy >= (x0, y0)) & (steps.rows.xy <= (x1, y1))).all(axis=1)
+    moves &= ((steps.row_xy >= (x0, y0)) & (steps.row_xy <= (x1, y1))).all(axis=1)
     assert moves.sum() > 100
     assert seen.on_road[moves].mean() > 0.8
     assert np.nanmedian(np.abs(seen.offset[moves])) < 0.7

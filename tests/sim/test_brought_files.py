@@ -183,7 +183,7 @@ def test_right_files_are_not_doubted(tmp_path: Path) -> None:
 def test_exact_duplicates_count_once(tmp_path: Path, times: int) -> None:
     frame = own()
     found = one(put(tmp_path, pandas.concat([frame] * times)))
-    assert found.tracks.rows.speed.size == len(frame)
+    assert found.tracks.row_speed.size == len(frame)
     assert f"{(times - 1) * len(frame)} rows" in found.doubts[0]
 
 
@@ -507,4 +507,4 @@ def test_own_tables_as_people_write_them(tmp_path: Path, text: str, word: str) -
         with pytest.raises(InputError, match=re.escape(word)):
             one(path, columns=columns)
     else:
-        assert one(path, columns=columns).tracks.rows.speed == pytest.approx(10.0)
+        assert one(path, columns=columns).tracks.row_speed == pytest.approx(10.0)

@@ -17,8 +17,8 @@ from sim.formats import read_recordings, recognise
 from sim.formats.common.recording import Recording
 from sim.frames import KINDS, AgentKind
 from sim.road import Road
-from sim.road.files import encode_road, read_road_file, read_stored
 from sim.road.lane_graph import LaneGraph
+from sim.road.road_files import encode_road, read_road_file, read_stored
 from sim.store.dataset import open_dataset
 from tests.sim.scenes import COMMONROAD
 

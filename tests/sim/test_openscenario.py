@@ -153,12 +153,11 @@ def inside(corners: np.ndarray, points: np.ndarray, margin_m: float) -> np.ndarr
 
 def test_vehicles_are_on_lanes_of_the_road_file(written):
     tracks, _, road_file, _ = written
-    rows = tracks.rows
     crashed = {i for event in tracks.events for i in (event.agent, event.other)}  # off the road
     usual = np.isin(tracks.ids, [i for i in crashed if i is not None], invert=True)
     usual &= tracks.kind != KINDS.index(AgentKind.PEDESTRIAN)
-    driving = usual[rows.index.agent]
-    points = rows.xy[driving]
+    driving = usual[tracks.index.agent]
+    points = tracks.row_xy[driving]
     covered = np.zeros(len(points), dtype=bool)
     for corners in areas(road_file):
         covered |= inside(corners, points, 0.3)

@@ -19,7 +19,7 @@ from sim.engines import get_engine
 from sim.frames import Frame
 from sim.scenario import sample_agents
 from sim.sumo.branches import Trunk
-from sim.sumo.control.acting import Action
+from sim.sumo.control import Action
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="branches need Linux")
 FORK_S, UNTIL_S, SEED = 20.0, 30.0, 2

@@ -9,9 +9,8 @@ import pytest
 from behaviors.labels import PROFILES, Behavior, Style
 from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
-from sim.episode.detector_inputs import detector_inputs
-from sim.episode.incidents import incidents
-from sim.episode.observables import observe
+from sim.episode.annotate import incidents
+from sim.episode.observables import detector_inputs, observe
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
 from sim.road.lane_graph import LaneGraph
 from sim.road.net import signal_code
@@ -148,7 +147,7 @@ def test_only_the_reckless_drive_on_the_wrong_side():
         steps = tracks
         seen = observe(steps, scenario.road)
         wrong = np.abs(np.nan_to_num(seen.lane_heading)) > math.pi / 2
-        metres[behavior] = float(steps.rows.speed[wrong].sum()) * 0.1
+        metres[behavior] = float(steps.row_speed[wrong].sum()) * 0.1
     assert metres[Behavior.RECKLESS] > 50.0
     assert metres[Behavior.IMPATIENT] == 0.0
 

@@ -98,5 +98,5 @@ def test_agents_seen_once_each_cost_what_was_seen(
     export_dataset(tmp_path / "data", tmp_path / "out", "sumo-fcd", quiet=True)
     assert (entry.agents, entry.frames, entry.agent_steps) == (ONCE, ONCE, ONCE + 1)
     (back,) = read_recordings(next((tmp_path / "out").rglob(f"{entry.id}.xml")), "sumo-fcd")
-    assert back.tracks.rows.speed.size == ONCE + 1
-    np.testing.assert_allclose(back.tracks.rows.xy, tracks.rows.xy, atol=1e-9)
+    assert back.tracks.row_speed.size == ONCE + 1
+    np.testing.assert_allclose(back.tracks.row_xy, tracks.row_xy, atol=1e-9)

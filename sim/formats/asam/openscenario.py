@@ -60,14 +60,17 @@ def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | 
     """An episode as OpenSCENARIO; signals have the ids of its road's file."""
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("episode", _at(0.0, "begin"))
-    rows = tracks.rows
     for agent in range(len(tracks.ids)):
         what = f"agent {int(tracks.ids[agent])}"  # names in recordings may be anything
         entities.add_scenario_object(what, _entity(tracks, agent))
-        mine = rows.index.rows(agent)
+        mine = tracks.index.rows(agent)
         maneuver = xosc.Maneuver(f"{what} as recorded")
         for event in _events(
-            what, tracks.time_s, rows.index.step[mine], rows.xy[mine], rows.heading[mine]
+            what,
+            tracks.time_s,
+            tracks.index.step[mine],
+            tracks.row_xy[mine],
+            tracks.row_heading[mine],
         ):
             maneuver.add_event(event)
         group = xosc.ManeuverGroup(f"{what} alone")

@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -29,9 +29,7 @@ from sim.input_files import read_once
 from sim.road import Road
 from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.road.maps.sources import FREE_WORDS, limit_of
-from sim.xml_tree import read_tree, whole_number
-
-ROOT: Final = "osm"
+from sim.xml_tree import read_tree
 
 Origin = tuple[float, float]
 """Latitude and longitude of a recording's (0, 0), degrees."""
@@ -39,6 +37,9 @@ Origin = tuple[float, float]
 NEAR_ZERO_DEG: Final = 0.2
 """Maps all within this of latitude and longitude 0 have their origin there, as INTERACTION's (22
 km)."""
+
+COORDINATES: Final = (("x", "y"), ("local_x", "local_y"), ("lat", "lon"))
+"""Attributes or tags of nodes that say where they are; the first ones that there are count."""
 
 WALKING: Final = frozenset({"walkway", "stairs", "shared_walkway"})
 CROSSING: Final = "crosswalk"
@@ -63,34 +64,53 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     from there, and of others metres of the UTM zone.
 
     Raises:
-        InputError: if the file is broken or has no lanelet; names the file and the element.
+        InputError: if the file is broken or has no lanelet.
     """
     root = read_tree(path)
-    if root.tag != ROOT:
-        raise InputError(f"{path}: found element {root.tag[:60]!r}, expected {ROOT}")
     relations = _relations(root, "lanelet")
     if not relations and root.find("way") is not None:
         raise InputError(
             f"{path}: found OpenStreetMap without lanes, expected a Lanelet2 map: graphrqi road "
             f"{path.name} --out NAME makes a net of it"
         )
-    places = _places(path, root, origin)
-    ways = _ways(path, root, places)
-    rules = _rules(path, root, relations)
+    places, yields, stops, signs = _places(root, origin), dict[int, Border](), set[int](), {}
+    for rule in _relations(root, "regulatory_element"):
+        tags = _tags(rule)
+        kind = tags.get("subtype")
+        if kind in ("right_of_way", "all_way_stop"):
+            waiting = _members(rule, "yield")
+            first = _members(rule, "right_of_way")
+            yields |= {i: (*yields.get(i, ()), *first) for i in waiting}
+            stops.update(waiting if kind == "all_way_stop" else ())
+        elif kind == "speed_limit":
+            text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
+            signs[int(rule.attrib["id"])] = text
+    ways = {
+        int(way.attrib["id"]): tuple(int(nd.attrib["ref"]) for nd in way.iterfind("nd"))
+        for way in root.iterfind("way")
+    }
+    ways = {i: way for i, way in ways.items() if len(way) >= 2 and places.keys() >= {*way}}
     borders: dict[int, tuple[Border, Border]] = {}
 
     def read(identity: int, relation: Element) -> Lanelet:
-        borders[identity] = _borders(path, identity, relation, ways, places)
-        lines = [np.array([places[node] for node in side]) for side in borders[identity]]
-        return _lanelet(path, identity, relation, lines, rules)
+        borders[identity] = _borders(relation, ways, places)
+        lines = (np.array([places[node] for node in side]) for side in borders[identity])
+        ruled = [signs[ref] for ref in _members(relation, "regulatory_element") if signs.get(ref)]
+        one = _lanelet(identity, _tags(relation), *between(*lines), "".join(ruled[-1:]))
+        return replace(
+            one,
+            must_yield=identity in yields,
+            must_stop=identity in stops,
+            yields_to=yields.get(identity, ()),
+        )
 
     found, broken = read_lanelets(path, relations, read)
     driven = {i: borders[i] for i, one in found.items() if not (one.walking or one.crossing)}
-    found |= _related({i: found[i] for i in driven}, driven)
+    found |= _related(found, driven)
     left_hand = _oncoming(driven.values(), 1) > _oncoming(driven.values(), 0)
     return road_of_lanelets(
-        path, name, found, find_junctions=True, priority=bool(rules.yields),
-        left_hand=left_hand, broken=broken,
+        path, name, found, find_junctions=True, priority=bool(yields), left_hand=left_hand,
+        broken=broken,
     )  # fmt: skip
 
 
@@ -102,32 +122,22 @@ def _relations(root: Element, kind: str) -> list[Element]:
     return [e for e in root.iterfind("relation") if _tags(e).get("type") == kind]
 
 
-def _members(path: Path, relation: Element, role: str) -> list[int]:
+def _members(relation: Element, role: str) -> list[int]:
     """What a relation refers to in a role."""
-    members = [e for e in relation.iterfind("member") if e.get("role") == role]
-    return [whole_number(path, member, "ref") for member in members]
+    return [int(e.attrib["ref"]) for e in relation.iterfind(f"member[@role='{role}']")]
 
 
-def _places(path: Path, root: Element, origin: Origin | None) -> Places:
+def _places(root: Element, origin: Origin | None) -> Places:
     """Every node's x and y, m."""
-    nodes = root.findall("node")
+    nodes = {int(node.attrib["id"]): node.attrib | _tags(node) for node in root.iterfind("node")}
     if not nodes:
-        raise InputError(f"{path}: found no node, expected some")
-    rows = [node.attrib for node in nodes]
-    keys = ("x", "y")
-    if not {*keys} <= rows[0].keys():
-        keys = ("local_x", "local_y")
-        local = {*keys} <= _tags(nodes[0]).keys()
-        rows, keys = ([_tags(node) for node in nodes], keys) if local else (rows, ("lat", "lon"))
-    try:
-        table = np.array([[float(row.get(key, "")) for key in keys] for row in rows])
-    except ValueError:
-        raise InputError(f"{path}: found a node whose position is not a number") from None
+        raise InputError("found no node, expected some")
+    first = next(iter(nodes.values()))
+    keys = next((keys for keys in COORDINATES if {*keys} <= first.keys()), COORDINATES[-1])
+    table = np.array([[float(node[key]) for key in keys] for node in nodes.values()])
     if keys == ("lat", "lon"):
-        if not (np.abs(table) < (89.0, 361.0)).all():
-            raise InputError(f"{path}: found a node beyond 89 and 360 degrees")
         table = _projected(table, origin)
-    return {whole_number(path, node, "id"): xy for node, xy in zip(nodes, table, strict=True)}
+    return dict(zip(nodes, table, strict=True))
 
 
 def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
@@ -143,27 +153,15 @@ def _projected(degrees: FloatArray, origin: Origin | None) -> FloatArray:
     return metres if origin is None else np.asarray(metres - zone(origin[1], origin[0]))
 
 
-def _ways(path: Path, root: Element, places: Places) -> dict[int, Border]:
-    """The nodes of every way of two nodes and more, all of which are in the file."""
-    found = {}
-    for way in root.iterfind("way"):
-        nodes = tuple(whole_number(path, nd, "ref") for nd in way.iterfind("nd"))
-        if len(nodes) >= 2 and all(node in places for node in nodes):
-            found[whole_number(path, way, "id")] = nodes
-    return found
-
-
 def _borders(
-    path: Path, identity: int, relation: Element, ways: Mapping[int, Border], places: Places
+    relation: Element, ways: Mapping[int, Border], places: Places
 ) -> tuple[Border, Border]:
     """Left and right border, turned so that left is on the left."""
     sides = []
     for role in ("left", "right"):
-        refs = _members(path, relation, role)
-        if not refs or any(ref not in ways for ref in refs):
-            raise InputError(
-                f"{path}: lanelet {identity}: found no {role} border, expected a way of two nodes"
-            )
+        refs = _members(relation, role)
+        if not refs or not ways.keys() >= {*refs}:
+            raise InputError(f"found no {role} border, expected a way of two nodes")
         sides.append(functools.reduce(_joined, (ways[ref] for ref in refs)))
     left, right = sides
     begin, end = places[left[0]], places[left[-1]]
@@ -196,87 +194,46 @@ def _oncoming(borders: Iterable[tuple[Border, Border]], side: int) -> int:
 def _related(
     lanelets: Mapping[int, Lanelet], borders: Mapping[int, tuple[Border, Border]]
 ) -> dict[int, Lanelet]:
-    """Lanelets for vehicles with their successors and neighbours, from shared borders."""
+    """The lanelets for vehicles with their successors and neighbours, from shared borders."""
     begins: dict[tuple[int, int], list[int]] = {}
     for i, (left, right) in borders.items():
         begins.setdefault((left[0], right[0]), []).append(i)
     by_left = {left: i for i, (left, _) in borders.items()}
     by_right = {right: i for i, (_, right) in borders.items()}
-    related = {}
-    for i, (left, right) in borders.items():
-        following = begins.get((left[-1], right[-1]), [])
-        related[i] = replace(
+    return {
+        i: replace(
             lanelets[i],
-            successors=tuple(j for j in following if j != i),
+            successors=tuple(j for j in begins.get((left[-1], right[-1]), ()) if j != i),
             left=by_right.get(left),
             right=by_left.get(right),
         )
-    return related
-
-
-class _Rules(NamedTuple):
-    """Meaning of the regulatory elements for lanelets: priority, stops, limits."""
-
-    yields: dict[int, tuple[int, ...]]
-    stops: set[int]
-    limits: dict[int, str]
-
-
-def _rules(path: Path, root: Element, lanelets: list[Element]) -> _Rules:
-    """The rules of a map."""
-    yields, stops, signs = dict[int, tuple[int, ...]](), set[int](), dict[int, str]()
-    for relation in _relations(root, "regulatory_element"):
-        tags = _tags(relation)
-        kind = tags.get("subtype")
-        first, waiting = (_members(path, relation, role) for role in ("right_of_way", "yield"))
-        if kind in ("right_of_way", "all_way_stop"):
-            yields |= {i: (*yields.get(i, ()), *first) for i in waiting}
-            stops.update(waiting if kind == "all_way_stop" else ())
-        elif kind == "speed_limit":
-            text = tags.get("limit") or tags.get("sign_type", "").rpartition("-")[2]
-            signs |= {whole_number(path, relation, "id"): text} if text else {}
-    limits = {
-        whole_number(path, relation, "id"): signs[ref]
-        for relation in lanelets
-        for ref in _members(path, relation, "regulatory_element")
-        if ref in signs
+        for i, (left, right) in borders.items()
     }
-    return _Rules(yields, stops, limits)
 
 
 def _lanelet(
-    path: Path, identity: int, relation: Element, borders: list[FloatArray], rules: _Rules
+    identity: int, tags: Mapping[str, str], centerline: FloatArray, width_m: float, rule: str
 ) -> Lanelet:
-    """A lanelet without its successors and neighbours."""
-    tags = _tags(relation)
+    """A lanelet without what others say of it; ``rule`` is the limit of a sign."""
     subtype = tags.get("subtype", "road")
     allowed = {who for who in ("pedestrian", "vehicle", "vehicle:car")
                if tags.get(f"participant:{who}") == "yes"}  # fmt: skip
     only_people = allowed == {"pedestrian"} and "participant:bicycle" not in tags
     walking = subtype in WALKING or only_people
-    centerline, width_m = between(*borders)
+    text = (tags.get("speed_limit") or tags.get("maxspeed") or rule).strip().lower()
+    limit = None
+    if text and text not in UNLIMITED and not text.startswith("0"):
+        limit = limit_of(re.sub(r"^de\s*(?=[0-9])", "", text))
+        if limit is None:
+            raise InputError(f"speed limit: found {text[:40]!r}, expected as in 50 km/h")
     return Lanelet(
         id=identity,
         centerline=centerline,
         width_m=width_m,
         internal=tags.get("turn_direction") in ("left", "right", "straight"),
         use=subtype if subtype in NOT_FOR_CARS or walking else "",
-        limit_mps=_limit(path, tags, rules.limits.get(identity)),
+        limit_mps=math.nan if limit is None else limit,
         walking=walking,
         crossing=subtype == CROSSING,
         cars=not walking and subtype not in NOT_FOR_CARS,
-        must_yield=identity in rules.yields,
-        must_stop=identity in rules.stops,
-        yields_to=rules.yields.get(identity, ()),
     )
-
-
-def _limit(path: Path, tags: Mapping[str, str], rule: str | None) -> float:
-    """Speed limit of a lanelet, m/s; NaN where there is none."""
-    text = (tags.get("speed_limit") or tags.get("maxspeed") or rule or "").strip().lower()
-    if not text or text in UNLIMITED or text.startswith("0"):
-        return math.nan
-    limit = limit_of(re.sub(r"^de\s*(?=[0-9])", "", text))
-    if limit is None:
-        raise InputError(f"{path}: speed limit: found {text[:40]!r}, expected as in 50 km/h")
-    return limit

@@ -26,10 +26,10 @@ from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray
 from sim.geometry import LEAST_PIECE_M, distances_along, meeting, pieces_of, points_at
+from sim.input_files import broken_as_one_line
 from sim.road import Connection, Crossing, Lane, MapKnowledge, Road, SignalPlan
 from sim.road.cells import boxes_of, near_pairs
 from sim.road.lane_graph import CELL_M
-from sim.xml_tree import whole_number
 
 STRAIGHT_RAD, BACK_RAD = math.pi / 4, 0.85 * math.pi
 """A way that turns by less than the first goes straight, by more than the second goes back (about
@@ -88,16 +88,18 @@ Lanelets = Mapping[int, Lanelet]
 
 
 def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
-    """The (max(P, Q), 2) centre line, m, read-only, and the mean width of a lane, m.
+    """The (max(P, Q), 2) centre line and the mean width of a lane, m.
 
     Its borders (P, 2) and (Q, 2), m, are matched point by point where P = Q, else by the share of
     their length.
     """
+    if min(len(left), len(right)) < 2:
+        raise InputError("found a border of less than 2 points, expected 2 or more")
     if len(left) != len(right):
         along = distances_along(left if len(left) > len(right) else right)
         shares = along / max(along[-1], LEAST_PIECE_M)
         left, right = (points_at(one, shares * distances_along(one)[-1]) for one in (left, right))
-    middle = frozen((left + right) / 2)
+    middle = (left + right) / 2
     step = np.diff(middle, axis=0)
     # across the lane: a border's points need not lie opposite each other
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1)
@@ -112,17 +114,18 @@ def read_lanelets(
     path: Path, elements: Iterable[Element], read: Callable[[int, Element], Lanelet]
 ) -> tuple[dict[int, Lanelet], list[str]]:
     """The lanelets of XML elements in order of their ids, and why broken ones are left out."""
-    found, broken = dict[int, Lanelet | None](), list[str]()
-    numbered = [(whole_number(path, element, "id"), element) for element in elements]
+    found, broken = dict[int, Lanelet](), list[str]()
+    numbered = [(int(element.attrib["id"]), element) for element in elements]
     for identity, element in sorted(numbered, key=lambda one: one[0]):
-        if identity in found:
-            raise InputError(f"{path}: found lanelet {identity} twice, expected it once")
         try:
-            found[identity] = read(identity, element)
+            with broken_as_one_line(path, f"lanelet {identity}"):
+                one = read(identity, element)
+                if one.limit_mps <= 0 or not np.isfinite(one.centerline).all():
+                    raise InputError(f"lanelet {identity}: found a limit or a place of no road")
+                found[identity] = one
         except InputError as error:
-            found[identity] = None
             broken.append(str(error))
-    return {i: lanelet for i, lanelet in found.items() if lanelet is not None}, broken
+    return found, broken
 
 
 def road_of_lanelets(
@@ -167,7 +170,7 @@ def road_of_lanelets(
         connections=tuple(_connections(lanelets)),
         crossings=(
             *crossings,
-            *(Crossing(str(one.id), one.centerline, one.width_m, ()) for one in walked),
+            *(Crossing(str(one.id), frozen(one.centerline), one.width_m, ()) for one in walked),
         ),
         signal_groups=signal_groups,
         source=path,
@@ -180,18 +183,14 @@ def road_of_lanelets(
 
 
 def _lanes(lanelets: Lanelets, left_hand: bool) -> Iterator[Lane]:
-    """Every lanelet as a lane; those side by side in one direction share an edge.
-
-    Lanelets of another use (bicycles, buses) are edges of their own, without lane changes from
-    others.
-    """
+    """Every lanelet as a lane; those side by side in one direction and of one use share an edge."""
+    inward, outward = ("right", "left") if left_hand else ("left", "right")
     outer: dict[int, int] = {}
     for i, one in lanelets.items():
-        number = one.left if left_hand else one.right
-        beside = None if number is None else lanelets.get(number)
+        beside = lanelets.get(getattr(one, outward))
         if (
             beside is not None
-            and (beside.right if left_hand else beside.left) == i
+            and getattr(beside, inward) == i
             and (beside.use, beside.internal) == (one.use, one.internal)
             and _chord(one) @ _chord(beside) >= 0
         ):
@@ -205,7 +204,7 @@ def _lanes(lanelets: Lanelets, left_hand: bool) -> Iterator[Lane]:
             id=str(i),
             edge=f":{junction[i]}_{first}" if one.internal else str(first),
             index=index,
-            centerline=one.centerline,
+            centerline=frozen(one.centerline),
             width_m=one.width_m,
             speed_limit_mps=one.limit_mps,
             walking=one.walking,
@@ -252,7 +251,7 @@ def _connections(lanelets: Lanelets) -> list[Connection]:
                 open_ends += [[*chain, j] for j in onward]
             else:
                 chains.append(chain)
-    chains.sort(key=lambda c: (c[0], [*c[1:-1], c[-1]]))
+    chains.sort(key=lambda c: (c[0], c[1:]))
     passing: dict[int, list[int]] = {}  # the ways over each lanelet
     for index, chain in enumerate(chains):
         for i in chain[:-1] if len(chain) > 2 else chain:
@@ -300,7 +299,22 @@ def _with_junctions(lanelets: Lanelets) -> dict[int, Lanelet]:
     or if it parts from, or joins, such a lanelet.
     """
     driven = {i: one for i, one in lanelets.items() if not one.walking}
-    inside = _crossing_ids(list(driven.values()))
+    ids = list(driven)
+    # at most some points of each line, both ends among them
+    lines = [
+        np.concatenate([line[: -1 : max(len(line) // COMPARED_POINTS, 1)], line[-1:]])
+        for line in (one.centerline for one in driven.values())
+    ]
+    boxes = boxes_of(lines, 0.0)
+    inside = set[int]()
+    for i, j in near_pairs(boxes, boxes, CELL_M).tolist():
+        found = meeting(lines[i], lines[j]) if i < j else None
+        if found is None or found.sine <= math.sin(CROSSING_RAD):
+            continue
+        point = points_at(lines[i], np.array([found.along]))
+        ends = np.stack([lines[i][0], lines[i][-1], lines[j][0], lines[j][-1]])
+        if np.hypot(*(ends - point).T).min() > END_M:
+            inside |= {ids[i], ids[j]}
     before: dict[int, list[int]] = {}
     for i, one in driven.items():
         for j in one.successors:
@@ -310,24 +324,3 @@ def _with_junctions(lanelets: Lanelets) -> dict[int, Lanelet]:
         if len(ways) > 1 and inside.intersection(ways):
             inside.update(driven.keys() & ways)
     return {i: replace(one, internal=i in inside) for i, one in lanelets.items()}
-
-
-def _crossing_ids(lanelets: list[Lanelet]) -> set[int]:
-    """Ids of the lanelets whose centre line crosses another's at an angle, not at their ends."""
-    lines = [_thinned(one.centerline) for one in lanelets]
-    boxes = boxes_of(lines, 0.0)
-    inside = set[int]()
-    for i, j in near_pairs(boxes, boxes, CELL_M).tolist():
-        found = meeting(lines[i], lines[j]) if i < j else None
-        if found is None or found.sine <= math.sin(CROSSING_RAD):
-            continue
-        point = points_at(lines[i], np.array([found.along]))
-        corners = np.stack([lines[i][0], lines[i][-1], lines[j][0], lines[j][-1]])
-        if np.hypot(*(corners - point).T).min() > END_M:
-            inside |= {lanelets[i].id, lanelets[j].id}
-    return inside
-
-
-def _thinned(line: FloatArray) -> FloatArray:
-    """A line with at most some `COMPARED_POINTS` of its points, both ends among them."""
-    return np.concatenate([line[: -1 : max(len(line) // COMPARED_POINTS, 1)], line[-1:]])

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -101,6 +101,10 @@ def _single(text: str) -> float | None:
     return None
 
 
+Found = tuple[list[bool], bool, list[str]]
+"""Whether each road has a limit, whether traffic drives on the left, and assumptions."""
+
+
 @dataclass(frozen=True)
 class Source:
     """A map as netconvert takes it.
@@ -109,23 +113,13 @@ class Source:
         content: the file.
         left_hand: whether traffic drives on the left.
         warnings: assumptions, a sentence each.
-        unlimited: roads whose limit is not in the map.
-        roads: roads for cars.
+        unlimited: how many roads have no limit in the map.
     """
 
     content: bytes
     left_hand: bool = False
     warnings: tuple[str, ...] = ()
     unlimited: int = 0
-    roads: int = 0
-
-    @property
-    def assumed(self) -> tuple[str, ...]:
-        """All warnings, those of limits that are assumed among them."""
-        if not self.unlimited:
-            return self.warnings
-        text = f"limits of {self.unlimited} of {self.roads} roads are not in the map: assumed"
-        return (*self.warnings, text)
 
 
 def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = None) -> Source:
@@ -136,16 +130,19 @@ def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = Non
         kind: "openstreetmap" or "opendrive"; other kinds stay as they are.
         content: what it holds.
         left_hand: whether traffic drives on the left; None for what the map says.
-
-    Raises:
-        InputError: if the file is not XML.
     """
     if kind not in ("openstreetmap", "opendrive"):
         return Source(content, bool(left_hand))
     with broken_as_one_line(path, "XML"):
         root = ET.fromstring(content)
-        found = _street_map(root, left_hand) if kind == "openstreetmap" else _drive(root, left_hand)
-        return replace(found, content=ET.tostring(root, encoding="utf-8", xml_declaration=True))
+        read = _street_map if kind == "openstreetmap" else _drive
+        limited, left_hand, warnings = read(root, left_hand)
+        unlimited = limited.count(False)
+        if unlimited:
+            assumed = f"limits of {unlimited} of {len(limited)} roads are not in the map: assumed"
+            warnings.append(assumed)
+        written = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+        return Source(written, left_hand, tuple(warnings), unlimited)
 
 
 # --- OpenStreetMap ------------------------------------------------------------------------------
@@ -176,20 +173,20 @@ LEFT: Final = (
 """South, north, west and east of regions where traffic drives on the left, degrees."""
 
 
-def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
-    """Write plain limits into OpenStreetMap; what was found is given without content."""
-    warnings, unlimited, roads, sides = list[str](), 0, 0, set[str]()
+def _street_map(root: ET.Element, left_hand: bool | None) -> Found:
+    """Write plain limits into OpenStreetMap."""
+    limited, warnings, sides = list[bool](), list[str](), set[str]()
     for way in root.iterfind("way"):
         tags = {tag.get("k", ""): tag for tag in way.iterfind("tag")}
         said = {key: tag.get("v", "") for key, tag in tags.items()}
         sides.add(said.get("driving_side", ""))
         if said.get("highway") not in DRIVEN:
             continue
-        roads += 1
         written = {key: limit_of(said[key]) for key in (*LIMITS, *DIRECTED) if key in said}
         limits = {key: limit for key, limit in written.items() if limit}
         limit = next((limits[key] for key in LIMITS if key in limits), None)
         limit = limit or min((limits[key] for key in DIRECTED if key in limits), default=None)
+        limited.append(limit is not None)
         if limit is not None:
             limits["maxspeed"] = limit
         for key in ("maxspeed", *DIRECTED):
@@ -197,16 +194,14 @@ def _street_map(root: ET.Element, left_hand: bool | None) -> Source:
                 way.remove(tags[key])
             if value := limits.get(key):
                 ET.SubElement(way, "tag", k=key, v=f"{value * 3.6:.6g}")
-        unlimited += limit is None
-    nodes = [(float(n.get("lat", "nan")), float(n.get("lon", "nan"))) for n in root.iter("node")]
-    if left_hand is None:
-        left_hand = "left" in sides
-        if not left_hand and nodes and drives_left(*np.nanmedian(nodes, axis=0).tolist()):
+    if left_hand is None and "left" not in sides:
+        places = [(float(n.attrib["lat"]), float(n.attrib["lon"])) for n in root.iter("node")]
+        if places and drives_left(*np.median(places, axis=0).tolist()):
             warnings.append(
                 "found a place where traffic drives on the left, taken as driving on the right: "
                 "--left-hand, or --set left_hand=true, mirrors it"
             )
-    return Source(b"", left_hand, tuple(warnings), unlimited, roads)
+    return limited, "left" in sides if left_hand is None else left_hand, warnings
 
 
 def drives_left(latitude: float, longitude: float) -> bool:
@@ -222,35 +217,30 @@ def drives_left(latitude: float, longitude: float) -> bool:
 # --- OpenDRIVE ----------------------------------------------------------------------------------
 
 
-def _drive(root: ET.Element, left_hand: bool | None) -> Source:
-    """Write a limit to each lane of OpenDRIVE; what was found is given without content."""
-    warnings, unlimited, roads = list[str](), 0, 0
-    length_m = {"LHT": 0.0, "RHT": 0.0}
+def _drive(root: ET.Element, left_hand: bool | None) -> Found:
+    """Write a limit to each lane of OpenDRIVE."""
+    limited, warnings, length_m = list[bool](), list[str](), {True: 0.0, False: 0.0}
     for road in root.iterfind("road"):
         size = float(road.get("length", 0.0))
-        length_m["LHT" if (road.get("rule") or "").upper() == "LHT" else "RHT"] += size
+        length_m[road.get("rule", "").upper() == "LHT"] += size
         sections = sorted(road.iterfind("lanes/laneSection"), key=_begin)
         if not sections:
             continue
-        roads += 1
         types = sorted(road.iterfind("type"), key=_begin)
         limits = [(_begin(one), _limit(one.find("speed"))) for one in types]
         ends = [*map(_begin, sections[1:]), size]
-        bare = [_limit_lanes(*pair, limits) for pair in zip(sections, ends, strict=True)]
-        unlimited += any(bare)
+        limited.append(all([_limit_lanes(*p, limits) for p in zip(sections, ends, strict=True)]))
         if any(limit == math.inf for _, limit in limits):
             name = road.get("id", "")[:60]
             warnings.append(f"road {name}: found no limit: {FREE_MPS:.2f} m/s are assumed")
-    if left_hand is None:
-        left_hand = length_m["LHT"] > length_m["RHT"]
-        if min(length_m.values()) > 0:
-            warnings.append("found roads of both rules, LHT and RHT: the one of more length counts")
-    return Source(b"", left_hand, tuple(warnings), unlimited, roads)
+    if min(length_m.values()) > 0:
+        warnings.append("found roads of both rules, LHT and RHT: the one of more length counts")
+    return limited, length_m[True] > length_m[False] if left_hand is None else left_hand, warnings
 
 
 def _limit_lanes(section: ET.Element, end: float, limits: list[tuple[float, float | None]]) -> bool:
-    """Write the limits of a road to a section's lanes; whether one for cars stays without one."""
-    begin, missing = _begin(section), False
+    """Write the limits of a road to a section's lanes; whether all for cars have one."""
+    begin, known = _begin(section), True
     inside = [
         (max(s - begin, 0.0), limit)
         for i, (s, limit) in enumerate(limits)
@@ -266,17 +256,16 @@ def _limit_lanes(section: ET.Element, end: float, limits: list[tuple[float, floa
             if limit is not None:
                 values = {"sOffset": f"{offset:.4f}", "unit": "m/s"}
                 ET.SubElement(lane, "speed", values, max=f"{min(limit, FREE_MPS):.4f}")
-        driven = lane.get("type") in ("driving", "bidirectional", "entry", "exit", "onRamp")
-        bare = not own and (not inside or any(limit is None for _, limit in inside))
-        missing |= driven and bare
-    return missing
+        if not own and lane.get("type") in ("driving", "bidirectional", "entry", "exit", "onRamp"):
+            known &= bool(inside) and all(limit is not None for _, limit in inside)
+    return known
 
 
 def _limit(speed: ET.Element | None) -> float | None:
     """A limit of OpenDRIVE, m/s; infinite where it says that there is none, None if unknown."""
     if speed is None:
         return None
-    text = (speed.get("max") or "").strip().lower()
+    text = speed.get("max", "").strip().lower()
     if text in FREE_WORDS:
         return math.inf
     return _single(f"{text} {(speed.get('unit') or 'm/s').strip().lower()}")

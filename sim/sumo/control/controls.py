@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 from behaviors.errors import InputError
 from sim.road import Road
 from sim.scenario import AgentSpec
-from sim.sumo.control.acting import ACTION_S, Action, Change
-from sim.sumo.control.clearing import Clearing
-from sim.sumo.control.cutting_in import CuttingIn
+from sim.sumo.control import Action, Change
 from sim.sumo.control.drivers import (
     FORCED_LANE_CHANGES,
     NO_LANE_CHANGES,
+    ORDINARY_SPEED_MODE,
     Controller,
-    drivable,
+    Streets,
     release,
 )
 from sim.sumo.control.jaywalking import Jaywalking
-from sim.sumo.control.obedience import ORDINARY_SPEED_MODE, Obedience
-from sim.sumo.control.unprovoked import Lapses, Stopping
-from sim.sumo.control.wrong_way import WrongWay
+from sim.sumo.control.junctions import Clearing, Obedience
+from sim.sumo.control.manoeuvres import CuttingIn, Lapses, Stopping
+from sim.sumo.control.overtaking import Overtaking
 from sim.sumo.vehicle_types import alternative_name
 
 NAMED: Final = 8
@@ -30,28 +29,28 @@ NAMED: Final = 8
 DRIVERS_ACT_S: Final = 0.2
 """How often the controllers of drivers act, s; jaywalkers are moved at every step."""
 
+ACTION_S: Final = 4.0
+"""How long an action lasts, s (a lane change takes 2.5 s)."""
+
 
 class Controls:
     """Steps all controllers, of an episode in libsumo's C module with steps of ``step_s``."""
 
     def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
+        self._every = max(2, round(DRIVERS_ACT_S / step_s))
+        self._streets = streets = Streets(sumo, road, agents, step_s, self._every * step_s)
         self._sumo = sumo
         self._step = 0
         self._vehicles: Sequence[str] = ()
-        self._every = max(2, round(DRIVERS_ACT_S / step_s))
-        self._obedience = Obedience(sumo, road, agents)
-        self._clearing = Clearing(sumo, road, agents, self._every * step_s)
-        self._cutting_in = CuttingIn(sumo, road, agents)
-        self._stopping = Stopping(sumo, road, agents)
-        self._wrong_way = WrongWay(sumo, road, agents)
-        self._lapses = Lapses(sumo, road, agents)
-        self._of_drivers: tuple[Controller[Any], ...] = (
-            self._obedience, self._clearing, self._cutting_in, self._stopping, self._wrong_way,
-        )  # fmt: skip
-        self._jaywalking = Jaywalking(sumo, road, agents, step_s)
-        self._lanes = {lane.id: lane for lane in road.lanes if not lane.internal}
-        self._drivable = drivable(road)
         self._act_until_s: dict[str, float] = {}
+        self.jaywalking = Jaywalking(streets)
+        self.overtaking = Overtaking(streets)
+        self._lapses = Lapses(streets)
+        self._turns: tuple[Sequence[Controller[Any]], ...] = (
+            (Obedience(streets), Clearing(streets), Stopping(streets)),
+            (CuttingIn(streets), self.overtaking),
+        )
+        self._of_drivers = (*self._turns[0], *self._turns[1])
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Act after a simulation step on the vehicles and persons that are on the road."""
@@ -64,32 +63,25 @@ class Controls:
         if ended or vehicles is not self._vehicles:
             self._vehicles = vehicles
             self._share_out(vehicles)
-        self._jaywalking.step(time_s, vehicles, persons)
-        self._look_away(time_s, vehicles)
-        self._wrong_way.removed = []
-        if self._step % self._every == 0:
-            self._obedience.step(time_s, persons)
-            self._clearing.step(time_s)
-            self._stopping.step(time_s)
-        elif self._step % self._every == 1:
-            self._cutting_in.step(time_s)
-            self._wrong_way.step(time_s, vehicles)
-
-    def _share_out(self, vehicles: Sequence[str]) -> None:
-        """Give the controllers the vehicles that they steer."""
-        others = [one for one in vehicles if one not in self._act_until_s]
-        self._lapses.set_vehicles([one for one in others if not self._wrong_way.overtakes(one)])
-        away = self._lapses.away
-        for controller in self._of_drivers:
-            controller.set_vehicles([one for one in others if one not in away])
-
-    def _look_away(self, time_s: float, vehicles: Sequence[str]) -> None:
-        """Begin and end lapses of attention; nobody else steers a driver who looks away."""
+        self.jaywalking.step(time_s, vehicles, persons)
         before = self._lapses.away
-        for agent in self._lapses.step(time_s):
+        self._lapses.step(time_s, vehicles, persons)
+        for agent in self._lapses.ended:
             self._begin_again(agent, time_s, self._of_drivers)
         if self._lapses.away != before:
             self._share_out(vehicles)
+        self.overtaking.removed = []
+        turn = self._step % self._every
+        for controller in self._turns[turn] if turn < len(self._turns) else ():
+            controller.step(time_s, vehicles, persons)
+
+    def _share_out(self, vehicles: Sequence[str]) -> None:
+        """Give the controllers the vehicles that they steer; nobody steers who looks away."""
+        others = [one for one in vehicles if one not in self._act_until_s]
+        self._lapses.set_vehicles([one for one in others if not self.overtaking.overtakes(one)])
+        away = self._lapses.away
+        for controller in self._of_drivers:
+            controller.set_vehicles([one for one in others if one not in away])
 
     def change(self, to: Change, time_s: float) -> None:
         """Let a driver on the road go on with another behaviour, or carry out an action.
@@ -106,7 +98,7 @@ class Controls:
                 f"agent {name}: found it not on the road at {time_s:g} s, expected one that is, "
                 f"such as {there or 'none yet'}"
             )
-        if self._wrong_way.overtakes(name):
+        if self.overtaking.overtakes(name):
             raise InputError(f"agent {name}: found it overtaking on the wrong side at {time_s:g} s")
         if isinstance(to, AgentSpec):
             assert to.profile is not None
@@ -123,8 +115,8 @@ class Controls:
         sumo = self._sumo
         if action in (Action.CHANGE_LEFT, Action.CHANGE_RIGHT):
             side = 1 if action is Action.CHANGE_LEFT else -1
-            lane = self._lanes.get(sumo.vehicle_getLaneID(name))
-            if lane is None or (lane.edge, lane.index + side) not in self._drivable:
+            lane = self._streets.lanes.get(sumo.vehicle_getLaneID(name))
+            if lane is None or (lane.edge, lane.index + side) not in self._streets.drivable:
                 raise InputError(
                     f"agent {name}: found no lane for {action} at {time_s:g} s, expected one beside"
                 )
@@ -149,18 +141,3 @@ class Controls:
             controller.change(agent, time_s)
         self._sumo.vehicle_setSpeedMode(str(agent.id), ORDINARY_SPEED_MODE)
         release(self._sumo, str(agent.id))
-
-    @property
-    def removed(self) -> Sequence[int]:
-        """Ids of the agents that the last step removed."""
-        return self._wrong_way.removed
-
-    @property
-    def walking_speeds(self) -> Mapping[str, float]:
-        """Speed of the pedestrians that a controller moves, m/s; SUMO does not know it."""
-        return self._jaywalking.speeds
-
-    @property
-    def moved(self) -> bool:
-        """Whether a controller moved an agent since the last simulation step."""
-        return self._jaywalking.moved

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from sim.frames import AgentKind, FloatArray
-from sim.road import Road
+from sim.road import Lane, Road
 from sim.scenario import AgentSpec
+from sim.sumo.control.drivers import Streets
 
 GAP_MARGIN_S: Final = 1.5
 """Shortest time between a pedestrian leaving a lane and a vehicle reaching it, s."""
@@ -28,10 +29,6 @@ BEYOND_M: Final = 0.8
 JUNCTION_MARGIN_M: Final = 40.0
 """No jaywalking nearer to a junction or crossing, m."""
 
-FASTEST_WALK: Final = 1.5
-"""An upper bound of walking speeds, in free speeds, for the earliest time at which a pedestrian can
-be at the chosen place."""
-
 
 @dataclass(slots=True)
 class _Jaywalker:
@@ -41,8 +38,6 @@ class _Jaywalker:
     at_m: float
     begin: tuple[float, float] = (0.0, 0.0)
     aim: tuple[float, float] = (0.0, 0.0)
-    next_check_s: float = 0.0
-    reached_edge: bool = False
     waiting_since_s: float = -1.0
     walked_m: float = -1.0
     done: bool = False
@@ -52,16 +47,18 @@ class Jaywalking:
     """Moves jaywalkers over the road, away from any crossing, at every simulation step.
 
     Attributes:
-        speeds: speed of each pedestrian that is moved now, m/s, by name.
+        speeds: speed of each pedestrian that is moved now, m/s, by name; SUMO does not know it.
         moved: whether a pedestrian was moved in this step.
     """
 
-    def __init__(self, sumo: Any, road: Road, agents: Sequence[AgentSpec], step_s: float) -> None:
-        self._sumo, self._road, self._step_s = sumo, road, step_s
+    def __init__(self, streets: Streets) -> None:
+        self._sumo, self._road, self._step_s = streets.sumo, streets.road, streets.step_s
+        sidewalks = (lane for lane in reversed(streets.road.lanes) if lane.walking)
+        self._sidewalks = {lane.edge: lane for lane in sidewalks}
         self.speeds: dict[str, float] = {}
         self.moved = False
-        at = jaywalking_places(road, agents)
-        self._walkers = {str(a.id): _Jaywalker(a, at[a.id]) for a in agents if a.id in at}
+        at = jaywalking_places(streets.road, streets.agents)
+        self._walkers = {str(a.id): _Jaywalker(a, at[a.id]) for a in streets.agents if a.id in at}
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Stop jaywalkers at the kerb until there is a gap, then move them over the road."""
@@ -73,7 +70,7 @@ class Jaywalking:
                 continue
             if walker.walked_m < 0:
                 if walker.waiting_since_s < 0:
-                    if time_s < walker.next_check_s or not self._arrived(name, walker, time_s):
+                    if not self._has_arrived(name, walker):
                         continue
                     walker.waiting_since_s = time_s
                 walker.done = time_s - walker.waiting_since_s > KERB_PATIENCE_S
@@ -83,28 +80,31 @@ class Jaywalking:
                     self._place(name, walker, 0.0, 0.0)
                     continue
                 walker.walked_m = 0.0
-            self._walk(name, walker)
+            walker.walked_m += walker.agent.speed_mps * self._step_s
+            if walker.walked_m < math.dist(walker.begin, walker.aim):
+                self._place(name, walker, walker.walked_m, walker.agent.speed_mps)
+                continue
+            self.moved = walker.done = True
+            while self._sumo.person_getRemainingStages(name) > 1:
+                self._sumo.person_removeStage(name, 1)
+            self._sumo.person_removeStage(name, 0)
 
-    def _arrived(self, name: str, walker: _Jaywalker, time_s: float) -> bool:
+    def _has_arrived(self, name: str, walker: _Jaywalker) -> bool:
         """Whether the pedestrian is at the chosen place; if so, sets both ends of the walk."""
-        sumo, edge = self._sumo, walker.agent.route[0]
-        if sumo.person_getRoadID(name) != edge:
-            walker.done = walker.reached_edge  # it has left the edge again
+        edge = walker.agent.route[0]
+        if self._sumo.person_getRoadID(name) != edge:
             return False
-        walker.reached_edge = True
-        place = np.array(sumo.person_getPosition(name))
-        lane = next(one for one in self._road.lanes if one.edge == edge and one.walking)
-        line = lane.centerline
-        direction = (line[-1] - line[0]) / np.hypot(*(line[-1] - line[0]))
-        along = float((place - line[0]) @ direction)
+        x, y = self._sumo.person_getPosition(name)
+        lane = self._sidewalks[edge]
+        direction = _direction(lane)
+        along = float((np.array([x, y]) - lane.centerline[0]) @ direction)
         if along < walker.at_m:
-            fastest_mps = FASTEST_WALK * walker.agent.speed_mps
-            walker.next_check_s = time_s + (walker.at_m - along) / fastest_mps
             return False
-        aim = _other_side(self._road, place, direction)
-        walker.done = aim is None or abs(along - walker.at_m) > JUNCTION_MARGIN_M
-        if aim is not None:
-            walker.begin, walker.aim = (float(place[0]), float(place[1])), aim
+        over = np.array([-direction[1], direction[0]])  # to the left: sidewalks are on the right
+        width_m = _width(self._road, np.array([x, y]), direction, over)
+        walker.done = width_m == 0.0 or abs(along - walker.at_m) > JUNCTION_MARGIN_M
+        ax, ay = (np.array([x, y]) + (width_m + BEYOND_M) * over).tolist()
+        walker.begin, walker.aim = (x, y), (ax, ay)
         return not walker.done
 
     def _gap(self, walker: _Jaywalker, vehicles: Sequence[str]) -> bool:
@@ -133,16 +133,6 @@ class Jaywalking:
             elif ahead / speed < leaves_s + GAP_MARGIN_S:
                 return False
         return True
-
-    def _walk(self, name: str, walker: _Jaywalker) -> None:
-        walker.walked_m += walker.agent.speed_mps * self._step_s
-        if walker.walked_m < math.dist(walker.begin, walker.aim):
-            self._place(name, walker, walker.walked_m, walker.agent.speed_mps)
-            return
-        self.moved = walker.done = True
-        while self._sumo.person_getRemainingStages(name) > 1:
-            self._sumo.person_removeStage(name, 1)
-        self._sumo.person_removeStage(name, 0)
 
     def _place(self, name: str, walker: _Jaywalker, walked_m: float, speed_mps: float) -> None:
         (x, y), (ax, ay) = walker.begin, walker.aim
@@ -185,21 +175,22 @@ def jaywalking_places(road: Road, agents: Sequence[AgentSpec]) -> dict[int, floa
     return found
 
 
-def _other_side(road: Road, place: FloatArray, direction: FloatArray) -> tuple[float, float] | None:
-    """End of a straight walk from a sidewalk over the road; None without a road."""
-    over = np.array([-direction[1], direction[0]])  # to the left: sidewalks are on the right
+def _direction(lane: Lane) -> FloatArray:
+    """(2,) unit vector from the beginning of a lane to its end."""
+    between = lane.centerline[-1] - lane.centerline[0]
+    return np.asarray(between / np.hypot(*between))
+
+
+def _width(road: Road, place: FloatArray, direction: FloatArray, over: FloatArray) -> float:
+    """How far the road beside a sidewalk reaches from a place on it, m; 0 without a road."""
     farthest = 0.0
     for lane in road.lanes:
         if lane.walking or lane.internal:
             continue
-        begin, end = lane.centerline[0], lane.centerline[-1]
-        line = (end - begin) / np.hypot(*(end - begin))
+        begin, line = lane.centerline[0], _direction(lane)
         along, aside = float((place - begin) @ line), float((begin - place) @ over)
         parallel = abs(float(line @ direction)) >= 0.99
         within = JUNCTION_MARGIN_M / 2 < along < lane.length_m - JUNCTION_MARGIN_M / 2
         if parallel and within and 0.0 < aside < 40.0:
             farthest = max(farthest, aside + lane.width_m / 2)
-    if farthest == 0.0:
-        return None
-    aim = place + (farthest + BEYOND_M) * over
-    return float(aim[0]), float(aim[1])
+    return farthest

@@ -6,7 +6,6 @@ meet in one node, whose priorities netconvert derives.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable
 from typing import Final
@@ -18,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from behaviors.errors import InputError
 from scenarios.networks.geometries import LIMIT_MPS, connection_rows, document
+from sim.frames import FloatArray
 from sim.geometry import pieces_of
 from sim.road import Lane, Road
 
@@ -48,58 +48,52 @@ MEET_M: Final = 1.0
 coincide)."""
 
 
-def plain_files(road: Road) -> dict[str, str]:
-    """Nodes, edges and connections of a road's lanes for cars, as text by file name.
-
-    Lanes inside junctions become ways between edges.
-
-    Raises:
-        InputError: if the road has no lane for cars outside junctions.
-    """
+def plain_files(road: Road) -> dict[str, bytes]:
+    """Nodes, edges and connections of a road's lanes for cars outside junctions, by file name."""
     edges: dict[str, list[Lane]] = {}
     for lane in road.lanes:
         if lane.cars and not lane.walking and not lane.internal:
             edges.setdefault(lane.edge, []).append(lane)
     if not edges:
         raise InputError(f"road {road.name!r:.60}: found no lane for cars, expected at least one")
-    for edge, lanes in _kept_apart(edges, -1.0 if road.left_hand else 1.0).items():
-        edges[edge] = sorted(lanes, key=lambda lane: lane.index)
+    lines = _kept_apart([one for lanes in edges.values() for one in lanes], road.left_hand)
+    for lanes in edges.values():
+        lanes.sort(key=lambda lane: lane.index)
     place = {lane.id: (lane.edge, i) for lanes in edges.values() for i, lane in enumerate(lanes)}
     links = [
         (*place[link.from_lane], *place[link.to_lane], link.signal >= 0)
         for link in road.connections
         if link.from_lane in place and link.to_lane in place
     ]
-    nodes, node_rows = _nodes(edges, links)
+    nodes, node_rows = _nodes(edges, lines, links)
     while loops := {edge for edge in edges if nodes[edge, False] == nodes[edge, True]}:
         edges = {edge: lanes for edge, lanes in edges.items() if edge not in loops}
         if not edges:
             raise InputError(f"road {road.name!r:.60}: found lanes that lead to themselves only")
         links = _without(links, loops)
-        nodes, node_rows = _nodes(edges, links)
+        nodes, node_rows = _nodes(edges, lines, links)
     named = {edge: f"e{number}" for number, edge in enumerate(edges)}
     edge_rows = [
         row
         for edge, lanes in edges.items()
-        for row in _edge(named[edge], nodes[edge, False], nodes[edge, True], lanes)
+        for row in _edge(named[edge], nodes[edge, False], nodes[edge, True], lanes, lines)
     ]
     ways = dict.fromkeys(
         (named[begin], i, named[end], j) for begin, i, end, j, _ in links if begin != end
     )
     return {
-        "map.nod.xml": document("nodes", node_rows),
-        "map.edg.xml": document("edges", edge_rows),
-        "map.con.xml": document("connections", connection_rows(ways)),
+        "map.nod.xml": document("nodes", node_rows).encode(),
+        "map.edg.xml": document("edges", edge_rows).encode(),
+        "map.con.xml": document("connections", connection_rows(ways)).encode(),
     }
 
 
-def _kept_apart(edges: dict[str, list[Lane]], side: float) -> dict[str, list[Lane]]:
-    """The lanes of each edge; those too near to an oncoming lane are moved to the kerb."""
-    every = [lane for lanes in edges.values() for lane in lanes]
-    dense = np.concatenate([_sampled(lane.centerline) for lane in every])
+def _kept_apart(lanes: list[Lane], left_hand: bool) -> dict[str, FloatArray]:
+    """The line of each lane; those too near to an oncoming lane are moved to the kerb."""
+    dense = np.concatenate([_sampled(lane.centerline) for lane in lanes])
     tree = cKDTree(dense[:, :2])
-    lines: dict[str, np.ndarray] = {}
-    for lane in every:
+    lines: dict[str, FloatArray] = {}
+    for lane in lanes:
         step = np.gradient(lane.centerline, axis=0)
         along = step / np.maximum(np.hypot(*step.T), 1e-9)[:, None]
         left = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -110,15 +104,13 @@ def _kept_apart(edges: dict[str, list[Lane]], side: float) -> dict[str, list[Lan
             beside = beside[beside[:, 2:] @ along[k] < OPPOSED]
             if len(beside):
                 across = np.abs((beside[:, :2] - line[k]) @ left[k]).min()
-                line[k] -= side * max(least_m - across, 0.0) / 2 * left[k]
+                aside = max(least_m - across, 0.0) / 2 * left[k]
+                line[k] += aside if left_hand else -aside
         lines[lane.id] = line
-    return {
-        edge: [dataclasses.replace(lane, centerline=lines[lane.id]) for lane in lanes]
-        for edge, lanes in edges.items()
-    }
+    return lines
 
 
-def _sampled(line: np.ndarray) -> np.ndarray:
+def _sampled(line: FloatArray) -> FloatArray:
     """(k, 4) points of a line at most `SAMPLE_M` apart, and the direction at each."""
     parts = [np.zeros((0, 4))]
     for start, direction, size, _ in zip(*pieces_of(line), strict=True):
@@ -149,15 +141,14 @@ def _without(links: list[_Link], loops: set[str]) -> list[_Link]:
 
 
 def _nodes(
-    edges: dict[str, list[Lane]], links: list[_Link]
+    edges: dict[str, list[Lane]], lines: dict[str, FloatArray], links: list[_Link]
 ) -> tuple[dict[tuple[str, bool], str], list[str]]:
     """The node of each end of an edge, and the nodes' elements."""
     ends = [(edge, end) for edge in edges for end in (False, True)]
-    lines = [[lane.centerline for lane in edges[edge]] for edge, _ in ends]
     points = np.array(
         [
-            np.mean([line[-1 if end else 0] for line in some], axis=0)
-            for some, (_, end) in zip(lines, ends, strict=True)
+            np.mean([lines[lane.id][-1 if end else 0] for lane in edges[edge]], axis=0)
+            for edge, end in ends
         ]
     )
     number = {end: i for i, end in enumerate(ends)}
@@ -182,25 +173,26 @@ def _nodes(
     return of_end, rows
 
 
-def _edge(name: str, begin: str, end: str, lanes: list[Lane]) -> Iterable[str]:
+def _edge(
+    name: str, begin: str, end: str, lanes: list[Lane], lines: dict[str, FloatArray]
+) -> Iterable[str]:
     """An edge's element with a lane's element for each of its lanes."""
-    middle = lanes[len(lanes) // 2]
+    shapes = [_shape(lines[lane.id]) for lane in lanes]
     yield (
         f'    <edge id="{name}" from="{begin}" to="{end}" numLanes="{len(lanes)}" '
-        f'priority="1" spreadType="center" shape="{_shape(middle.centerline)}">'
+        f'priority="1" spreadType="center" shape="{shapes[len(lanes) // 2]}">'
     )
-    for i, lane in enumerate(lanes):
+    for i, (lane, shape) in enumerate(zip(lanes, shapes, strict=True)):
         limit = lane.speed_limit_mps
         speed = limit if math.isfinite(limit) and limit > 0 else LIMIT_MPS
         yield (
             f'        <lane index="{i}" speed="{speed:.2f}" width="'
-            f'{max(lane.width_m, LEAST_WIDTH_M):.2f}" disallow="pedestrian" '
-            f'shape="{_shape(lane.centerline)}"/>'
+            f'{max(lane.width_m, LEAST_WIDTH_M):.2f}" disallow="pedestrian" shape="{shape}"/>'
         )
     yield "    </edge>"
 
 
-def _shape(line: np.ndarray) -> str:
+def _shape(line: FloatArray) -> str:
     """A line as SUMO writes it, without points that coincide."""
     kept = [line[0]]
     for point in line[1:]:
