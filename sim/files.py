@@ -265,11 +265,11 @@ class Place:
         """A file's bytes."""
         return cast(bytes, self._call("cat_file", name))
 
-    def files(self, prefix: str = "") -> dict[str, int]:
-        """Sizes of the files below a folder, by name, sorted; hidden ones are left out."""
-        if not self._call("exists", prefix):
+    def files(self) -> dict[str, int]:
+        """Sizes of the files in it, by name, sorted; hidden ones are left out."""
+        if not self._call("exists", ""):
             return {}
-        found: dict[str, Any] = self._call("find", prefix, detail=True)
+        found: dict[str, Any] = self._call("find", "", detail=True)
         begin = len(self.full().strip("/")) + 1
         named = {path.strip("/")[begin:]: int(one["size"] or 0) for path, one in found.items()}
         return {
