@@ -17,8 +17,7 @@ from behaviors.traits import lane_changes
 from experiments.data.parallel import in_parallel
 from experiments.data.windows import measured
 from graphrqi.samples import Samples
-from sim.episode.detector_inputs import detector_inputs
-from sim.episode.observables import observe
+from sim.episode.observables import detector_inputs, observe
 from sim.frames import FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.store.dataset import Dataset, open_dataset
@@ -142,7 +141,7 @@ class PlainRival:
         )
         self._forest.fit(training.features, training.codes)
 
-    def posterior(self, features: FloatArray) -> FloatArray:
+    def posterior(self, features: NDArray[np.floating[Any]]) -> FloatArray:
         """(n, 6) probabilities of each behaviour, from (n, 9) numbers."""
         found = np.zeros((len(features), len(BEHAVIORS)))
         found[:, self._forest.classes_] = self._forest.predict_proba(features.astype(np.float32))

@@ -21,7 +21,7 @@ from experiments.score.labels import note_unknown
 from experiments.score.predictions import EVERY_S, WARM_UP_S, score_episode, score_predictions
 from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import get_engine
-from sim.episode.window import DEFAULT_RADIUS_M, Window
+from sim.episode.live import DEFAULT_RADIUS_M, Window
 from sim.frames import EventKind, Frame, Tracks
 from sim.scenario import sample_agents
 from sim.store.dataset import open_dataset

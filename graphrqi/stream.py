@@ -18,8 +18,7 @@ from graphrqi.model_files import load_model
 from graphrqi.places.other_traffic import FINEST_S, OtherTraffic, Traffic, check_traffic
 from graphrqi.places.prior_shift import PriorShift
 from graphrqi.posterior import Posterior
-from sim.episode.buffer import FrameBuffer
-from sim.episode.window import Window
+from sim.episode.live import FrameBuffer, Window
 from sim.frames import Frame, Tracks
 
 MIN_SECONDS: Final = 1.0
@@ -87,7 +86,7 @@ class BehaviorStream:
             Posterior of every driver that is present and was observed long enough.
 
         Raises:
-            InputError: for an unusable frame, see `sim.episode.buffer.FrameBuffer.push`; the stream
+            InputError: for an unusable frame, see `sim.episode.live.FrameBuffer.push`; the stream
                 then stays as it was.
         """
         self.push(frame)

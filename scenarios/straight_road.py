@@ -20,19 +20,13 @@ PEDESTRIANS_PER_H: Final = 160.0
 """Pedestrians per hour over the crossing (several hundred jam a dense road)."""
 
 CROSSING_ROUTES: Final = (
-    ("east_in", "west_out"),
-    ("west_in", "east_out"),
-    ("east_in", "west_in"),
-    ("west_in", "east_in"),
-)
+    ("east_in", "west_out"), ("west_in", "east_out"), ("east_in", "west_in"), ("west_in", "east_in")
+)  # fmt: skip
 """The pedestrians' routes on a road with a crossing."""
 
 SIDEWALK_ROUTES: Final = (
-    ("east_in", "east_out"),
-    ("west_in", "west_out"),
-    ("east_in",),
-    ("west_in",),
-)
+    ("east_in", "east_out"), ("west_in", "west_out"), ("east_in",), ("west_in",)
+)  # fmt: skip
 """The pedestrians' routes on a road without one, where only jaywalkers cross."""
 
 

@@ -8,7 +8,7 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -455,10 +455,6 @@ class Tracks:
                 part = self.part(np.arange(self.ids.size), slice(begin, end))
                 seen = np.flatnonzero(np.diff(part.index.first))
                 yield part.part(seen, slice(None))
-
-    def with_behavior(self, behavior: CodeArray) -> Tracks:
-        """The same tracks with other labels (-1: no label)."""
-        return replace(self, behavior=behavior)
 
     def __repr__(self) -> str:
         """The agents by kind, the times, and counts of labels, signals and events."""

@@ -21,18 +21,20 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import approx_fprime
 from scipy.stats import binomtest
 
 from behaviors.driver_models import idm_desired_gap, idm_free_acceleration, idm_interaction
-from behaviors.labels import Behavior
+from behaviors.errors import lookup
+from behaviors.labels import BEHAVIORS, SHIPPED, Behavior, read_behaviors
 from behaviors.profiles import Profile
 from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.engines import get_engine
-from sim.episode.detector_inputs import detector_inputs
-from sim.episode.incidents import incidents
+from sim.episode.annotate import incidents
+from sim.episode.observables import detector_inputs
 from sim.episode.yielding import COULD_STOP_MPS2
 from sim.frames import AgentKind, EventKind, FloatArray, Tracks
 from sim.road import Road
@@ -42,23 +44,18 @@ from sim.scenario import DIMENSIONS_M, AgentSpec, sample_agents
 REACTION_TIMES_S: Final = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5)
 """Reaction times of the followers, s."""
 
-LIMIT_MPS, CROWDED = 13.89, 0.7
-"""Speed limit of the platoon, m/s, and speed of undisturbed traffic as a share of that desired."""
+FOLLOWERS, STOPS_PER_MIN = 9, 3.0
+"""Drivers behind the first one, and how often that wants to brake for no reason."""
 
-FOLLOWERS: Final = 9
-"""Drivers behind the one that brakes."""
-
-STOPS_PER_MIN: Final = 3.0
-"""How often the first driver wants to brake for no reason."""
-
-BRAKES_MPS2, REACTS_MPS2 = -1.0, -0.5
-"""Accelerations from which the first driver brakes, and the second reacts (our choice)."""
-
-WITHIN_S: Final = 8.0
-"""A later braking is not a reaction, s."""
+BRAKES_MPS2, REACTS_MPS2, WITHIN_S = -1.0, -0.5, 8.0
+"""Accelerations from which the first driver brakes, and the second reacts; a later braking is not a
+reaction (our choice)."""
 
 LAG_S: Final = 5.0
 """Lag of the headway's autocorrelation, s."""
+
+LIMIT_MPS, CROWDED = 13.89, 0.7
+"""Speed limit of the platoon, m/s, and speed of undisturbed traffic as a share of that desired."""
 
 OVERLOOKED: Final = (0.0, 0.1, 0.3, 1.0)
 """Overlook probabilities of the drivers who meet others."""
@@ -79,12 +76,10 @@ LEAST_MPS, NEAR_M, SLOWS = 5.0, 45.0, 0.7
 them if its speed falls below the third, a share (our choice)."""
 
 
-def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict[str, FloatArray]:
-    """Drive a platoon of an engine, whose first driver is slower and brakes for no reason.
-
-    Returned are ``reaction_s`` of the second driver to each braking, ``headway_autocorrelation`` of
-    each follower, and ``collisions``, their number. The followers have the numbers of ``profile``.
-    """
+def _platoon(
+    profile: Profile, engine: str, seed: int, duration_s: float
+) -> tuple[int, FloatArray, list[float]]:
+    """Collisions, (k,) reactions of the second driver, s, and each follower's autocorrelation."""
     road = get_scenario("straight_road")(
         lanes=1, crossing=False, pedestrians_per_h=0.0, length_m=5000.0, duration_s=duration_s
     )
@@ -104,32 +99,21 @@ def platoon(profile: Profile, engine: str, seed: int, duration_s: float) -> dict
     accel = np.diff(tracks.speed, axis=1) / tracks.step_s
     begins = np.flatnonzero((accel[0, 1:] < BRAKES_MPS2) & ~(accel[0, :-1] < BRAKES_MPS2)) + 1
     begins = begins[~(accel[1, begins] < REACTS_MPS2)]
-    ahead = round(WITHIN_S / tracks.step_s)
+    ahead, lag = round(WITHIN_S / tracks.step_s), round(LAG_S / tracks.step_s)
     found = [np.flatnonzero(accel[1, at : at + ahead] < REACTS_MPS2)[:1] for at in begins]
-    lag = round(LAG_S / tracks.step_s)
     with np.errstate(divide="ignore", invalid="ignore"):
         gap = np.hypot(*(tracks.xy[:-1] - tracks.xy[1:]).transpose(2, 0, 1)) - length
         headway = np.where(tracks.speed[1:] > 3.0, gap / tracks.speed[1:], np.nan)
-    return {
-        "reaction_s": np.concatenate([*found, np.empty(0)]) * tracks.step_s,
-        "headway_autocorrelation": np.array([_correlation(one, lag) for one in headway]),
-        "collisions": np.array([float(hits)]),
-    }
+    linked = [one.shift(lag).corr(one, min_periods=lag + 1) for one in map(pd.Series, headway)]
+    return hits, np.concatenate([*found, np.empty(0)]) * tracks.step_s, linked
 
 
-def _correlation(values: FloatArray, lag: int) -> float:
-    """Correlation of a series with itself ``lag`` steps later; NaN where too little is known."""
-    now, later = values[:-lag], values[lag:]
-    both = np.isfinite(now) & np.isfinite(later)
-    return float(np.corrcoef(now[both], later[both])[0, 1]) if both.sum() > lag else np.nan
-
-
-def encounters(
+def _encounters(
     what: str, behavior: Behavior, probability: float, engine: str, seed: int, duration_s: float
 ) -> tuple[int, int]:
-    """How many encounters drivers of one behaviour ignored, and how many there were.
+    """How many encounters with a key of `ENCOUNTERS` drivers ignored, and how many there were.
 
-    They overlook others with a probability; ``what`` they meet is a key of `ENCOUNTERS`.
+    The drivers of one behaviour overlook others with a probability.
     """
     name, options = ENCOUNTERS[what]
     own = {"overlooking": behavior.table() | {"overlook_probability": probability}}
@@ -178,19 +162,13 @@ def _pedestrians(tracks: Tracks, road: Road) -> tuple[int, int]:
     return ignored, kept
 
 
-def idm_delay_limit_s(profile: Profile) -> float:
+def _delay_limit_s(p: Profile) -> float:
     """The longest delay at which IDM is linearly string stable, s; 0 if it never is.
 
     A delay d multiplies the response by exp(-i w d); the limit is where the gain from a leader's
-    speed to the follower's first exceeds 1 at some frequency w. The undisturbed traffic drives at
-    `CROWDED` of the desired speed.
-
-    Examples:
-        >>> relaxed = dataclasses.replace(Behavior.CAREFUL.profile, time_headway_s=3.0)
-        >>> idm_delay_limit_s(relaxed) > idm_delay_limit_s(Behavior.CAREFUL.profile)
-        True
+    speed to the follower's first exceeds 1 at some frequency w.
     """
-    p, desired = profile, LIMIT_MPS * profile.speed_factor
+    desired = LIMIT_MPS * p.speed_factor
     speed = CROWDED * desired
 
     def accel(state: FloatArray) -> float:
@@ -211,33 +189,34 @@ def idm_delay_limit_s(profile: Profile) -> float:
 
 
 def measure(
-    behavior: Behavior, engine: str, seeds: int, duration_s: float, jobs: int | None
-) -> Iterator[list[Row]]:
+    behavior: str, engine: str, behaviors: str | None = None, seeds: int = 5,
+    duration_s: float = 300.0, jobs: int | None = None,
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of platoons by ``reaction_time_s``, of the law's limit, and of what is overlooked.
 
-    Each figure is of so many seeds' episodes with drivers of one behaviour. The last rows are by
-    what is met and the ``overlook_probability``.
+    Each figure is of so many seeds' episodes with drivers of one behaviour, which may be one of
+    one's own. The last rows are by what is met and the ``overlook_probability``.
     """
-    keys: dict[str, Cell] = {"engine": engine, "behavior": str(behavior)}
+    own = *read_behaviors(",".join(SHIPPED)), *read_behaviors(behaviors)
+    driver = lookup({str(one): one for one in (*BEHAVIORS, *own)}, behavior, "behavior")
+    keys: dict[str, Cell] = {"engine": engine, "behavior": behavior}
     for reaction_s in REACTION_TIMES_S:
-        profile = dataclasses.replace(behavior.profile, reaction_time_s=reaction_s)
+        profile = dataclasses.replace(driver.profile, reaction_time_s=reaction_s)
         tasks = [(profile, engine, seed, duration_s) for seed in range(seeds)]
-        found = list(in_parallel(platoon, tasks, jobs))
+        hits, reactions, linked = zip(*in_parallel(_platoon, tasks, jobs), strict=True)
         place: dict[str, Cell] = {**keys, "reaction_time_s": reaction_s}
-        reactions = np.concatenate([one["reaction_s"] for one in found])
-        rows = [tidy_row(place, "collisions", sum(float(one["collisions"][0]) for one in found))]
-        if reactions.size:
-            low, middle, high = np.percentile(reactions, [10, 50, 90])
-            rows.append(tidy_row(place, "reaction_s", middle, low, high, reactions.size))
-        linked = np.concatenate([one["headway_autocorrelation"] for one in found])
+        rows = [tidy_row(place, "collisions", sum(hits))]
+        if (reaction := np.concatenate(reactions)).size:
+            low, middle, high = np.percentile(reaction, [10, 50, 90])
+            rows.append(tidy_row(place, "reaction_s", middle, low, high, reaction.size))
         if np.isfinite(linked).any():
             rows.append(tidy_row(place, "headway_autocorrelation", float(np.nanmean(linked))))
         yield rows
-    yield [tidy_row(keys, "string_stable_up_to_s", idm_delay_limit_s(behavior.profile))]
+    yield [tidy_row(keys, "string_stable_up_to_s", _delay_limit_s(driver.profile))]
     for what in ENCOUNTERS:
         for chance in OVERLOOKED:
-            tried = [(what, behavior, chance, engine, seed, duration_s) for seed in range(seeds)]
-            ignored, met = np.sum(list(in_parallel(encounters, tried, jobs)), axis=0).tolist()
+            tried = [(what, driver, chance, engine, seed, duration_s) for seed in range(seeds)]
+            ignored, met = np.sum(list(in_parallel(_encounters, tried, jobs)), axis=0).tolist()
             low, high = binomtest(ignored, met).proportion_ci(method="wilson") if met else (0, 1)
             place = {**keys, "met": what, "overlook_probability": chance}
             yield [tidy_row(place, "ignored_share", ignored / max(met, 1), low, high, met)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -53,8 +53,13 @@ METRICS: Final[dict[str, tuple[str, str]]] = {
 """The count above and the count below of each metric: "" for a median (of ``headway``, each
 driver's own median, NaN without any) or a sum."""
 
-COUNTS: Final = tuple(dict.fromkeys(name for pair in METRICS.values() for name in pair if name))
-"""Counts of every driver."""
+WALKS, UNLABELLED = -2, -1
+"""Codes of pedestrians, and of other road users without a label."""
+
+COUNTS: Final = (
+    *dict.fromkeys(name for pair in METRICS.values() for name in pair if name), "jaywalks",
+)  # fmt: skip
+"""Counts of every road user."""
 
 ENCOUNTERS: Final = (EventKind.YIELDED, EventKind.NOT_YIELDED)
 """Encounters of a driver with a pedestrian that wants to cross."""
@@ -67,33 +72,18 @@ COUNTED: Final[dict[EventKind, tuple[str, ...]]] = {
 }
 """What an event is counted as. Who did not wait in spite of a rule has waited for 0 s."""
 
-SHOWN: Final = {Trait.CUTTING_IN: "cut_ins", Trait.NOT_MOVING: "unprovoked_stops"}
+SHOWN: Final = {
+    Trait.CUTTING_IN: "cut_ins", Trait.NOT_MOVING: "unprovoked_stops", Trait.JAYWALKING: "jaywalks",
+}  # fmt: skip
 """What a shown trait is counted as."""
-
-
-class DriverCounts(NamedTuple):
-    """Counts and exposure of the drivers of one or more episodes.
-
-    There is a line for each driver, with its ``behavior`` and the columns ``COUNTS``; then how
-    often pedestrians jaywalked, and how many there were.
-    """
-
-    drivers: pd.DataFrame
-    jaywalks: int
-    walkers: int
-
-    @classmethod
-    def joined(cls, parts: Sequence[DriverCounts]) -> DriverCounts:
-        """The drivers of several episodes together."""
-        drivers = pd.concat([p.drivers for p in parts], ignore_index=True)
-        return cls(drivers, sum(p.jaywalks for p in parts), sum(p.walkers for p in parts))
 
 
 def count_scenario(
     scenario: Scenario, seed: int, engine: str = "sumo", clearing_s: float = CLEARING_S
-) -> DriverCounts:
+) -> pd.DataFrame:
     """Drive one episode and count what its drivers did, and for ``clearing_s`` more what they do.
 
+    There is a line for each pedestrian and labelled driver: a code ``behavior``, and ``COUNTS``.
     Encounters with pedestrians are found in the tracks. An engine whose frames report them counts
     itself: in highway-env, pedestrians step out only in front of drivers that wait.
     """
@@ -120,9 +110,10 @@ def count_scenario(
 
 def _counted(
     tracks: Tracks, seen: DetectorInputs, events: Sequence[Event], traits: Sequence[ShownTrait]
-) -> DriverCounts:
-    """Count what the labelled drivers of an episode did."""
-    labels = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
+) -> pd.DataFrame:
+    """Count what the road users of an episode did."""
+    none = np.full(tracks.ids.size, UNLABELLED)
+    labels = none if tracks.behavior is None else tracks.behavior
     table = {name: np.zeros(tracks.ids.size) for name in COUNTS}
     row = {int(agent): i for i, agent in enumerate(tracks.ids)}
     table["drivers"][:] = 1.0
@@ -163,12 +154,8 @@ def _counted(
     for agent, i in row.items():
         label = label_from_traits(of_agent[agent])
         table["agrees"][i] = label is not None and label.code == labels[i]
-    drivers = pd.DataFrame({"behavior": labels, **table})
-    return DriverCounts(
-        drivers[(labels >= 0) & seen.drives],
-        jaywalks=sum(e.trait is Trait.JAYWALKING for e in traits),
-        walkers=int((~seen.drives).sum()),
-    )
+    users = pd.DataFrame({"behavior": np.where(seen.drives, labels, WALKS), **table})
+    return users[users["behavior"] != UNLABELLED]
 
 
 def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
@@ -182,19 +169,17 @@ def _free(seen: DetectorInputs) -> NDArray[np.bool_]:
 
 
 def rows_of(
-    counts: DriverCounts, engine: str, scenario: str, seed: int = 0,
-    classes: Sequence[Behavior] = BEHAVIORS,
-) -> list[Row]:  # fmt: skip
+    counts: pd.DataFrame, engine: str, scenario: str, classes: Sequence[Behavior] = BEHAVIORS
+) -> list[Row]:
     """One row per behaviour and metric, with a 95 % interval over drivers.
 
-    Rows have the keys ``engine scenario behavior metric value low high n``; n is the number of
-    drivers with something to count. Codes stand for the behaviours in ``classes``.
+    ``n`` is the number of drivers with something to count. Codes stand for the ``classes``.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     place: dict[str, Cell] = {"engine": engine, "scenario": scenario}
     found: list[Row] = []
     for code, behavior in enumerate(classes):
-        mine = counts.drivers[counts.drivers["behavior"] == code]
+        mine = counts[counts["behavior"] == code]
         weights = np.zeros((RESAMPLES, 0))
         if len(mine):
             share = np.full(len(mine), 1 / len(mine))
@@ -216,26 +201,22 @@ def rows_of(
             low, high = (None, None) if drawn is None else np.nanpercentile(drawn, [2.5, 97.5])
             keys = {**place, "behavior": behavior.value}
             found.append(tidy_row(keys, metric, value, low, high, n))
-    walkers = {**place, "behavior": "pedestrian"}
-    found.append(tidy_row(walkers, "jaywalks", counts.jaywalks, n=counts.walkers))
-    return found
+    walkers = counts[counts["behavior"] == WALKS]
+    keys = {**place, "behavior": "pedestrian"}
+    return [*found, tidy_row(keys, "jaywalks", walkers["jaywalks"].sum(), n=len(walkers))]
 
 
 def measure(
-    scenarios: Sequence[str],
-    engine: str = "sumo",
-    seeds: Sequence[int] = (0, 1, 2, 3, 4),
-    duration_s: float = 600.0,
-    jobs: int | None = 1,
-    behaviors: str | None = None,
-) -> Iterator[list[Row]]:
+    scenarios: Sequence[str] = (), engine: str = "sumo", seeds: Sequence[int] = (0, 1, 2, 3, 4),
+    duration_s: float = 600.0, jobs: int | None = None, behaviors: str | None = None,
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of every behaviour and trait in each scenario; last, of several together, as ``all``.
 
     Scenarios are keys of ``SCENARIOS`` (() for all), each with an episode of ``duration_s`` for
     every seed. Behaviours of one's own, as `read_behaviors` takes them, drive beside the six.
     """
     names = [get_scenario(name).name for name in scenarios] or list(SCENARIOS)
-    everything: list[DriverCounts] = []
+    everything: list[pd.DataFrame] = []
     own = read_behaviors(behaviors)
     classes = (*BEHAVIORS, *own)
     for name in names:
@@ -243,6 +224,6 @@ def measure(
         tasks = [(made, seed, engine) for seed in seeds]
         counted = list(in_parallel(count_scenario, tasks, jobs))
         everything += counted
-        yield rows_of(DriverCounts.joined(counted), engine, name, classes=classes)
+        yield rows_of(pd.concat(counted), engine, name, classes)
     if len(names) > 1:
-        yield rows_of(DriverCounts.joined(everything), engine, "all", classes=classes)
+        yield rows_of(pd.concat(everything), engine, "all", classes)

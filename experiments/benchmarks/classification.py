@@ -73,20 +73,14 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
 WHOLE: Final = float("inf")
 """The length of observation that is a driver's whole track."""
 
-WINDOWS_S: Final = (1.0, 3.0, 10.0, WHOLE)
-"""Lengths of observation that are scored, s."""
-
-MAIN_S: Final = (10.0, WHOLE)
-"""Those at which everything but the length is compared."""
+WINDOWS_S, MAIN_S = (1.0, 3.0, 10.0, WHOLE), (10.0, WHOLE)
+"""Lengths of observation that are scored, s, and those at which all else is compared."""
 
 AGES_S: Final = (3.0, 10.0, WHOLE)
 """Ages at which a stream is asked about every driver, s."""
 
-SCORED_EVERY_S: Final = 2.0
-"""Time between the ends of scored windows of one driver, s."""
-
-ASKED_EVERY_S: Final = 1.0
-"""A stream takes every frame, and is asked this often, s."""
+SCORED_EVERY_S, ASKED_EVERY_S = 2.0, 1.0
+"""Time between the ends of scored windows of one driver, and between questions to a stream, s."""
 
 NOISE: Final[dict[str, tuple[disturbances.Disturbance, tuple[float, ...]]]] = {
     "position noise": (disturbances.position_noise, (0.03, 0.1, 0.25, 0.5)),
@@ -97,8 +91,7 @@ NOISE: Final[dict[str, tuple[disturbances.Disturbance, tuple[float, ...]]]] = {
 """Disturbances with their levels: deviations in m, shares of frames, and Hz."""
 
 CEILING_DRIVERS: Final = 600
-"""Most training drivers of the ceiling, so that ceilings of datasets of other sizes can be
-compared."""
+"""Most training drivers of the ceiling, so that datasets of other sizes can be compared."""
 
 
 class Recordings:
@@ -219,17 +212,16 @@ class Data:
         return self._made("many", 2.7, seed=15)
 
     @cached_property
-    def traffic(self) -> dict[str, Recordings]:
-        """Traffic of other kinds."""
-        return {name: self._made(name, seed=12, **options) for name, options in TRAFFIC.items()}
-
-    @cached_property
     def engines(self) -> dict[str, Recordings]:
         """Drivers of other engines and laws."""
         return {
             name: self._made(name, seed=13 + number, engine=name)
             for number, name in enumerate(("highway", "highway-krauss", "sumo-idm"))
         }
+
+    def other_traffic(self) -> dict[str, Recordings]:
+        """Traffic of other kinds."""
+        return {name: self._made(name, seed=12, **options) for name, options in TRAFFIC.items()}
 
 
 def drivers(samples: Samples) -> FloatArray:
@@ -252,21 +244,20 @@ def _rows(
     the same drivers, whose whole tracks are scored.
     """
     rows: list[Row] = []
-    names = pd.Index([*map(str, BEHAVIORS)])
     for (scenario, window_s), some in answers.groupby(["scenario", "window_s"]):
         whole = window_s == WHOLE
-        usual = np.bincount(names.get_indexer(pd.Index(some["truth"]))).argmax()
         keys: dict[str, Cell] = {
             "protocol": protocol, "scenario": scenario, "method": method,
             "window_s": None if whole else window_s,
             "variation": ", ".join(filter(None, ("whole track" if whole else "", variation))),
         }  # fmt: skip
-        given = int(usual) if majority is None else majority
+        usual = pd.Categorical(some["truth"], [*map(str, BEHAVIORS)]).codes
+        given = int(np.bincount(usual).argmax()) if majority is None else majority
         rows += score_answers(some, keys, given, breakdown=False)
     if rival is not None:
         asked = answers["driver"][answers["window_s"] == WHOLE]
         same = data.all_tracks.where(np.isin(drivers(data.all_tracks), asked))
-        theirs = data.answers(rival.posterior(same.features.astype(np.float64)), same)
+        theirs = data.answers(rival.posterior(same.features), same)
         rows += _rows(data, theirs, protocol, variation, RIVAL, majority)
     return rows
 
@@ -325,7 +316,7 @@ def shipped(data: Data) -> Iterator[list[Row]]:
     """The model that ships, on traffic of every kind."""
     model = load_model(OURS)
     rival = PlainRival(data.base.training_tracks)
-    others = {"": data.usual, **data.traffic, "highway engine": data.engines["highway"]}
+    others = {"": data.usual, **data.other_traffic(), "highway engine": data.engines["highway"]}
     for name, seen in others.items():
         yield _rows(seen, seen.streamed(model), "shipped", name, OURS, rival=rival)
 
@@ -441,19 +432,14 @@ PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {
 
 
 def measure(
-    protocols: Sequence[str] = (),
-    methods: Sequence[str] = (),
-    episodes: int = 15,
-    duration_s: float = 150.0,
-    jobs: int | None = None,
-    out: Path | None = None,
-) -> Iterator[list[Row]]:
+    protocols: Sequence[str] = (), methods: Sequence[str] = (), episodes: int = 15,
+    duration_s: float = 150.0, jobs: int | None = None, out: Path | None = None,
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of protocol after protocol, by ``protocol, scenario, method, window_s, variation``.
 
     Keys of `PROTOCOLS` and ``METHODS`` are chosen; () for all. Under all protocols but
-    ``inductive`` the first method alone is measured. So many episodes of each scenario, each
-    ``duration_s`` long, are learned from, and others are made in proportion. Datasets are made in
-    the folder ``out``, and used again; None for a temporary one.
+    ``inductive`` the first method alone is measured. Datasets of so many episodes of each scenario
+    are made in the folder ``out``, and used again.
     """
     wanted = [lookup(PROTOCOLS, name, "protocol") for name in protocols or PROTOCOLS]
     for method in methods:

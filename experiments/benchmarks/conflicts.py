@@ -1,11 +1,7 @@
 """Our conflicts beside those of SUMO's device for surrogate safety measures (SSM).
 
-Both watch the same episodes. We move outlines on at constant velocity; SUMO measures along lanes:
-
-- following: bumper to bumper on the lane to which SUMO assigns a vehicle, also while it changes
-- crossing: the later vehicle's way to the area that the lanes share, if it comes there before the
-  earlier one has left
-- post-encroachment time at crossings only, for that area; no pedestrians
+Both watch the same episodes. We move outlines on at constant velocity; SUMO measures along lanes,
+has post-encroachment times at crossings only, and no pedestrians.
 
 References:
     https://sumo.dlr.de/docs/Simulation/Output/SSM_Device.html and SUMO's ``MSDevice_SSM.cpp``.
@@ -15,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -23,10 +19,10 @@ import pandas as pd
 from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.files import temporary_folder
-from sim.frames import FloatArray, Tracks
+from sim.frames import Tracks
 from sim.input_files import read_tree
 from sim.safety import CONFLICT_KINDS, ConflictKind, Conflicts, conflicts
-from sim.scenario import Scenario, sample_agents
+from sim.scenario import sample_agents
 from sim.sumo.engine import run_with
 from sim.sumo.vehicle_types import SumoSettings
 
@@ -47,33 +43,30 @@ DEVICE: Final = (
 MEASURES: Final = {"ttc_s": "minTTC", "drac_mps2": "maxDRAC", "pet_s": "PET"}
 """What is compared, and SUMO's element of each."""
 
-
-class SumoConflict(NamedTuple):
-    """A conflict by SUMO's device: ids, (2,) begin and end, (3,) values of ``MEASURES`` or nan."""
-
-    pair: tuple[int, int]
-    span_s: FloatArray
-    kind: ConflictKind
-    values: FloatArray
+PLACE: Final = ("first", "second", "begin_s", "end_s")
+COLUMNS: Final = ["kind", "found_by", "measure", *MEASURES]
+"""Columns that say which pair a conflict is of and when, and those of a comparison."""
 
 
-def read_ssm(path: Path) -> list[SumoConflict]:
+def _read_ssm(path: Path) -> pd.DataFrame:
     """The conflicts in an output file of SUMO's device, once for each pair and time."""
-    found: list[SumoConflict] = []
+    found: list[dict[str, Any]] = []
     for element in read_tree(path).iter("conflict"):
         known = {m.tag: m.attrib for m in element if m.get("value", "NA") != "NA"}
-        values = [float(known.get(tag, {}).get("value", "nan")) for tag in MEASURES.values()]
-        low, high = sorted((int(element.attrib["ego"]), int(element.attrib["foe"])))
+        values = {n: float(known[tag]["value"]) for n, tag in MEASURES.items() if tag in known}
+        first, second = sorted((int(element.attrib["ego"]), int(element.attrib["foe"])))
         begin_s, end_s = float(element.attrib["begin"]), float(element.attrib["end"])
         for old in found:
-            if old.pair == (low, high) and old.span_s[0] <= end_s and begin_s <= old.span_s[1]:
-                old.values[:] = np.where(np.isnan(old.values), values, old.values)
-                break  # the report of the other vehicle's device
+            met = (old["first"], old["second"]) == (first, second)
+            if met and old["begin_s"] <= end_s and begin_s <= old["end_s"]:
+                old |= {**values, **old}  # the report of the other vehicle's device
+                break
         else:
             kind = _kind(int(next(known[tag] for tag in MEASURES.values() if tag in known)["type"]))
-            span_s = np.array([begin_s, end_s])
-            found.append(SumoConflict((low, high), span_s, kind, np.array(values)))
-    return found
+            found.append({"first": first, "second": second, "begin_s": begin_s, "end_s": end_s,
+                          "kind": kind.value, **values})  # fmt: skip
+    table = pd.DataFrame(found, columns=[*PLACE, "kind", *MEASURES])
+    return table.astype(dict.fromkeys((*PLACE, *MEASURES), np.float64))
 
 
 def _kind(code: int) -> ConflictKind:
@@ -85,58 +78,50 @@ def _kind(code: int) -> ConflictKind:
     return ConflictKind.CROSSING if 9 <= code <= 17 else ConflictKind.MERGING
 
 
-def compare(ours: Conflicts, theirs: Sequence[SumoConflict]) -> pd.DataFrame:
+def _compared(ours: Conflicts, theirs: pd.DataFrame) -> list[dict[str, Any]]:
     """A line for each conflict, matched by pair and time: its ``kind`` and who it was ``found_by``.
 
     ``measure`` says by which one we alone found it. Of conflicts that both found, the `MEASURES`
     are SUMO's less ours.
     """
-    near_ttc = ours.ttc_s <= WITHIN_S
-    values = np.stack([ours.ttc_s, np.where(near_ttc, ours.drac_mps2, np.nan), ours.pet_s], axis=1)
-    values[np.isinf(values)] = np.nan
-    follows = ours.kind == CONFLICT_KINDS.index(ConflictKind.FOLLOWING)
-    left = near_ttc | (~follows & (ours.pet_s <= WITHIN_S))
-    near = left.copy()
-    cases: list[tuple[str, str, str, FloatArray]] = []
-    none = np.full(len(MEASURES), np.nan)
-    for each in theirs:
-        begin_s, end_s = each.span_s
-        same = (ours.first == each.pair[0]) & (ours.second == each.pair[1]) & near
-        same &= (ours.begin_s <= end_s) & (begin_s <= ours.end_s)
-        left &= ~same
-        if same.any():
-            i = int(same.argmax())
-            cases.append((CONFLICT_KINDS[ours.kind[i]].value, "both", "", each.values - values[i]))
-        else:
-            cases.append((each.kind.value, "SUMO", "", none))
-    for row in np.flatnonzero(left):
-        measure = "time to collision" if near_ttc[row] else "post-encroachment time"
-        cases.append((CONFLICT_KINDS[ours.kind[row]].value, "we", measure, none))
-    lines = [(*case[:3], *case[3]) for case in cases]
-    return pd.DataFrame(lines, columns=["kind", "found_by", "measure", *MEASURES])
-
-
-def watch(scenario: Scenario, seed: int) -> tuple[Tracks, list[SumoConflict]]:
-    """An episode in SUMO with the device in every vehicle."""
-    with temporary_folder("ssm") as folder:
-        path = folder / "ssm.xml"
-        settings = SumoSettings(options=(*DEVICE, "--device.ssm.file", str(path)))
-        frames = run_with(scenario, sample_agents(scenario, seed), seed, settings)
-        tracks = Tracks.from_frames(frames)
-        return tracks, read_ssm(path)
+    mine = pd.DataFrame({name: getattr(ours, name) for name in (*PLACE, *MEASURES)})
+    mine["kind"] = [CONFLICT_KINDS[code].value for code in ours.kind]
+    soon = mine["ttc_s"] <= WITHIN_S
+    mine["measure"] = np.where(soon, "time to collision", "post-encroachment time")
+    mine["drac_mps2"] = mine["drac_mps2"].where(soon)
+    crosses = (mine["kind"] != ConflictKind.FOLLOWING.value) & (mine["pet_s"] <= WITHIN_S)
+    mine = mine[soon | crosses].replace(np.inf, np.nan)
+    met = theirs.reset_index().merge(
+        mine.reset_index(), on=["first", "second"], suffixes=("", "_ours")
+    )
+    met = met[(met["begin_s"] <= met["end_s_ours"]) & (met["begin_s_ours"] <= met["end_s"])]
+    both = met.drop_duplicates("index")
+    both = both.assign(
+        kind=both["kind_ours"], found_by="both", measure="",
+        **{name: both[name] - both[f"{name}_ours"] for name in MEASURES},
+    )  # fmt: skip
+    none = dict.fromkeys(MEASURES, np.nan)
+    alone = theirs.drop(both["index"]).assign(found_by="SUMO", measure="", **none)
+    left = mine.drop(met["index_ours"].unique()).assign(found_by="we", **none)
+    return [line for part in (both, alone, left) for line in part[COLUMNS].to_dict("records")]
 
 
 def measure(
-    seeds: Sequence[int], duration_s: float, scenarios: Sequence[str] = SCENARIOS
-) -> Iterator[list[Row]]:
+    seeds: Sequence[int] = (0, 1, 2), duration_s: float = 120.0,
+    scenarios: Sequence[str] = SCENARIOS,
+) -> Iterator[list[Row]]:  # fmt: skip
     """Counts by kind, finder and measure over all episodes; median differences, SUMO less ours."""
-    cases = []
+    cases: list[dict[str, Any]] = []
     for name in scenarios:
         scenario = get_scenario(name)(duration_s=duration_s)
         for seed in seeds:
-            tracks, theirs = watch(scenario, seed)
-            cases.append(compare(conflicts(tracks, scenario.road, WITHIN_S), theirs))
-    together = pd.concat(cases)
+            with temporary_folder("ssm") as folder:
+                path = folder / "ssm.xml"
+                settings = SumoSettings(options=(*DEVICE, "--device.ssm.file", str(path)))
+                frames = run_with(scenario, sample_agents(scenario, seed), seed, settings)
+                ours = conflicts(Tracks.from_frames(frames), scenario.road, WITHIN_S)
+                cases += _compared(ours, _read_ssm(path))
+    together = pd.DataFrame(cases, columns=COLUMNS)
     rows = []
     for names, some in together.groupby(["kind", "found_by", "measure"], dropna=False):
         words = map(str, names)

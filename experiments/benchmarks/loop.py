@@ -17,7 +17,8 @@ from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.predict import predict
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from scenarios import get_scenario
-from scenarios.city import city, city_agents
+from scenarios.city import city as make_city
+from scenarios.city import city_agents
 from sim.engines import get_engine
 from sim.frames import FloatArray
 from sim.scenario import AgentSpec, Scenario, sample_agents
@@ -29,17 +30,13 @@ STAGES: Final = ("simulate", "classify", "remember", "predict")
 
 PREDICTOR: Final = "graphrqi-predict"
 
-FLOW_PER_H: Final = 2700.0
-"""Vehicles per hour of the straight road; some 60 agents are there at a time."""
+FLOW_PER_H, ROAD_FILLS_S = 2700.0, 60.0
+"""Vehicles per hour of the straight road, where some 60 agents are at a time. It fills first, s, or
+a third of the time, if that is less."""
 
-ROAD_FILLS_S: Final = 60.0
-"""The straight road fills first, s; a third of the time, if that is less."""
-
-CITY_FLOW_PER_H: Final = 80_000.0
-"""Vehicles per hour of which those of a city are drawn."""
-
-CITY_FILLS_S, CITY_MEASURED_S = 35.0, 10.0
-"""Time until the vehicles of a city have entered, and the time measured after it, s."""
+CITY_FLOW_PER_H, CITY_FILLS_S, CITY_MEASURED_S = 80_000.0, 35.0, 10.0
+"""Vehicles per hour of which those of a city are drawn; the time until they have entered, and the
+time measured after it, s."""
 
 WARM_FRAMES: Final = 5
 """Frames that are classified and predicted before any is timed."""
@@ -87,16 +84,21 @@ def _go_through(
             spent.append((simulate_ms, classify_ms, remember_ms, predict_ms))
 
 
-def measure_loop(
-    engines: Sequence[str], duration_s: float = 180.0, repeats: int = 3
-) -> Iterator[list[Row]]:
-    """Rows of each engine on a straight road, and of the highway engine's own speed.
+def measure(
+    engines: Sequence[str] = ("sumo", "highway"), city: bool = False, duration_s: float = 180.0,
+    repeats: int = 3, blocks: Sequence[int] = (3, 8, 20, 60),
+    vehicles: Sequence[int] = (300, 1000, 3000),
+) -> Iterator[list[Row]]:  # fmt: skip
+    """Rows of each engine on a straight road or in cities, and of the highway engine's own speed.
 
-    The least time of several passes over the same frames counts, stage by stage. The
-    metrics are ``ms_median``, ``ms_p99`` and ``real_time_factor`` of each stage and of all
-    together. Last come ``agent_steps_per_cpu_s`` of the highway engine and of highway-env's own
-    road and drivers, and ``ratio_to_stock``.
+    On the road, the least time of several passes over the same frames counts, stage by stage. Grids
+    of cities have ``blocks`` junctions along their sides; all but 3 need netgenerate. Each number
+    of ``vehicles`` drives on the largest grid, and the least on the smaller ones.
     """
+    if city:
+        for engine in engines:
+            yield from _city_rows(engine, sorted(blocks), sorted(vehicles))
+        return
     scenario = get_scenario("straight_road")(flow=FLOW_PER_H, duration_s=duration_s)
     agents = sample_agents(scenario, 0)
     from_s = min(ROAD_FILLS_S, duration_s / 3)
@@ -108,25 +110,17 @@ def measure_loop(
         yield _stock_rows(name, min(most_s, duration_s))
 
 
-def measure_cities(
-    engines: Sequence[str], blocks: Sequence[int], vehicles: Sequence[int]
-) -> Iterator[list[Row]]:
-    """Rows as from `measure_loop` of each engine in cities.
-
-    Grids have ``blocks`` junctions along their sides; all but 3 need netgenerate. Each number of
-    ``vehicles`` drives on the largest grid, and the least on the smaller ones.
-    """
-    *smaller, largest = sorted(blocks)
-    sizes = [(b, min(vehicles)) for b in smaller] + [(largest, n) for n in sorted(vehicles)]
-    for engine in engines:
-        warming = get_scenario("four_way_intersection")(duration_s=15.0)  # loads every kernel
-        _go_through(warming, sample_agents(warming, 0), engine, 5.0)
-        for side, many in sizes:
-            duration_s = CITY_FILLS_S + CITY_MEASURED_S
-            scenario = city(flow=CITY_FLOW_PER_H, blocks=side, duration_s=duration_s)
-            agents = city_agents(scenario, many, 0)
-            seen, spent_ms = _go_through(scenario, agents, engine, CITY_FILLS_S)
-            yield list(_stage_rows(_keys(engine, seen, scenario), spent_ms, scenario.step_s))
+def _city_rows(
+    engine: str, blocks: Sequence[int], vehicles: Sequence[int]
+) -> Iterator[list[Row]]:  # fmt: skip
+    warming = get_scenario("four_way_intersection")(duration_s=15.0)  # loads every kernel
+    _go_through(warming, sample_agents(warming, 0), engine, 5.0)
+    for side, many in [(b, vehicles[0]) for b in blocks[:-1]] + [(blocks[-1], n) for n in vehicles]:
+        duration_s = CITY_FILLS_S + CITY_MEASURED_S
+        scenario = make_city(flow=CITY_FLOW_PER_H, blocks=side, duration_s=duration_s)
+        agents = city_agents(scenario, many, 0)
+        seen, spent_ms = _go_through(scenario, agents, engine, CITY_FILLS_S)
+        yield list(_stage_rows(_keys(engine, seen, scenario), spent_ms, scenario.step_s))
 
 
 def _keys(engine: str, agents: float, scenario: Scenario) -> dict[str, Cell]:

@@ -1,7 +1,7 @@
 """Every figure of the predictors on unseen episodes, and who yields to pedestrians.
 
 Will a driver let the pedestrian go first? An encounter is a driver about to reach an occupied
-crossing without a red light. It is scored where the episode's events (`sim.episode.incidents`) say
+crossing without a red light. It is scored where the episode's events (`sim.episode.annotate`) say
 whether the driver yielded. The behaviours' profiles state how often each yields, so beliefs about
 the driver give a chance: the paper's pedestrian figure, as a number.
 """
@@ -56,9 +56,6 @@ OURS: Final = "graphrqi-predict"
 MAP_FREE: Final = ("constant-velocity", OURS)
 """Predictors that are compared without a map."""
 
-QUICK: Final = ("constant-velocity", "car-following", "lstm", OURS)
-"""Predictors of a small run: one of each kind, and those whose ratios are given."""
-
 DEAF: Final = (
     "constant-velocity", "constant-acceleration", "kalman", "car-following-blind", "lstm",
 )  # fmt: skip
@@ -74,18 +71,13 @@ RATIOS: Final = (
 """Metric, and the predictor and its beliefs by whose figure that of `OURS` is divided, at the
 longest horizon."""
 
-BEFORE_S: Final = (1.5, 2.5)
-"""An encounter is judged when the crossing is between these times away, s: two seconds."""
+BEFORE_S, SEARCHED_EVERY_S = (1.5, 2.5), 0.5
+"""An encounter is judged when the crossing is between these times away, s, and searched at this
+interval."""
 
-LEAST_SPEED_MPS: Final = 2.0
-"""Slower drivers are left out: they have already decided to stop."""
-
-SAME_PLACE_M: Final = 3.0
-"""An event counts as that of an encounter if it happens within this of where the crossing was, m
-(less than lies between two crossings)."""
-
-SEARCHED_EVERY_S: Final = 0.5
-"""Encounters are searched at this interval, s."""
+LEAST_SPEED_MPS, SAME_PLACE_M = 2.0, 3.0
+"""Slower drivers are left out: they have already decided to stop. An event counts as that of an
+encounter if it happens within this of the crossing, m (less than lies between two)."""
 
 _Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
@@ -113,8 +105,8 @@ def measure(
 ) -> Iterator[list[Row]]:
     """Rows of each scenario: errors with the road and without it, ratios, and who yields.
 
-    Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. They are given several
-    beliefs about the drivers of fresh episodes of ``duration_s``; None for a scenario's own length.
+    Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. Episodes have a
+    scenario's own length, if no ``duration_s`` is given.
     """
     names = list(predictors or PREDICTORS)
     for name in names:
@@ -132,7 +124,6 @@ def measure(
                 *in_parallel(_predicted_episode, arguments, jobs), strict=True
             )
             rows: list[Row] = []
-            place = {"scenario": scenario, "split": "unseen"}
             for split, results in (("unseen", mapped), ("unseen, no map", map_free)):
                 for kind in BELIEFS:
                     chosen = [
@@ -140,11 +131,15 @@ def measure(
                         for one in results
                     ]
                     if chosen[0]:
-                        keys = {**place, "split": split, "beliefs": kind}
+                        keys = {"scenario": scenario, "split": split, "beliefs": kind}
                         rows += score_predictions(chosen, keys)
                 rows += compare(results, scenario, split)
             for kind in BELIEFS:
-                rows += _auc_row([one[kind] for one in chances], {**place, "beliefs": kind})
+                chance, yielded = np.concatenate([one[kind] for one in chances]).T
+                if np.unique(yielded).size > 1:
+                    found = auc_over_episodes(chance, yielded == 1.0, np.arange(yielded.size))
+                    keys = {"scenario": scenario, "split": "unseen", "beliefs": kind}
+                    rows.append(tidy_row(keys, "yield_auc", *found, yielded.size))
             yield rows
 
 
@@ -219,18 +214,6 @@ def yield_chances(tracks: Tracks, road: Road, posteriors: Mapping[int, Posterior
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
-def _auc_row(episodes: Sequence[FloatArray], keys: Mapping[str, Cell]) -> list[Row]:
-    """The area under the ROC curve of `yield_chances`, with an interval over encounters.
-
-    There is no row ``yield_auc`` unless some drivers yielded and some did not.
-    """
-    chance, happened = np.concatenate(episodes).T
-    if np.unique(happened).size < 2:
-        return []
-    found = auc_over_episodes(chance, happened == 1.0, np.arange(happened.size))
-    return [tidy_row(keys, "yield_auc", *found, happened.size)]
-
-
 def _approaching(scene: Scene) -> dict[int, float]:
     """The way left, m, of each row whose driver is two seconds before an occupied crossing."""
     graph, paths = scene.graph, scene.paths
@@ -256,14 +239,14 @@ def _approaching(scene: Scene) -> dict[int, float]:
 
 def _outcome(tracks: Tracks, column: int, agent: int, left_m: float) -> bool | None:
     """Whether a driver went on to yield, by the episode's events; None without one there."""
-    events = [
+    kinds = (EventKind.YIELDED, EventKind.NOT_YIELDED)
+    events = (
         e for e in tracks.events
-        if e.kind in (EventKind.YIELDED, EventKind.NOT_YIELDED)
-        and e.agent == agent and e.time_s > float(tracks.time_s[column])
-    ]  # fmt: skip
-    if not events:
+        if e.kind in kinds and e.agent == agent and e.time_s > tracks.time_s[column]
+    )  # fmt: skip
+    first = min(events, key=lambda event: event.time_s, default=None)
+    if first is None:
         return None
-    first = min(events, key=lambda event: event.time_s)
     until = int(np.searchsorted(tracks.time_s, first.time_s - 1e-6))
     row = int(np.searchsorted(tracks.ids, agent))
     way = np.diff(tracks.xy[row, column : until + 1], axis=0)

@@ -26,14 +26,15 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError, lookup
 from behaviors.labelling import Resolution
 from behaviors.labels import BEHAVIORS, Style
+from experiments.benchmarks import recorded_beliefs, recorded_prediction
 from experiments.data.parallel import in_parallel
 from experiments.rival import nine_numbers
 from experiments.score.metrics import (
+    auc_over_episodes,
     balanced_accuracy,
     bootstrap,
     confusion,
     macro_f1,
-    ratio,
     weighted_accuracy,
 )
 from experiments.score.rows import Cell, Row, tidy_row
@@ -56,18 +57,15 @@ TASKS: Final[dict[int, tuple[int, ...]]] = {
 }
 """Classes of each task, by number of classes: the style, or all."""
 
-EVERY_FRAMES: Final = 3
-"""Frames of video per step of an observer (8 steps a second)."""
-
-LOOK_STEPS: Final = 5
-"""Steps between looks at what an observer has gathered."""
+EVERY_FRAMES, LOOK_STEPS = 3, 5
+"""Frames of video per step of an observer (8 steps a second), and steps between looks at what it
+has gathered."""
 
 
 class Video(NamedTuple):
-    """One annotated video: its labelled agents.
+    """(n,) codes of a video's labelled agents, and (n, F) features of each view.
 
-    ``codes`` (n,) are the resolved labels, into ``BEHAVIORS``. ``features`` (n, F) of each view are
-    standardised over all agents of the video.
+    They are standardised over all agents of the video.
     """
 
     codes: CodeArray
@@ -99,10 +97,8 @@ def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
 def _nine(tracks: Tracks) -> FloatArray:
     """The plain rival's numbers (`experiments.rival`), 0 where not known."""
     scale = _metres_per_pixel(tracks)
-    scaled = tracks.with_dense(
-        xy=tracks.xy * scale, length=tracks.length * scale, width=tracks.width * scale
-    )
-    return np.nan_to_num(nine_numbers(scaled, None))
+    scaled = {name: getattr(tracks, name) * scale for name in ("xy", "length", "width")}
+    return np.nan_to_num(nine_numbers(tracks.with_dense(**scaled), None))
 
 
 def _metres_per_pixel(tracks: Tracks) -> float:
@@ -110,12 +106,13 @@ def _metres_per_pixel(tracks: Tracks) -> float:
     return CAR_LENGTH_M / float(np.median(np.sqrt(tracks.length * tracks.width)))
 
 
-_OBSERVED: Final = ("graphrqi", "graphrqi-invariant", "dane", "cheung", "graphrqi-plus")
-
 VIEWS: Final[dict[str, Callable[[Tracks], FloatArray]]] = {
     "majority": lambda tracks: np.zeros((tracks.ids.size, 1)),
     "leak-probe": _identity,
-    **{name: partial(_observed, METHODS[name].observer) for name in _OBSERVED},
+    **{
+        name: partial(_observed, METHODS[name].observer)
+        for name in ("graphrqi", "graphrqi-invariant", "dane", "cheung", "graphrqi-plus")
+    },
     "nine-numbers": _nine,
 }
 """Features by name of the method whose they are."""
@@ -203,7 +200,7 @@ def _chosen(training: Sequence[Video], view: str, task: int) -> int:
     for setting in range(len(SETTINGS)):
         truth, probability, even, _, video = _left_out(training, view, task, setting)
         if task == 2:
-            merits.append(auc_within(probability[:, 0], truth == 0, video)[0])
+            merits.append(_auc_within(probability[:, 0], truth == 0, video)[0])
         else:
             counts = confusion(truth, even.argmax(axis=1), video, task)
             merits.append(float(macro_f1(counts.sum(axis=0))))
@@ -224,47 +221,45 @@ def _scored(videos: Sequence[Video], view: str, task: int) -> list[Row]:
         "majority_weighted_accuracy": bootstrap(weighted_accuracy, counts[2]),
     }
     if task == 2:
-        values["auc"] = auc_within(probability[:, 0], truth == 0, video)
+        values["auc"] = _auc_within(probability[:, 0], truth == 0, video)
     keys: dict[str, Cell] = {
         "dataset": "traf", "protocol": "leave-one-video-out", "method": view, "classes": task,
     }  # fmt: skip
     return [tidy_row(keys, name, *value, int(truth.size)) for name, value in values.items()]
 
 
-def auc_within(
+def _auc_within(
     score: FloatArray, positive: NDArray[np.bool_], group: IntArray
 ) -> tuple[float, float, float]:
-    """Area under the ROC curve over pairs (n,) of the same group, and its interval over samples.
-
-    NaN where no group has both kinds.
-
-    Examples:
-        >>> where = np.array([0, 0, 0, 1, 1])
-        >>> truth = np.array([True, False, False, True, False])
-        >>> auc_within(np.array([0.9, 0.1, 0.95, 0.2, 0.1]), truth, where)[0].__round__(3)
-        0.667
-    """
-    pairs = (group[:, None] == group) & positive[:, None] & ~positive
-    won = pairs * ((score[:, None] > score) + 0.5 * (score[:, None] == score))
-
-    def area(drawn: FloatArray) -> FloatArray:
-        sums = [((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs.astype(np.float64))]
-        return ratio(np.stack(sums, axis=-1))
-
-    return bootstrap(area, np.eye(score.size))
+    """Area under the ROC curve over pairs (n,) of the same group, and its interval over agents."""
+    return auc_over_episodes(score, positive, np.arange(score.size), group)
 
 
 def measure(
-    data: Path,
-    views: Sequence[str] = tuple(VIEWS),
-    tasks: Sequence[int] = tuple(TASKS),
-    jobs: int | None = None,
+    data: Path, task: str = "behavior", jobs: int | None = None,
+    views: Sequence[str] = tuple(VIEWS), classes: Sequence[int] = tuple(TASKS), epochs: int = 4,
+    simulate: bool = True,
+) -> Iterator[list[Row]]:  # fmt: skip
+    """Rows of the recordings in a folder.
+
+    The task is "behavior" (every view, a key of `VIEWS`, and number of classes, on the labelled
+    ones in its ``traf``), or another bench of recordings: "classification" or "prediction".
+    """
+    parts: dict[str, Callable[[], Iterator[list[Row]]]] = {
+        "behavior": lambda: _behaviors(data / "traf", views, classes, jobs),
+        "classification": lambda: recorded_beliefs.measure(data, jobs=jobs),
+        "prediction": lambda: recorded_prediction.measure(data, epochs, simulate=simulate),
+    }
+    return lookup(parts, task, "task")()
+
+
+def _behaviors(
+    folder: Path, views: Sequence[str], classes: Sequence[int], jobs: int | None
 ) -> Iterator[list[Row]]:
-    """Rows of each view, a key of `VIEWS`, and task, on the recordings in a folder's ``traf``."""
-    videos = read_traf(data / "traf", views, jobs=jobs)
+    videos = read_traf(folder, views, jobs=jobs)
     if len(videos) < 2:
         raise InputError(
-            f"{data}/traf/tracks: found {len(videos)} annotated videos, expected two or more"
+            f"{folder}/tracks: found {len(videos)} annotated videos, expected two or more"
         )
-    arguments = [(videos, view, task) for view in views for task in tasks]
+    arguments = [(videos, view, each) for view in views for each in classes]
     yield from in_parallel(_scored, arguments, jobs)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -20,35 +19,26 @@ from behaviors.errors import InputError
 from experiments.data.disturbances import pieces
 from experiments.data.parallel import in_parallel
 from experiments.score.rows import Cell, Row, tidy_row
-from experiments.training.recordings import RecordedPlace, read_sources
-from graphrqi.model_files import load_model
+from experiments.training.recordings import RecordedPlace, by_dataset
 from graphrqi.posterior import aggressive_share
 from graphrqi.predict.recorded.features import inferred_leaders
 from graphrqi.stream import DEFAULT_MODEL, load_stream
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 
-LEAST_TRACK_S: Final = 10.0
-"""The halves of shorter tracks are too short (five seconds each)."""
+LEAST_TRACK_S, LEAST_SEEN_S = 10.0, 3.0
+"""The halves of shorter tracks are too short; drivers seen for less do not count in shares."""
 
-LEAST_SEEN_S: Final = 3.0
-"""Drivers that are seen for less do not count in shares."""
+MOVING_MPS, LONGEST_HEADWAY_S, EVERY_S = 2.0, 10.0, 1.0
+"""Slower drivers have no time headway, and those with longer ones do not follow; headways are
+measured at this interval, s."""
 
-MOVING_MPS, LONGEST_HEADWAY_S = 2.0, 10.0
-"""Slower ones have no time headway, and longer ones do not follow."""
-
-EVERY_S: Final = 1.0
-"""Time between the instants at which headways are measured, s."""
-
-LEAST_DRIVERS: Final = 10
-"""Fewer drivers make no correlation."""
-
-RESAMPLES: Final = 500
-"""Bootstrap resamples of drivers."""
+LEAST_DRIVERS, RESAMPLES = 10, 500
+"""Fewer drivers make no correlation; bootstrap resamples of drivers."""
 
 
-def _last_beliefs(tracks: Tracks, model: str) -> tuple[FloatArray, FloatArray]:
+def _last_beliefs(tracks: Tracks) -> tuple[FloatArray, FloatArray]:
     """(N,) last probability of the aggressive style, NaN if unknown, and whether it is labelled."""
-    stream, (_, last) = load_stream(model, traffic="recorded"), _ends(tracks)
+    stream, (_, last) = load_stream(traffic="recorded"), _ends(tracks)
     style, labelled = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
     for step, frame in enumerate(tracks.frames()):
         stream.push(frame)
@@ -68,7 +58,7 @@ def _ends(tracks: Tracks) -> tuple[IntArray, IntArray]:
     return np.asarray(tracks.valid.argmax(axis=1)), np.asarray(last)
 
 
-def _drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]:
+def _drivers_of(one: RecordedPlace) -> tuple[FloatArray, FloatArray]:
     """Beliefs about the drivers of one recording, and their motion.
 
     (n, 3) aggressive style after each half, and later headway, of halved agents; (m, 2) final style
@@ -87,10 +77,10 @@ def _drivers_of(one: RecordedPlace, model: str) -> tuple[FloatArray, FloatArray]
         late[rows] = np.arange(tracks.time_s.size) >= middle[:, None]
         everyone = np.arange(tracks.ids.size)
         valid = np.concatenate([tracks.valid & ~late, (tracks.valid & late)[rows]])
-        style, _ = _last_beliefs(pieces(tracks, np.concatenate([everyone, rows]), valid), model)
+        style, _ = _last_beliefs(pieces(tracks, np.concatenate([everyone, rows]), valid))
         headway_s = _later_headways(tracks, rows, middle)
         halves = np.column_stack([style[rows], style[everyone.size :], headway_s])
-    style, labelled = _last_beliefs(tracks, model)
+    style, labelled = _last_beliefs(tracks)
     seen_s = tracks.valid.sum(axis=1) * tracks.step_s
     shown = np.isfinite(style) & (seen_s >= LEAST_SEEN_S - 1e-6)
     return halves, np.column_stack([style, labelled])[shown]
@@ -109,13 +99,8 @@ def _later_headways(tracks: Tracks, rows: IntArray, middle: IntArray) -> FloatAr
     return np.asarray(pd.DataFrame(seen).mean(), dtype=np.float64)
 
 
-def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
-    """Rank correlation with its 95 % interval over resampled drivers; NaN where one is constant.
-
-    Examples:
-        >>> round(spearman(np.arange(20.0), np.arange(20.0) ** 3)[0], 6)
-        1.0
-    """
+def _spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
+    """Rank correlation with its 95 % interval over resampled drivers; NaN where one is constant."""
     if np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return np.nan, np.nan, np.nan
     drawn = np.random.default_rng(0).integers(0, one.size, (RESAMPLES, one.size))
@@ -124,18 +109,16 @@ def spearman(one: FloatArray, other: FloatArray) -> tuple[float, float, float]:
     return float(spearmanr(one, other).statistic), float(low), float(high)
 
 
-def measure(data: Path, model: str = DEFAULT_MODEL, jobs: int | None = None) -> Iterator[list[Row]]:
+def measure(data: Path, jobs: int | None = None) -> Iterator[list[Row]]:
     """Rows of each dataset of recordings in a folder, or of one: shares and correlations."""
-    load_model(model)
-    places: dict[str, list[RecordedPlace]] = {}
-    for one in read_sources([data], maps=False):
-        places.setdefault(one.dataset, []).append(one)
+    places = by_dataset([data], maps=False)
     if not places:
         raise InputError(f"{data}: found no recording, expected at least 1")
     for name in sorted(places):
-        found = list(in_parallel(_drivers_of, [(one, model) for one in places[name]], jobs))
+        found = list(in_parallel(_drivers_of, [(one,) for one in places[name]], jobs))
         halves, whole = (np.concatenate(each) for each in zip(*found, strict=True))
-        yield list(_rows({"dataset": name, "protocol": "recorded", "method": model}, halves, whole))
+        keys: dict[str, Cell] = {"dataset": name, "protocol": "recorded", "method": DEFAULT_MODEL}
+        yield list(_rows(keys, halves, whole))
 
 
 def _rows(keys: dict[str, Cell], halves: FloatArray, whole: FloatArray) -> Iterator[Row]:
@@ -153,4 +136,4 @@ def _rows(keys: dict[str, Cell], halves: FloatArray, whole: FloatArray) -> Itera
     for metric, column in (("spearman_split_half", 1), ("spearman_later_headway", 2)):
         both = halves[np.isfinite(halves[:, 0]) & np.isfinite(halves[:, column])]
         if len(both) >= LEAST_DRIVERS:
-            yield tidy_row(keys, metric, *spearman(both[:, 0], both[:, column]), len(both))
+            yield tidy_row(keys, metric, *_spearman(both[:, 0], both[:, column]), len(both))

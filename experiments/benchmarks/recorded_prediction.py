@@ -28,14 +28,11 @@ from experiments.training.recorded import PER_DATASET, fit_network, gather_examp
 from experiments.training.recordings import (
     CLASSES,
     RecordedPlace,
+    by_dataset,
+    cases,
     classes_of,
-    happened,
-    history_of,
     moving,
     moving_s,
-    read_sources,
-    recorded_instants,
-    scored,
     steady_motion,
 )
 from graphrqi.predict.extrapolation import constant_velocity, kalman
@@ -54,13 +51,9 @@ NOISES_M: Final = (0.0, 0.1)
 HORIZONS_S: Final = (0.5, 1.0, 3.0, 5.0)
 """Horizons up to which errors are averaged, s."""
 
-SCORED_PER_DATASET: Final = 1_500
-"""Number of cases, a vehicle at an instant each, that are scored in a dataset, about."""
-
-LEAST_CASES: Final = 5
-"""Classes of fewer cases have no row."""
-
-SHIPPED, LEFT_OUT = "graphrqi-predict", "left-out"
+SCORED_PER_DATASET, LEAST_CASES = 1_500, 5
+"""About how many cases, a vehicle at an instant each, are scored in a dataset; classes of fewer
+cases have no row."""
 
 _Predictor = Callable[[Tracks, Road | None], Prediction]
 """A predictor of the bench: the past and the map in, futures out."""
@@ -79,33 +72,24 @@ def measure(
     learned from, too. About ``per_dataset`` agents at instants are learned from in each dataset. If
     there is one dataset of recordings alone, nothing is trained.
     """
-    recorded = _by_dataset([data])
-    names = sorted(recorded)
+    recorded = by_dataset([data])
     every = dict(recorded)
-    if simulate and len(names) > 1:
+    if simulate and len(recorded) > 1:
         with tempfile.TemporaryDirectory() as work:
-            every |= _by_dataset(simulated_like_recordings(Path(work), quiet=True))
+            every |= by_dataset(simulated_like_recordings(Path(work), quiet=True))
     examples = {
         name: found
-        for number, name in enumerate(sorted(every) if len(names) > 1 else ())
+        for number, name in enumerate(sorted(every) if len(recorded) > 1 else ())
         if (found := gather_examples(every[name], number, seed, per_dataset)) is not None
     }
-    for name in names:
+    for name in recorded:
         others = [found for other, found in examples.items() if other != name]
         network = fit_network(others, epochs, seed) if others else None
         yield list(_dataset_rows(recorded[name], network, seed))
 
 
-def _by_dataset(sources: Sequence[Path]) -> dict[str, list[RecordedPlace]]:
-    """Recordings or episodes by their dataset."""
-    found: dict[str, list[RecordedPlace]] = {}
-    for one in read_sources(sources):
-        found.setdefault(one.dataset, []).append(one)
-    return found
-
-
 def _base(history: Tracks, road: Road | None) -> Prediction:
-    """The base: the motion that the networks for recordings correct."""
+    """The motion that the networks for recordings correct."""
     motion = Motion.of(history)
     time_s = np.arange(1, _STEPS + 1, dtype=np.float64) * STEP_S
     xy = motion.from_own_frame(fading(motion, time_s))[:, None]
@@ -120,15 +104,15 @@ def _dataset_rows(
         "constant-velocity": lambda history, road: constant_velocity(Unmapped(history, _STEPS)),
         "kalman": lambda history, road: kalman(Unmapped(history, _STEPS)),
         "base": _base,
-        SHIPPED: lambda history, road: predict_recorded(history, _STEPS, road=road),
+        "graphrqi-predict": lambda history, road: predict_recorded(history, _STEPS, road=road),
     }
     if network is not None:
-        predictors[LEFT_OUT] = lambda history, road: predict_recorded(
+        predictors["left-out"] = lambda history, road: predict_recorded(
             history, _STEPS, network, road
         )
     mapped = any(one.road is not None for one in places)
     for noise_m, (name, predictor) in product(NOISES_M, predictors.items()):
-        learned = mapped and name in (SHIPPED, LEFT_OUT)
+        learned = mapped and name in ("graphrqi-predict", "left-out")
         for with_map in (False, True) if learned else (False,):
             keys: dict[str, Cell] = {
                 "dataset": places[0].dataset, "predictor": name, "map": with_map,
@@ -142,16 +126,11 @@ def _rows(
     noise_m: float, seed: int,
 ) -> Iterator[Row]:  # fmt: skip
     """The figures of a predictor, by class of vehicles and horizon."""
-    cases: list[tuple[FloatArray, ...]] = []
+    found: list[tuple[FloatArray, ...]] = []
     every_s, first = float(np.clip(moving_s(places) / SCORED_PER_DATASET, 1.0, 60.0)), 0
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, index))
-        for stop in recorded_instants(one.tracks, every_s):
-            clean = history_of(one.tracks, stop)
-            truth = happened(one.tracks, clean, stop)
-            counts = scored(clean) & np.isfinite(truth).all(axis=(1, 2))
-            if not counts.any():
-                continue
+        for _, clean, truth, counts in cases(one.tracks, every_s):
             history = with_noise(clean, noise_m, rng, 1) if noise_m else clean
             best = predictor(history, one.road if with_map else None).best[:, _AT]
             errors, steady = (
@@ -160,11 +139,11 @@ def _rows(
             )
             vehicle = first + np.searchsorted(one.tracks.ids, clean.ids)
             kinds = np.stack([vehicle, classes_of(clean), moving(clean)], axis=1)
-            cases.append((errors[counts], steady[counts], kinds[counts]))
+            found.append((errors[counts], steady[counts], kinds[counts]))
         first += one.tracks.ids.size
-    if not cases:
+    if not found:
         return
-    errors, steady, kinds = (np.concatenate(each) for each in zip(*cases, strict=True))
+    errors, steady, kinds = (np.concatenate(each) for each in zip(*found, strict=True))
     groups = {"moving": kinds[:, 2] > 0}
     groups |= {name: kinds[:, 1] == code for code, name in enumerate(CLASSES)}
     for (name, rows), horizon_s in product(groups.items(), HORIZONS_S):

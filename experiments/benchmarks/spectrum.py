@@ -18,6 +18,8 @@ from typing import Any, Final, cast
 
 import numpy as np
 import pandas as pd
+import scipy.linalg  # loaded here: only libraries that are loaded can be limited to a thread
+from threadpoolctl import threadpool_limits
 
 from behaviors.errors import lookup
 from experiments.score.rows import Cell, Row, tidy_row
@@ -34,26 +36,19 @@ ENDS: Final[tuple[End, ...]] = ("largest", "smallest")
 STEP_S: Final = 0.1
 """Time between observations, s."""
 
-TOLERANCE: Final = 1e-8
-"""Residual asked for, relative to max(1, lambda_max)."""
-
-PAIRS: Final = 8
-"""Eigenpairs asked for."""
+PAIRS, TOLERANCE = 8, 1e-8
+"""Eigenpairs asked for, and their residual relative to max(1, lambda_max)."""
 
 DENSE: Final = (
     "graphrqi-paper", "graphrqi-exact", "eigh", "svd", "incremental-svd", "restart-svd",
     "lapack-dsyevr",
 )  # fmt: skip
-"""Solvers that need O(d^2) memory and O(d^3) time."""
-
 DENSE_UP_TO: Final = 1000
-"""Largest graph those are run on (a tenth of a second a step)."""
+"""Solvers that need O(d^2) memory and O(d^3) time, and the largest graph that they are run on."""
 
-STEP_BUDGET_S: Final = 2.0
-"""CPU time of a step from which on a solver is not run on larger graphs."""
-
-SEQUENCE_BUDGET_S: Final = 10.0
-"""CPU time that a solver gets per sequence; it always gets three steps."""
+STEP_BUDGET_S, SEQUENCE_BUDGET_S = 2.0, 10.0
+"""CPU time of a step from which on a solver is not run on larger graphs, and what it gets for a
+sequence, of which it always gets three steps."""
 
 SLOPE_FROM: Final = 400
 """Smallest graph that counts for the slopes: below, fixed costs rule."""
@@ -98,34 +93,26 @@ def _positions(layout: str, d: int, steps: int, seed: int) -> Iterator[FloatArra
 @eigensolver()
 def _dsyevr(problem: Problem) -> Pairs:
     """LAPACK's dsyevr for a range of indices: a rival that keeps nothing."""
-    from scipy.linalg import eigh
-
     d, k = problem.graph.ids.size, problem.num_pairs
     span = (d - k, d - 1) if problem.end == "largest" else (0, k - 1)
     matrix = problem.graph.laplacian.toarray()
-    values, vectors = eigh(matrix, subset_by_index=span, driver="evr")
+    values, vectors = scipy.linalg.eigh(matrix, subset_by_index=span, driver="evr")
     if problem.end == "largest":
         values, vectors = values[::-1], vectors[:, ::-1]
     return Pairs(values, vectors)
 
 
 def measure(
-    sizes: Sequence[int],
-    graphs: Sequence[str] = LAYOUTS,
-    solvers: Sequence[str] = (),
-    steps: int = 60,
-) -> Iterator[list[Row]]:
+    sizes: Sequence[int] = (25, 100, 400, 1000, 4000, 20000), graphs: Sequence[str] = LAYOUTS,
+    solvers: Sequence[str] = (), steps: int = 60,
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of every solver on graphs of so many vehicles, in so many observations of each.
 
-    Solvers are keys of ``SOLVERS``, or "lapack-dsyevr"; () for all. The metrics of each sequence
-    are ``cpu_ms`` (median per step), ``residual_max``, ``missed_pairs``, ``certified_share`` and
-    ``ratio_to_eigh`` (speed over that of numpy's eigh). With ``d`` None, ``slope`` is that of log
-    ``cpu_ms`` against log d. A solver that would exceed ``STEP_BUDGET_S`` a step or its memory has
-    one row: ``cpu_ms`` without a value.
+    Solvers are keys of ``SOLVERS``, or "lapack-dsyevr"; () for all. ``cpu_ms`` is the median of a
+    step, and ``ratio_to_eigh`` the speed over that of numpy's eigh. With ``d`` None, ``slope`` is
+    that of log ``cpu_ms`` against log d. A solver that would exceed ``STEP_BUDGET_S`` a step or its
+    memory has one row: ``cpu_ms`` without a value.
     """
-    import scipy.linalg  # noqa: F401  # only libraries that are loaded can be limited to a thread
-    from threadpoolctl import threadpool_limits
-
     everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": _dsyevr}
     chosen = {name: lookup(everything, name, "solver") for name in solvers or everything}
     layouts = [lookup({name: name for name in LAYOUTS}, name, "graph") for name in graphs]
@@ -204,14 +191,12 @@ def _sequence_rows(
 def _missed_pairs(reference: Spectrum, found: Spectrum) -> int:
     """How many of the right eigenvalues have no partner near in another answer, each used once."""
     near = 1e-6 * max(1.0, float(np.abs(reference.eigenvalues).max(initial=0.0)))
-    left, missing = sorted(found.eigenvalues.tolist()), 0
+    left = sorted(found.eigenvalues.tolist())
     for value in sorted(reference.eigenvalues.tolist()):
         match = next((v for v in left if abs(v - value) <= near), None)
-        if match is None:
-            missing += 1
-        else:
+        if match is not None:
             left.remove(match)
-    return missing
+    return reference.eigenvalues.size - (found.eigenvalues.size - len(left))
 
 
 def table(rows: Sequence[Row]) -> list[Row]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from importlib import import_module
+from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, NamedTuple
 
 import typer
 
-from experiments.cli.options import Jobs, Json, option, shared
+from experiments.cli.options import Jobs, Json, as_command, shared
 
 bench = typer.Typer(
     help="Measure, and print one row per figure; --json writes them after every part.",
@@ -17,18 +18,99 @@ bench = typer.Typer(
     invoke_without_command=True,
 )
 
-Quick = Annotated[bool, shared("Small sizes, in a minute or so.", "--quick")]
-Only = Annotated[list[str] | None, shared("Only this; repeat for several [default: all].")]
-Engine = Annotated[str, shared("Which simulator.")]
-Episodes = Annotated[int | None, shared("Episodes per scenario.")]
+OPTIONS: Final[dict[str, Any]] = {
+    **{
+        f"{name}s": Annotated[
+            list[str] | None, shared("Only this; repeat for several [default: all].", f"--{name}")
+        ]
+        for name in ("scenario", "protocol", "method", "predictor", "graph", "solver", "engine")
+    },
+    "engine": Annotated[str, shared("Which simulator.")],
+    "episodes": Annotated[int | None, shared("Episodes per scenario.")],
+    "jobs": Jobs,
+    "quick": Annotated[bool, shared("Small sizes, in a minute or so.", "--quick")],
+    "json": Json,
+    "behavior": Annotated[str, shared("Whose numbers the drivers have.")],
+    "behaviors": Annotated[
+        str | None, shared("Behaviours of your own, too: a TOML file, or distracted, novice.")
+    ],
+    "out": Annotated[
+        Path | None, shared("Where datasets are made, and used again.", metavar="FOLDER")
+    ],
+    "data": Annotated[
+        Path, shared("Folder of recordings.", file_okay=False, exists=True, metavar="FOLDER")
+    ],
+    "task": Annotated[
+        str, shared("behavior, classification: beliefs without labels, or prediction.")
+    ],
+    "sizes": Annotated[
+        list[int] | None,
+        shared("Vehicles; repeat for several [default: 25 to 20000].", "--size"),
+    ],
+    "city": Annotated[bool, shared("In cities, all but the smallest need netgenerate.", "--city")],
+}
+"""Options of benchmarks by the name of the argument of ``measure`` that they are."""
 
 
-def _show(name: str, json: Path | None, *given: Any) -> None:
-    """Print the rows of a benchmark's function ``measure``, laid out by its ``table`` if any."""
-    from experiments.score.rows import show_parts
+class Bench(NamedTuple):
+    """One benchmark: what it does, its own options with their defaults, and its quick arguments."""
 
-    module = import_module(f"experiments.benchmarks.{name.replace('-', '_')}")
-    show_parts(f"bench {name}", module.measure(*given), json, getattr(module, "table", None))
+    about: str
+    options: dict[str, Any]
+    quick: dict[str, Any]
+
+
+BENCHES: Final = {
+    "behaviors": Bench(
+        "Measure which behaviour shows which trait, in every scenario.",
+        {"scenarios": None, "engine": "sumo", "behaviors": None, "jobs": None},
+        {"seeds": (0,), "duration_s": 60.0},
+    ),
+    "attention": Bench(
+        "Measure reactions, rear-end collisions, and what is overlooked.",
+        {"behavior": "careful", "behaviors": None, "engine": "sumo-idm", "jobs": None},
+        {"seeds": 1, "duration_s": 120.0},
+    ),
+    "classification": Bench(
+        "Score methods and the plain rival on unseen drivers, scenarios, engines, noise.",
+        {"protocols": None, "methods": None, "out": None, "episodes": None, "jobs": None},
+        {"protocols": ("inductive", "leak-probe"), "methods": ("graphrqi-plus", "majority"),
+         "episodes": 5, "duration_s": 60.0},
+    ),
+    "real-data": Bench(
+        "Score methods or predictors on recordings, each left out of the training in turn.",
+        {"data": ..., "task": "behavior", "jobs": None},
+        {"views": ("majority", "leak-probe", "nine-numbers"), "classes": (2,), "epochs": 1,
+         "simulate": False},
+    ),
+    "prediction": Bench(
+        "Measure every predictor's errors on unseen episodes, and who is predicted to yield.",
+        {"predictors": None, "episodes": None, "jobs": None},
+        {"predictors": ("constant-velocity", "car-following", "lstm", "graphrqi-predict"),
+         "episodes": 2, "duration_s": 30.0},
+    ),
+    "spectrum": Bench(
+        "Measure every eigenvalue algorithm on the same graphs, in one process.",
+        {"graphs": None, "sizes": None, "solvers": None},
+        {"sizes": (25,), "steps": 5},
+    ),
+    "loop": Bench(
+        "Time classifying and predicting while a simulation runs, stage by stage.",
+        {"engines": None, "city": False},
+        {"duration_s": 20.0, "repeats": 1, "blocks": (3,), "vehicles": (30, 90)},
+    ),
+    "generate": Bench(
+        "Measure the cost of generating data.",
+        {},
+        {"repeats": 1, "duration_s": 30.0, "episodes": 2},
+    ),
+    "conflicts": Bench(
+        "Compare our conflicts with those of SUMO's own device, in the same episodes.",
+        {},
+        {"seeds": (0,), "duration_s": 60.0},
+    ),
+}  # fmt: skip
+"""The benchmarks; each is a module with a function ``measure``, and maybe a ``table`` of rows."""
 
 
 @bench.callback()
@@ -38,143 +120,28 @@ def show_help(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-@bench.command(epilog="example: graphrqi bench behaviors --quick --json behaviors.json")
-def behaviors(
-    scenario: Only = None,
-    engine: Engine = "sumo",
-    behaviors: str | None = option(
-        "Behaviours of your own, too: a TOML file, or distracted, novice."),
-    jobs: Jobs = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:  # fmt: skip
-    """Measure which behaviour shows which trait, in every scenario."""
-    seeds, duration_s = ((0,), 60.0) if quick else (tuple(range(5)), 600.0)
-    _show("behaviors", json, scenario or (), engine, seeds, duration_s, jobs, behaviors)
+def _add(name: str, one: Bench) -> None:
+    """Register a benchmark as a command; an option that is given counts more than ``--quick``."""
+
+    def measure(quick: bool, json: Path | None, **given: Any) -> None:
+        from experiments.score.rows import show_parts
+
+        module = import_module(f"experiments.benchmarks.{name.replace('-', '_')}")
+        chosen = {option: value for option, value in given.items() if value not in (None, [])}
+        parts = module.measure(**{**(one.quick if quick else {}), **chosen})
+        show_parts(f"bench {name}", parts, json, getattr(module, "table", None))
+
+    defaults = {**one.options, "quick": False, "json": None}
+    shown = [
+        Parameter(option, Parameter.KEYWORD_ONLY, default=default, annotation=OPTIONS[option])
+        if default is not ...
+        else Parameter(option, Parameter.KEYWORD_ONLY, annotation=OPTIONS[option])
+        for option, default in defaults.items()
+    ]
+    needed = " --data FOLDER" if "data" in one.options else ""
+    example = f"example: graphrqi bench {name}{needed} --quick --json rows.json"
+    bench.command(name, help=one.about, epilog=example)(as_command(measure, shown))
 
 
-@bench.command(epilog="example: graphrqi bench attention --quick --json attention.json")
-def attention(
-    behavior: str = option("Whose numbers the drivers have.", default="careful"),
-    behaviors: str | None = option("Behaviours of your own, too: a TOML file."),
-    engine: Engine = "sumo-idm",
-    jobs: Jobs = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Measure reactions, rear-end collisions, and what is overlooked."""
-    from behaviors.errors import lookup
-    from behaviors.labels import BEHAVIORS, SHIPPED, read_behaviors
-
-    own = *read_behaviors(",".join(SHIPPED)), *read_behaviors(behaviors)
-    known = {str(one): one for one in (*BEHAVIORS, *own)}
-    seeds, duration_s = (1, 120.0) if quick else (5, 300.0)
-    _show("attention", json, lookup(known, behavior, "behavior"), engine, seeds, duration_s, jobs)
-
-
-@bench.command(epilog="example: graphrqi bench classification --quick --json rows.json")
-def classification(
-    protocol: Only = None,
-    method: Only = None,
-    out: Path | None = option("Where datasets are made, and used again.", metavar="FOLDER"),
-    episodes: Episodes = None,
-    jobs: Jobs = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Score methods and the plain rival on unseen drivers, scenarios, engines, noise."""
-    chosen, count, duration_s = method or [], 15, 150.0
-    if quick:
-        protocol = protocol or ["inductive", "leak-probe"]
-        chosen, count, duration_s = chosen or ["graphrqi-plus", "majority"], 5, 60.0
-    _show("classification", json, protocol or (), chosen, episodes or count, duration_s, jobs, out)
-
-
-@bench.command("real-data", epilog="example: graphrqi bench real-data --data FOLDER --quick")
-def real_data(
-    data: Path = option(
-        "Folder of recordings.", file_okay=False, exists=True, metavar="FOLDER", default=...),
-    task: str = option(
-        "behavior, classification: beliefs without labels, or prediction.", default="behavior"),
-    jobs: Jobs = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:  # fmt: skip
-    """Score methods or predictors on recordings, each left out of the training in turn."""
-    from behaviors.errors import lookup
-    from experiments.benchmarks import real_data as behavior
-    from experiments.benchmarks import recorded_beliefs
-    from experiments.benchmarks import recorded_prediction as prediction
-    from experiments.score.rows import show_parts
-
-    views = ("majority", "leak-probe", "nine-numbers") if quick else tuple(behavior.VIEWS)
-    tasks = (2,) if quick else tuple(behavior.TASKS)
-    parts = {
-        "behavior": lambda: behavior.measure(data, views, tasks, jobs),
-        "classification": lambda: recorded_beliefs.measure(data, jobs=jobs),
-        "prediction": lambda: prediction.measure(data, 1 if quick else 4, simulate=not quick),
-    }
-    show_parts("bench real-data", lookup(parts, task, "task")(), json)
-
-
-@bench.command(epilog="example: graphrqi bench prediction --quick --json prediction.json")
-def prediction(
-    predictor: Only = None,
-    episodes: Episodes = None,
-    jobs: Jobs = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Measure every predictor's errors on unseen episodes, and who is predicted to yield."""
-    from experiments.benchmarks.prediction import QUICK
-
-    names, duration_s, count = (QUICK, 30.0, 2) if quick else ((), None, 10)
-    _show("prediction", json, episodes or count, duration_s, predictor or names, jobs)
-
-
-@bench.command(epilog="example: graphrqi bench spectrum --quick --json spectrum.json")
-def spectrum(
-    graph: Only = None,
-    size: list[int] | None = option("Vehicles; repeat for several [default: 25 to 20000]."),
-    solver: Only = None,
-    quick: Quick = False,
-    json: Json = None,
-) -> None:
-    """Measure every eigenvalue algorithm on the same graphs, in one process."""
-    from experiments.benchmarks.spectrum import LAYOUTS
-
-    sizes = size or ([25] if quick else [25, 100, 400, 1000, 4000, 20000])
-    _show("spectrum", json, sizes, graph or LAYOUTS, solver or (), 5 if quick else 60)
-
-
-@bench.command(epilog="example: graphrqi bench loop --quick --json loop.json")
-def loop(
-    engine: Only = None,
-    city: bool = option(
-        "In cities, all but the smallest need netgenerate.", "--city", default=False),
-    quick: Quick = False,
-    json: Json = None,
-) -> None:  # fmt: skip
-    """Time classifying and predicting while a simulation runs, stage by stage."""
-    from experiments.benchmarks.loop import measure_cities, measure_loop
-    from experiments.score.rows import show_parts
-
-    engines = engine or ["sumo", "highway"]
-    if city:
-        blocks, vehicles = ((3,), (30, 90)) if quick else ((3, 8, 20, 60), (300, 1000, 3000))
-        parts = measure_cities(engines, blocks, vehicles)
-    else:
-        parts = measure_loop(engines, 20.0, 1) if quick else measure_loop(engines)
-    show_parts("bench loop", parts, json)
-
-
-@bench.command(epilog="example: graphrqi bench generate --quick --json generate.json")
-def generate(quick: Quick = False, json: Json = None) -> None:
-    """Measure the cost of generating data."""
-    _show("generate", json, *((1, 30.0, 2) if quick else ()))
-
-
-@bench.command(epilog="example: graphrqi bench conflicts --quick --json rows.json")
-def conflicts(quick: Quick = False, json: Json = None) -> None:
-    """Compare our conflicts with those of SUMO's own device, in the same episodes."""
-    _show("conflicts", json, *(((0,), 60.0) if quick else (range(3), 120.0)))
+for _name, _one in BENCHES.items():
+    _add(_name, _one)

@@ -94,11 +94,7 @@ def run(
         "Classify and predict only an agent and those within 100 m (or M), or an area.",
         metavar="AGENT[:M] or X0,Y0,X1,Y1"),
     out: Path | None = option("Keep the episode as a dataset, too.", metavar="FOLDER"),
-    seed: Seed = 0,
-    json: Json = None,
-    quiet: Quiet = False,
-    *,
-    traffic: Traffic,
+    seed: Seed = 0, json: Json = None, quiet: Quiet = False, *, traffic: Traffic,
 ) -> None:  # fmt: skip
     """Run a scenario headless and sum up what happened."""
     from experiments.run import read_window, run_scenario, shown
@@ -121,9 +117,7 @@ def generate(
     seed: int | None = option("Same seed, same bytes (default: 0)."),
     jobs: Jobs = None,
     cluster: str | None = option("Dask scheduler, instead of processes.", metavar="ADDRESS"),
-    quiet: Quiet = False,
-    *,
-    traffic: Traffic,
+    quiet: Quiet = False, *, traffic: Traffic,
 ) -> None:  # fmt: skip
     """Make a dataset, or what is missing of it."""
     from experiments.generate.dataset import generate as make
@@ -177,11 +171,12 @@ def road(
         for path, content in files.items():
             write_whole(path, content)
     lines = found.rows()
-    rows = []
-    for line in lines:
-        value = line["value"]
-        text, number = (value, None) if isinstance(value, str) else (None, value)
-        rows.append(tidy_row({"text": text}, str(line["what"]), number))
+    rows = [
+        tidy_row({"text": value}, str(what), None)
+        if isinstance(value, str)
+        else tidy_row({"text": None}, str(what), value)
+        for what, value in ((line["what"], line["value"]) for line in lines)
+    ]
     _show("road", rows, json, lines=lines)
     if out is not None and str(json) != "-":
         say(f"{out}.net.xml, {out}.svg and {out}.toml: graphrqi run {out}.toml")
@@ -190,9 +185,7 @@ def road(
 @_command(DATA, "import", "import recordings --format ngsim --out data")
 def import_(
     source: Annotated[Path, typer.Argument(help="A recording, or a folder of recordings.")],
-    out: NewDataset,
-    format: FormatName = None,
-    net: Net = None,
+    out: NewDataset, format: FormatName = None, net: Net = None,
     types: Path | None = file_option("vTypes of a SUMO recording, for sizes."),
     labels: GivenLabels = None,
     rate: float | None = option(
@@ -224,7 +217,7 @@ def _metres(text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
     try:
-        x, y = (float(word) for word in text.split(","))
+        x, y = map(float, text.split(","))
     except ValueError:
         from behaviors.errors import InputError
 
@@ -298,12 +291,8 @@ def train(
     predictor: bool = option(
         "Train the predictor for recordings instead.", "--predictor", default=False),
     epochs: int = option("Passes over the data (--predictor).", min=1, default=4),
-    format: FormatName = None,
-    net: Net = None,
-    seed: Seed = 0,
-    jobs: Jobs = None,
-    json: Json = None,
-    quiet: Quiet = False,
+    format: FormatName = None, net: Net = None, seed: Seed = 0, jobs: Jobs = None,
+    json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Train a classifier on datasets, adapt one to recordings, or train the predictor."""
     from behaviors.errors import InputError
@@ -349,19 +338,12 @@ def train(
 
 @_command(LEARN, "classify", "classify data --out labels.parquet")
 def classify(
-    source: Source,
-    out: TableFile = None,
-    format: FormatName = None,
-    net: Net = None,
-    model: ModelName = "graphrqi-plus",
-    labels: GivenLabels = None,
+    source: Source, out: TableFile = None, format: FormatName = None, net: Net = None,
+    model: ModelName = "graphrqi-plus", labels: GivenLabels = None,
     conflicts: Path | None = file_option(
         "File for the conflicts of any two road users: .parquet or .csv.",
         "--conflicts", callback=table_to_write),
-    traffic: TrafficKind = None,
-    jobs: Jobs = None,
-    json: Json = None,
-    quiet: Quiet = False,
+    traffic: TrafficKind = None, jobs: Jobs = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Name each driver's behaviour as it drives."""
     from experiments.score.labels import classify_dataset, domain_notice, named_table
@@ -408,17 +390,11 @@ def _show_scores(command: str, rows: Sequence[Row], json: Path | None, **made: A
 @_command(LEARN, "evaluate", "evaluate graphrqi-plus data --json scores.json")
 def evaluate(
     model: Annotated[str, typer.Argument(help="A model that ships, or a folder.")],
-    source: Source,
-    format: FormatName = None,
-    net: Net = None,
-    labels: GivenLabels = None,
+    source: Source, format: FormatName = None, net: Net = None, labels: GivenLabels = None,
     answers: Path | None = file_option(
         "Answers of your own model about the test split, to compare: columns episode, agent, "
         "label, and time_s or p_impatient ... if known.", "--answers"),
-    traffic: TrafficKind = None,
-    jobs: Jobs = None,
-    json: Json = None,
-    quiet: Quiet = False,
+    traffic: TrafficKind = None, jobs: Jobs = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Score a model where drivers are known; report makes a page of the JSON."""
     from experiments.score.labels import evaluate
@@ -436,18 +412,14 @@ def predict(
         "Names (see graphrqi list) or module:function of your own, separated by commas.",
         metavar="A,B", default="constant-velocity,graphrqi-predict"),
     horizon_s: float = option("How far ahead, s.", "--horizon-s", default=5.0),
-    format: FormatName = None,
-    net: Net = None,
-    model: ModelName = "graphrqi-plus",
+    format: FormatName = None, net: Net = None, model: ModelName = "graphrqi-plus",
     out: TableFile = None,
     weights: Path | None = option(
         "From train --predictor (default: the weights that ship).", metavar="FOLDER"),
     traffic: TrafficKind = None,
     split: str | None = option(
         "test, validation, train or all [default: test; all of recordings]."),
-    jobs: Jobs = None,
-    json: Json = None,
-    quiet: Quiet = False,
+    jobs: Jobs = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Predict the motion of every agent, and score it."""
     from experiments.score.predictions import errors_table, predict_dataset
@@ -467,10 +439,7 @@ def calibrate(
     source: Source,
     out: Path = option(
         "New folder for the results.", metavar="FOLDER", file_okay=False, default=...),
-    format: FormatName = None,
-    net: Net = None,
-    json: Json = None,
-    quiet: Quiet = False,
+    format: FormatName = None, net: Net = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Infer every driver's car-following numbers, and the population they come from."""
     from experiments.calibration import population_rows, quantile_rows, write_calibration
@@ -507,10 +476,7 @@ def what_if(
         "--blame", default=False),
     picture: Path | None = file_option(
         "Draw the paths over the factual ones too: .png, .pdf or .svg."),
-    json: Json = None,
-    quiet: Quiet = False,
-    *,
-    traffic: Traffic,
+    json: Json = None, quiet: Quiet = False, *, traffic: Traffic,
 ) -> None:  # fmt: skip
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import InputError, lookup
@@ -585,9 +551,7 @@ def drive(
         "How long the traffic drives before, s (default: 20).", "--warmup-s"),
     quick: bool = option(
         "Two scenarios, two crowds, two short episodes.", "--quick", default=False),
-    jobs: Jobs = None,
-    json: Json = None,
-    quiet: Quiet = False,
+    jobs: Jobs = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Test how driving policies do in every scenario among drivers of every kind."""
     from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
@@ -607,11 +571,9 @@ def drive(
 def summary(
     source: Source,
     by: str | None = option("Groups: behavior, kind or scenario (default: all together)."),
-    format: FormatName = None,
-    net: Net = None,
-    json: Json = None,
+    format: FormatName = None, net: Net = None, json: Json = None,
     out: Path | None = file_option("The same rows as CSV.", "--out", metavar="FILE.csv"),
-) -> None:
+) -> None:  # fmt: skip
     """Count conflicts, events and traits per kilometre and hour, with speeds and headways."""
     import pandas as pd
 
@@ -640,9 +602,7 @@ def replay(
         metavar="NAME"),
     labels: Path | None = file_option(
         "From classify (default: made here).", metavar="FILE.parquet"),
-    format: FormatName = None,
-    net: Net = None,
-    model: ModelName = "graphrqi-plus",
+    format: FormatName = None, net: Net = None, model: ModelName = "graphrqi-plus",
     predictor: str = option(
         "See graphrqi list; none for no predictions.",
         metavar="NAME", names="predictor", default="graphrqi-predict"),
@@ -676,8 +636,7 @@ def report(
         "The page (default: beside the rows or in the folder; comparison.html of several)."),
     figures: str | None = option(
         "Write the page's pictures beside it in this format, too.", metavar="svg|pdf"),
-    jobs: Jobs = None,
-    quiet: Quiet = False,
+    jobs: Jobs = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Make a page of tables and pictures; of several runs, one that compares them."""
     from experiments.console.notices import say

@@ -199,6 +199,15 @@ class Traffic:
         )  # fmt: skip
 
 
+def as_command(
+    called: Callable[..., None], parameters: Sequence[inspect.Parameter]
+) -> Callable[..., None]:
+    """A function as a command of typer with these parameters, which it takes by their names."""
+    called.__annotations__ = {one.name: one.annotation for one in parameters}
+    called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return called
+
+
 def with_traffic(command: Callable[..., None]) -> Callable[..., None]:
     """A command with an option for every field of its last parameter ``traffic``, a `Traffic`."""
     offered = inspect.signature(Traffic, eval_str=True).parameters
@@ -209,14 +218,9 @@ def with_traffic(command: Callable[..., None]) -> Callable[..., None]:
         chosen = {name: given.pop(name) for name in offered}
         command(**given, traffic=Traffic(**chosen))
 
-    shown = {
-        name: one.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for name, one in {**own, **offered}.items()
-    }
     called.__name__, called.__doc__ = command.__name__, command.__doc__
-    called.__annotations__ = {name: one.annotation for name, one in shown.items()}
-    called.__signature__ = inspect.Signature(list(shown.values()))  # type: ignore[attr-defined]
-    return called
+    every = [*own.values(), *offered.values()]
+    return as_command(called, [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in every])
 
 
 def read_options(texts: Sequence[str]) -> dict[str, bool | int | float | str]:

@@ -30,7 +30,7 @@ from sim.formats import (
 from sim.formats.argoverse import NoWindowError
 from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
-from sim.formats.own_table import check_columns
+from sim.formats.recorded_tables import check_columns
 from sim.store.dataset import is_dataset, open_dataset
 from sim.store.schema import EpisodeMeta, Manifest, Split, split_of
 from sim.store.writing import made_with, new_dataset
@@ -71,7 +71,7 @@ def import_recordings(
         rate_hz: frames per second that the recordings really have; None for what they say. A
             recording whose times contradict its motion is then left out, or refused if it is alone.
         shift_m: how far maps are moved onto the positions, m; None not to move them.
-        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        columns: what the columns of a table of one's own are, as `check_columns` takes them.
         units: of these columns.
         scenario: what the episodes' scenario is called; None for the format's name.
 

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from sim.formats.common.recording import with_motion
 from sim.frames import FloatArray, Tracks
 
 SIZE_M: Final = 2.2
@@ -172,19 +173,11 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
 
     Whole pixels are smoothed before headings and speeds are taken from them.
     """
-    from sim.formats.common.motion import motion
-
     known = tracks.valid.any(axis=1)
     size = scale.metres * np.sqrt(tracks.length * tracks.width)
     height = np.where(tracks.valid, tracks.xy[..., 1], np.nan)[known]
     size[known] *= scale.at(np.nanmedian(height, axis=1)) / scale.metres
     centre = 0.5 * (np.nanmin(tracks.xy[..., 0]) + np.nanmax(tracks.xy[..., 0]))
     xy = scale.ground(tracks.xy - np.array([centre, 0.0]))
-    heading, speed = motion(smoothed(xy), tracks.time_s, 0.0)
-    return tracks.with_dense(
-        xy=xy,
-        heading=heading,
-        speed=speed,
-        length=LENGTH_OF_SIZE * size,
-        width=WIDTH_OF_SIZE * size,
-    )
+    moved = with_motion(tracks.with_dense(xy=smoothed(xy)))
+    return moved.with_dense(xy=xy, length=LENGTH_OF_SIZE * size, width=WIDTH_OF_SIZE * size)

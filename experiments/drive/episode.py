@@ -21,7 +21,7 @@ from experiments.drive.policies import POLICIES, get_policy
 from experiments.what_if.outcomes import RULES
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
-from sim.episode.incidents import incidents
+from sim.episode.annotate import incidents
 from sim.frames import EventKind, FloatArray, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.road import Road

@@ -27,7 +27,7 @@ from graphrqi.model_files import load_model
 from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
-from sim.episode.buffer import FrameBuffer
+from sim.episode.live import FrameBuffer
 from sim.episode.observables import leaders
 from sim.frames import FloatArray, Frame
 from sim.road import Road

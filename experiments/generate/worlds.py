@@ -22,8 +22,7 @@ from behaviors.profiles import FARTHEST_SPREADS
 from experiments.data import disturbances
 from experiments.generate.world_roads import WorldRoad, draw_road
 from graphrqi.posterior import AGGRESSIVE
-from sim.formats.common.motion import motion
-from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M
+from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, with_motion
 from sim.frames import AgentKind, FloatArray, Tracks
 from sim.scenario import KIND_LIMITS, AgentSpec
 from sim.sumo.vehicle_types import LAWS, SumoSettings
@@ -217,9 +216,8 @@ class Sensor:
         if not self.has_map:
             seen = self._in_its_axes(seen)
         seen = seen.part(np.flatnonzero(seen.valid.any(axis=1)), slice(None))
-        heading, speed = motion(seen.xy, seen.time_s, 0.0)
         signals = seen.signals if self.has_map else seen.signals[:0]
-        return seen.with_dense(heading=heading, speed=speed, signals=signals, events=())
+        return dataclasses.replace(with_motion(seen), signals=signals, events=())
 
     def _in_its_axes(self, tracks: Tracks) -> Tracks:
         """Positions and sizes in the sensor's axes and unit."""

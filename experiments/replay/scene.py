@@ -21,8 +21,7 @@ from experiments.replay.layers import Beliefs, Forecast, GraphHistory
 from experiments.what_if.branches import branch_of, change_of
 from experiments.what_if.outcomes import factual_of
 from graphrqi.model_files import load_model
-from sim.episode.annotate import annotate_recording
-from sim.episode.incidents import near_misses
+from sim.episode.annotate import annotate_recording, near_misses
 from sim.formats import FORMATS
 from sim.frames import Event, EventKind, Tracks
 from sim.road import Road

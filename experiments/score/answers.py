@@ -57,18 +57,13 @@ def score_answers(
         keys: what was measured, for the rows.
         majority: code of the constant answer; None for the most frequent behaviour of the scored
             drivers.
-        breakdown: whether rows by answer and by confidence are wanted.
+        breakdown: whether rows by answer (``named_share``, ``confusion``) and by confidence
+            (``reliability``, a share of right answers) are wanted.
         classes: the behaviours that the model knows.
 
     Returns:
-        Rows. All drivers: ``drivers``, ``episodes``, ``answered_share``, ``domain`` and
-        ``confidence``. Known behaviours: ``weighted_accuracy`` (the paper's, which is plain
-        accuracy) beside ``majority_weighted_accuracy``, ``answered_accuracy``,
-        ``balanced_accuracy``, ``macro_f1``, ``ece``, and by ``behavior`` the ``recall``. Known
-        styles: ``style_accuracy`` beside ``majority_style_accuracy``,
-        ``style_balanced_accuracy``, ``style_ece`` and ``style_auc``. The breakdown: by ``behavior``
-        the ``named_share``; by ``behavior`` and ``answer`` the ``confusion``, a count; by
-        ``confidence`` the ``reliability``, a share of right answers. Intervals are by bootstrap
+        Rows of all drivers, then of those with a known behaviour, then with a known style.
+        ``weighted_accuracy`` is the paper's, which is plain accuracy. Intervals are by bootstrap
         over episodes.
     """
     n, episode = len(answers), _episodes(answers)
@@ -121,27 +116,39 @@ def _counts(truth: IntArray, probability: FloatArray, episode: IntArray) -> Floa
     return metrics.confusion(truth, probability.argmax(axis=1), episode, probability.shape[1])
 
 
+def _figures(
+    answers: pd.DataFrame, truth: IntArray, probability: FloatArray, usual: int | None
+) -> dict[str, tuple[Statistic, FloatArray]]:
+    """Statistics of answers with known codes beside a constant one, each with its counts."""
+    episode, right = _episodes(answers), probability.argmax(axis=1) == truth
+    counts = _counts(truth, probability, episode)
+    constant = truth == (np.bincount(truth).argmax() if usual is None else usual)
+    bins = metrics.reliability(right, probability.max(axis=1), episode)
+    return {
+        "accuracy": (metrics.weighted_accuracy, counts),
+        "majority": (ratio, summed(episode, constant, np.ones(truth.size))),
+        "balanced_accuracy": (metrics.balanced_accuracy, counts),
+        "macro_f1": (metrics.macro_f1, counts),
+        "ece": (metrics.calibration_error, bins),
+    }
+
+
 def _behavior_rows(
     answers: pd.DataFrame, keys: Mapping[str, Cell], majority: int | None, breakdown: bool,
     classes: Sequence[Behavior],
 ) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose behaviour is known."""
-    truth, episode = _codes(answers["truth"], classes), _episodes(answers)
-    probability, answered = _chances(answers, classes), answers["behavior"].notna().to_numpy()
-    counts, right = _counts(truth, probability, episode), probability.argmax(axis=1) == truth
-    bins = metrics.reliability(right, probability.max(axis=1), episode)
-    usual = np.bincount(truth).argmax() if majority is None else majority
-    figures: list[tuple[str, Statistic, FloatArray, int]] = [
-        ("weighted_accuracy", metrics.weighted_accuracy, counts, truth.size),
-        ("majority_weighted_accuracy", ratio, _share(episode, truth == usual), truth.size),
-        ("answered_accuracy", ratio, summed(episode, answered & right, answered), answered.sum()),
-        ("balanced_accuracy", metrics.balanced_accuracy, counts, truth.size),
-        ("macro_f1", metrics.macro_f1, counts, truth.size),
-        ("ece", metrics.calibration_error, bins, truth.size),
-    ]
-    for name, statistic, per_episode, n in figures:
-        if n:
-            yield row_of(keys, name, statistic, per_episode, int(n))
+    truth, probability = _codes(answers["truth"], classes), _chances(answers, classes)
+    found = _figures(answers, truth, probability, majority)
+    said = {"accuracy": "weighted_accuracy", "majority": "majority_weighted_accuracy"}
+    rows = [row_of(keys, said.get(name, name), *each, truth.size) for name, each in found.items()]
+    answered = answers["behavior"].notna().to_numpy()
+    if answered.any():
+        right = answered & (probability.argmax(axis=1) == truth)
+        shares = summed(_episodes(answers), right, answered)
+        rows.insert(2, row_of(keys, "answered_accuracy", ratio, shares, int(answered.sum())))
+    yield from rows
+    counts, bins = found["accuracy"][1], found["ece"][1]
     total = counts.sum(axis=0)
     for code, behavior in enumerate(classes):
         own, row = int(total[code].sum()), {**keys, "behavior": str(behavior)}
@@ -161,26 +168,14 @@ def _style_rows(
     classes: Sequence[Behavior],
 ) -> Iterator[Row]:  # fmt: skip
     """Rows about drivers whose style is known, with or without their behaviour."""
-    truth, episode = _codes(answers["true_style"], STYLES), _episodes(answers)
-    probability = _style_chances(answers, classes)
-    counts, right = _counts(truth, probability, episode), probability.argmax(axis=1) == truth
-    constant = None if majority is None else STYLES.index(classes[majority].style)
-    usual = np.bincount(truth).argmax() if constant is None else constant
-    bins = metrics.reliability(right, probability.max(axis=1), episode)
-    figures: list[tuple[str, Statistic, FloatArray]] = [
-        ("style_accuracy", metrics.weighted_accuracy, counts),
-        ("majority_style_accuracy", ratio, _share(episode, truth == usual)),
-        ("style_balanced_accuracy", metrics.balanced_accuracy, counts),
-        ("style_ece", metrics.calibration_error, bins),
-    ]
-    for name, statistic, per_episode in figures:
-        yield row_of(keys, name, statistic, per_episode, truth.size)
-    auc = metrics.auc_over_episodes(probability[:, 0], truth == 0, episode)
+    truth, probability = _codes(answers["true_style"], STYLES), _style_chances(answers, classes)
+    usual = None if majority is None else STYLES.index(classes[majority].style)
+    found = _figures(answers, truth, probability, usual)
+    for name in ("accuracy", "majority", "balanced_accuracy", "ece"):
+        said = "majority_style_accuracy" if name == "majority" else f"style_{name}"
+        yield row_of(keys, said, *found[name], truth.size)
+    auc = metrics.auc_over_episodes(probability[:, 0], truth == 0, _episodes(answers))
     yield tidy_row(keys, "style_auc", *auc, truth.size)
-
-
-def _share(episode: IntArray, some: NDArray[np.bool_]) -> FloatArray:
-    return summed(episode, some, np.ones(some.size))
 
 
 def score_difference(
@@ -188,28 +183,26 @@ def score_difference(
 ) -> list[Row]:
     """How much better some answers are than others about the same drivers in the same order.
 
-    Returns:
-        ``macro_f1_difference`` and ``style_balanced_accuracy_difference``, of drivers whose
-        behaviour is known, with intervals by a paired bootstrap over episodes.
+    Drivers count whose behaviour is known; intervals are by a paired bootstrap over episodes.
     """
     known = _codes(ours["truth"], BEHAVIORS) >= 0
-    both, rows = (ours[known], theirs[known]), []
+    rows: list[Row] = []
     figures: Any = (
-        ("macro_f1", "truth", BEHAVIORS, _chances),
-        ("style_balanced_accuracy", "true_style", STYLES, _style_chances),
+        ("macro_f1", metrics.macro_f1, "truth", BEHAVIORS, _chances),
+        ("balanced_accuracy", metrics.balanced_accuracy, "true_style", STYLES, _style_chances),
     )
-    for name, column, words, chances in figures:
-        of = metrics.macro_f1 if column == "truth" else metrics.balanced_accuracy
+    for name, of, column, words, chances in figures:
+        each = [
+            _counts(_codes(one[column], words), chances(one, BEHAVIORS), _episodes(one))
+            for one in (ours[known], theirs[known])
+        ]
 
         def difference(counts: FloatArray, of: Statistic = of) -> FloatArray:
             return np.asarray(of(counts[..., 0, :, :]) - of(counts[..., 1, :, :]))
 
-        counts = [
-            _counts(_codes(one[column], words), chances(one, BEHAVIORS), _episodes(one))
-            for one in both
-        ]
-        per_episode = np.stack(counts, axis=1)
-        rows.append(row_of(keys, f"{name}_difference", difference, per_episode, int(known.sum())))
+        per_episode = np.stack(each, axis=1)
+        what = f"{'style_' if words is STYLES else ''}{name}_difference"
+        rows.append(row_of(keys, what, difference, per_episode, int(known.sum())))
     return rows
 
 

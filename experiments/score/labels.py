@@ -41,16 +41,10 @@ ALL: Final = "all"
 
 
 def beliefs(
-    tracks: Tracks,
-    model: Model,
-    stops: Iterable[int],
-    is_scene: bool = True,
+    tracks: Tracks, model: Model, stops: Iterable[int], is_scene: bool = True,
     traffic: Traffic = "simulated",
-) -> dict[int, Posterior]:
-    """Posteriors of a `graphrqi.stream.BehaviorStream` at some instants, by these.
-
-    Instants are indices one past each present; other arguments are those of the stream.
-    """
+) -> dict[int, Posterior]:  # fmt: skip
+    """Posteriors of a stream of the model at some instants, which are indices one past each."""
     stream, wanted = BehaviorStream(model, traffic=traffic, is_scene=is_scene), {*stops}
     found: dict[int, Posterior] = {}
     for stop, frame in enumerate(tracks.frames(), start=1):
@@ -60,7 +54,7 @@ def beliefs(
     return found
 
 
-def labels_schema(model: Model) -> pa.Schema:
+def _schema(model: Model) -> pa.Schema:
     """Columns of a labels file of a model: ``LABELS``, then those of behaviours of one's own."""
     own = model.classes[len(BEHAVIORS) :]
     return pa.schema([*LABELS, *(pa.field(f"p_{b}", pa.float32()) for b in own)])
@@ -69,14 +63,13 @@ def labels_schema(model: Model) -> pa.Schema:
 def label_episode(episode: Episode, model: Model, traffic: str | None = None) -> pd.DataFrame:
     """Posteriors of every driver at every frame of an episode, with the columns ``LABELS``.
 
-    The traffic's kind is what the episode's entry says unless it is named. True labels only fill
-    the columns ``truth`` and ``true_style``. Every driver is unknown in a recording that is not a
-    plausible scene.
+    The traffic's kind is what the episode's entry says unless it is named. Every driver is unknown
+    in a recording that is not a plausible scene.
     """
     tracks, entry = measured(episode), episode.entry
     stops = range(1, tracks.time_s.size + 1)
     found = beliefs(tracks, model, stops, is_scene(entry), traffic_of(entry, traffic))
-    answers, schema = list(found.values()), labels_schema(model)
+    answers, schema = list(found.values()), _schema(model)
     if not answers:
         return schema.empty_table().to_pandas()
     row = np.concatenate([np.searchsorted(tracks.ids, a.ids) for a in answers])
@@ -116,22 +109,11 @@ def _with_truth(
     return table
 
 
-def _last_answers(table: pd.DataFrame) -> pd.DataFrame:
-    """The last row of every driver of an episode, in order of agent."""
-    return table.drop_duplicates("agent", keep="last").sort_values("agent")
-
-
 def answer_episodes(
-    model: Model,
-    datasets: Sequence[Dataset],
-    *,
-    split: Split | None = None,
-    labels: Path | None = None,
-    out: Path | None = None,
-    traffic: str | None = None,
-    jobs: int | None = None,
-    quiet: bool = True,
-) -> pd.DataFrame:
+    model: Model, datasets: Sequence[Dataset], *, split: Split | None = None,
+    labels: Path | None = None, out: Path | None = None, traffic: str | None = None,
+    jobs: int | None = None, quiet: bool = True,
+) -> pd.DataFrame:  # fmt: skip
     """Answer for every driver of datasets.
 
     Args:
@@ -160,7 +142,7 @@ def answer_episodes(
         if split in (None, entry.split)
     ]
     arguments = [(model, path, entry, out is not None, traffic) for path, entry, _ in chosen]
-    schema = labels_schema(model)
+    schema = _schema(model)
     found = [schema.empty_table().to_pandas().assign(place="")]
     with nullcontext() if out is None else table_file(out, schema) as write:
         answers = in_parallel(_answers, arguments, jobs, "answering episodes", quiet)
@@ -169,7 +151,8 @@ def answer_episodes(
             if write is not None:
                 write(labelled)
             if len(labelled):
-                found.append(_last_answers(labelled).assign(place=place))
+                last = labelled.drop_duplicates("agent", keep="last").sort_values("agent")
+                found.append(last.assign(place=place))
         if given is not None:
             given.check()  # inside the block: nothing is written if a label belongs to no driver
     return pd.concat(found[1:] or found, ignore_index=True)
@@ -181,7 +164,8 @@ def _answers(
     """Names of an episode's agents, and answers at every frame or the last ones."""
     episode = open_dataset(folder).read(entry)
     table = label_episode(episode, model, traffic)
-    return episode.tracks.names, table if every_frame else _last_answers(table)
+    last = table.drop_duplicates("agent", keep="last")
+    return episode.tracks.names, table if every_frame else last
 
 
 def note_unknown(
@@ -222,11 +206,8 @@ def classify_dataset(
 ) -> list[Row]:  # fmt: skip
     """Implement ``graphrqi classify``: answer for every driver of a dataset's folder.
 
-    ``model`` is a shipped model's name or a folder; all other arguments are as `answer_episodes`
-    takes them.
-
-    Returns:
-        Rows of each episode, by ``episode`` and ``name``, then rows by scenario and split.
+    Arguments are as `answer_episodes` takes them, but for a model's name or folder. Rows of each
+    episode, by ``episode`` and ``name``, come before those by scenario and split.
     """
     known, dataset = load_model(model), open_dataset(source)
     answers = answer_episodes(
@@ -249,18 +230,10 @@ def evaluate(
 ) -> list[Row]:  # fmt: skip
     """Implement ``graphrqi evaluate`` of a shipped model's name or a folder on a dataset's folder.
 
-    Other arguments are as `answer_episodes` takes them. Answers of another model, as `read_answers`
-    takes them, are scored beside it, on the test split alone.
-
-    Returns:
-        Rows by ``model``, ``scenario`` and ``split``, see `scored_answers`. With ``answers`` also
-        those of the file and of the plain rival, which learns from the training split, and paired
-        differences to each other model, which the key ``against`` names. A driver without an
-        answer counts as unanswered, with the mean of the file's own probabilities.
-
-    Raises:
-        InputError: if nothing is known of any driver that an answer was given about, the file is
-            broken, or it answers about no driver of the test split.
+    Other arguments are as `answer_episodes` takes them. Answers of another model in a file are
+    scored beside it on the test split, as is the plain rival, which learns from the training split.
+    Paired differences have the key ``against``. A driver without an answer counts as unanswered,
+    with the mean of the file's own probabilities.
     """
     known, dataset = load_model(model), open_dataset(source)
     given = None if answers is None else guarded_call(answers, read_answers, answers)
@@ -276,9 +249,8 @@ def evaluate(
             f"{source}: found no driver whose behaviour or style is known, expected at least one; "
             "--labels FILE.csv names some"
         )
-    data = known.card.get("data")
-    configurations = data.get("configurations") if isinstance(data, dict) else None
-    if dict(dataset.header.configuration) in (configurations or ()):
+    learned_from = (known.card.get("data") or {}).get("configurations") or ()
+    if dict(dataset.header.configuration) in learned_from:
         LOGGER.info("the model was trained on data like these: the test split counts")
     if given is None or answers is None:
         return rows
@@ -300,18 +272,13 @@ def evaluate(
 
 
 def read_answers(path: Path) -> pd.DataFrame:
-    """The last answer about each driver in a file.
+    """Probabilities (n, 6) by episode and agent, of the last answer about each driver in a file.
 
-    Args:
-        path: CSV or Parquet with the columns ``episode``, ``agent`` and ``label``, a behaviour.
-            ``time_s`` orders several answers about one driver; `CHANCES` may be given, all or none.
-
-    Returns:
-        Probabilities (n, 6) by episode and agent; without such columns the label has 1.
+    CSV or Parquet has the columns ``episode``, ``agent`` and ``label``, a behaviour. ``time_s``
+    orders several answers about one driver; without all of `CHANCES` the label has 1.
     """
-    numbers = ("agent", "time_s", *CHANCES)
     optional = ("time_s", *CHANCES)
-    table = read_table(path, numbers, ("episode", "label"), optional)
+    table = read_table(path, ("agent", *optional), ("episode", "label"), optional)
     table = table.astype({"episode": str, "label": str, "agent": np.int64})
     codes = pd.Categorical(table["label"], [str(b) for b in BEHAVIORS]).codes
     if (codes < 0).any():
@@ -322,15 +289,14 @@ def read_answers(path: Path) -> pd.DataFrame:
         table[CHANCES] = np.eye(len(BEHAVIORS))[codes]
     if "time_s" in table:
         table = table.sort_values("time_s", kind="stable")
-    last: pd.DataFrame = table.groupby(["episode", "agent"])[CHANCES].last()
-    return last
+    return pd.DataFrame(table.groupby(["episode", "agent"])[CHANCES].last())
 
 
 def _forest_answers(dataset: Dataset, jobs: int | None) -> pd.DataFrame:
     """The plain rival's probabilities in the test split, by episode and agent."""
     training, asked = (whole_tracks(dataset, split, jobs) for split in ("train", "test"))
     names = np.array([entry.id for entry in dataset.manifest.episodes])
-    probability = PlainRival(training).posterior(asked.features.astype(np.float64))
+    probability = PlainRival(training).posterior(asked.features)
     where = pd.MultiIndex.from_arrays([names[asked.episode], asked.agent])
     return pd.DataFrame(probability, index=where)
 

@@ -19,28 +19,18 @@ from sim.frames import BoolArray, FloatArray, IntArray
 
 Statistic = Callable[[FloatArray], FloatArray]
 
-RESAMPLES: Final = 2000
-"""Bootstrap resamples (enough for two digits of a 95 % interval)."""
-
-RESAMPLING_SEED: Final = 0
-"""Seed of every bootstrap, so that the same data have the same interval."""
-
-LEAST_EPISODES: Final = 3
-"""Fewest episodes that give an interval (two give their own figures as its ends)."""
+RESAMPLES, RESAMPLING_SEED, LEAST_EPISODES = 2000, 0, 3
+"""Bootstrap resamples (enough for two digits of a 95 % interval), their seed, and the fewest
+episodes that give an interval (two give their own figures as its ends)."""
 
 CONFIDENCE_BINS: Final = 15
 """Bins of equal width for calibration (Guo et al., ICML 2017)."""
 
 
 def bootstrap(statistic: Statistic, per_episode: FloatArray) -> tuple[float, float, float]:
-    """A statistic of summed per-episode counts, with its 95 % interval over episodes.
+    """A statistic of summed counts (E, ...) of each episode, with its 95 % interval over episodes.
 
-    Args:
-        statistic: of summed counts; takes a stack.
-        per_episode: (E, ...) counts of each episode.
-
-    Returns:
-        Value, low, high; low and high are NaN with fewer than `LEAST_EPISODES`.
+    The statistic takes a stack of sums, too. The interval is NaN with fewer than `LEAST_EPISODES`.
 
     Examples:
         >>> right = np.array([[8.0, 10.0], [7.0, 10.0], [6.0, 10.0]])  # right answers, all answers
@@ -141,12 +131,13 @@ def calibration_error(bins: FloatArray) -> FloatArray:
 
 
 def auc_over_episodes(
-    score: FloatArray, positive: BoolArray, episode: IntArray
+    score: FloatArray, positive: BoolArray, episode: IntArray, group: IntArray | None = None
 ) -> tuple[float, float, float]:
     """Area under the ROC curve over all pairs (n,), and its 95 % interval over episodes.
 
     Equal to scikit-learn's ``roc_auc_score``; from the pairs won between any two episodes, all
-    resamples follow at once. NaN where there are no pairs.
+    resamples follow at once. With groups (E,) of the episodes in ascending order, only pairs of
+    one group count. NaN where there are no pairs.
     """
     known, number = np.unique(episode, return_inverse=True)
     count = known.size
@@ -157,6 +148,8 @@ def auc_over_episodes(
         left, right = (np.searchsorted(below, score[positive], side=s) for s in ("left", "right"))
         won[:, each] = np.bincount(number[positive], 0.5 * (left + right), minlength=count)
     pairs = np.outer(ups, downs).astype(np.float64)
+    if group is not None:
+        won, pairs = (each * (group[:, None] == group) for each in (won, pairs))
 
     def area(drawn: FloatArray) -> FloatArray:
         sums = [((drawn @ each) * drawn).sum(axis=-1) for each in (won, pairs)]

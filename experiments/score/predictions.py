@@ -50,18 +50,13 @@ MOST_SPAN_S: Final = 1.5
 """Where agents were between two frames farther apart is not known, s (more than one of the slowest
 recordings' seconds)."""
 
-HISTORY_S: Final = 5.0
-"""Predictors are given at most this much of the past, s: what a stream remembers."""
+HISTORY_S, LEAST_SEEN_S = 5.0, 1.0
+"""Predictors are given at most this much of the past, s, which a stream remembers. Agents observed
+for less than the second are not scored, s."""
 
-EVERY_S: Final = 2.0
-"""Time between the instants of prediction, s."""
-
-WARM_UP_S: Final = 5.0
-"""No prediction is made before an episode is this old, s; `instants` says what holds for shorter
-horizons and episodes."""
-
-LEAST_SEEN_S: Final = 1.0
-"""Agents observed for less than this are not scored, s."""
+EVERY_S, WARM_UP_S = 2.0, 5.0
+"""Time between the instants of prediction, s, the first of which is when an episode is this old;
+`instants` says what holds for shorter horizons and episodes."""
 
 MEASURES: Final = (*METRICS, "coverage_90", "nll", "collisions", "off_road")
 """Measures of each agent. Beside displacement metrics: coverage of the predicted 90 % set,
@@ -78,10 +73,9 @@ GROUPS: Final = ("all", *map(str, BEHAVIORS), "pedestrian")
 class Errors:
     """Errors of one predictor in one episode, summed over agents and instants.
 
-    Attributes:
-        total: (group, horizon, metric) sums, in the order of `GROUPS`, the horizons and `MEASURES`;
-            NaN where a predictor does not predict it.
-        count: (group,) agents times instants.
+    ``total`` are (group, horizon, metric) sums, in the order of `GROUPS`, the horizons and
+    `MEASURES`; NaN where a predictor does not predict it. ``count`` (group,) is of agents times
+    instants.
     """
 
     total: FloatArray
@@ -124,20 +118,16 @@ def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> Flo
 
 
 def score_episode(
-    tracks: Tracks,
-    posteriors: Mapping[int, Posterior],
-    road: Road | None,
-    predictors: Sequence[str],
-    horizons_s: Sequence[float] = HORIZONS_S,
+    tracks: Tracks, posteriors: Mapping[int, Posterior], road: Road | None,
+    predictors: Sequence[str], horizons_s: Sequence[float] = HORIZONS_S,
     on_prediction: Callable[[str, Tracks, Prediction], None] | None = None,
     weights: Path | None = None,
-) -> dict[str, Errors]:
+) -> dict[str, Errors]:  # fmt: skip
     """Errors of predictors, by name, in one episode, whose labels only sort them.
 
-    Beliefs are given at each instant of prediction, by the index one past the present. There may be
-    no road. Horizons ascend, s. ``on_prediction`` is called with each predictor's name, the history
-    it was given and its futures. Weights are a folder of the network that ``graphrqi-predict`` uses
-    on recordings, None for the one that ships.
+    Beliefs are given at each instant of prediction, by the index one past the present. Horizons
+    ascend, s. ``on_prediction`` is called with each predictor's name, the history it was given and
+    its futures. Weights are a folder of the network that ``graphrqi-predict`` uses on recordings.
     """
     longest = float(max(horizons_s))
     sample = np.arange(1, round(longest / SAMPLE_S) + 1, dtype=np.float64) * SAMPLE_S
@@ -148,8 +138,9 @@ def score_episode(
     if weights is not None and "graphrqi-predict" in functions:
         functions["graphrqi-predict"] = with_weights(weights)
     ahead_s = max(longest, LEARNED_S)
-    shape = (len(GROUPS), len(horizons_s), len(MEASURES))
-    total = {name: np.zeros(shape) for name in predictors}
+    total = {
+        name: np.zeros((len(GROUPS), len(horizons_s), len(MEASURES))) for name in predictors
+    }  # fmt: skip
     count = np.zeros(len(GROUPS))
     for stop, posterior in posteriors.items():
         history = tracks.window(stop, steps)
@@ -236,15 +227,13 @@ def _membership(history: Tracks, scored: IntArray) -> FloatArray:
 
 
 def score_predictions(
-    episodes: Sequence[Mapping[str, Errors]],
-    keys: Mapping[str, Cell],
+    episodes: Sequence[Mapping[str, Errors]], keys: Mapping[str, Cell],
     horizons_s: Sequence[float] = HORIZONS_S,
-) -> list[Row]:
-    """Rows over episodes, with intervals, and each predictor's paired difference to the first.
+) -> list[Row]:  # fmt: skip
+    """Rows over episodes, with intervals, from the errors by predictor of each.
 
-    Given are the errors by predictor of each episode, with what was measured and the horizons. Rows
-    are by ``predictor``, ``horizon_s`` and ``behavior`` ("all" for all that drive). One whose
-    metric is ``ade_m_minus_NAME`` is the mean difference to predictor NAME in the same episodes.
+    ``behavior`` is "all" for all that drive. A row whose metric is ``ade_m_minus_NAME`` is the mean
+    difference to predictor NAME in the same episodes.
     """
     rows: list[Row] = []
     names = list(episodes[0]) if episodes else []
@@ -273,10 +262,7 @@ def _evaluate_episode(
     folder: Path, entry: EpisodeEntry, predictors: Sequence[str], horizons_s: Sequence[float],
     model: Model, keep: bool, weights: Path | None, traffic: str | None,
 ) -> tuple[dict[str, Errors], list[pd.DataFrame], float]:  # fmt: skip
-    """Errors by predictor, futures as rows if they are kept, and the length of one episode, s.
-
-    There are no errors where the episode is too short to predict anything.
-    """
+    """Errors by predictor (none of a short episode), futures to keep, and its length, s."""
     dataset = open_dataset(folder)
     tracks, road = measured(dataset.read(entry)), dataset.road(entry)
     stops = list(instants(tracks, max(horizons_s)))
@@ -313,28 +299,16 @@ def _entries(dataset: Dataset, split: str | None) -> list[tuple[str, str, Episod
 
 
 def predict_dataset(
-    source: Path,
-    predictors: Sequence[str],
-    horizon_s: float = 5.0,
-    model: str = DEFAULT_MODEL,
-    *,
-    out: Path | None = None,
-    weights: Path | None = None,
-    traffic: str | None = None,
-    split: str | None = None,
-    jobs: int | None = None,
-    quiet: bool = False,
-) -> list[Row]:
-    """Implement ``graphrqi predict``: predict every episode of a split and return the errors.
+    source: Path, predictors: Sequence[str], horizon_s: float = 5.0, model: str = DEFAULT_MODEL,
+    *, out: Path | None = None, weights: Path | None = None, traffic: str | None = None,
+    split: str | None = None, jobs: int | None = None, quiet: bool = False,
+) -> list[Row]:  # fmt: skip
+    """Implement ``graphrqi predict``: rows of `score_predictions` for each scenario.
 
     Episodes that are too short are left out, each in a line on stderr. Futures are written into the
     file ``out``. The model is the classifier whose beliefs are used; weights and traffic are as
-    `score_episode` and `label_episode` take them. The split is "test", "validation", "train" or
-    "all"; by default it is "test", and "all" of recordings. Of "test", all of a scenario is
-    predicted that has none.
-
-    Returns:
-        Rows of `score_predictions` for each scenario.
+    `score_episode` and `label_episode` take them. The split is "test" by default, and "all" of
+    recordings. Of "test", all of a scenario is predicted that has none.
     """
     samples = horizon_s / SAMPLE_S
     if not SAMPLE_S <= horizon_s <= LONGEST_S or abs(samples - round(samples)) > 1e-6:
@@ -357,9 +331,9 @@ def predict_dataset(
     arguments = [(source, entry, *same) for *_, entry in entries]
     with nullcontext() if out is None else table_file(out, PREDICTIONS) as write:
         answers = in_parallel(_evaluate_episode, arguments, jobs, "predicting episodes", quiet)
-        for (*place, entry), (errors, futures, length_s) in zip(entries, answers, strict=True):
+        for (name, said, entry), (errors, futures, length_s) in zip(entries, answers, strict=True):
             if errors:
-                found.setdefault((place[0], place[1]), []).append(errors)
+                found.setdefault((name, said), []).append(errors)
             else:
                 short.append((entry, length_s))
             if write is not None and futures:

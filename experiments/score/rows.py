@@ -34,20 +34,13 @@ MADE: Final = ("command", "version", "seed", "dataset")
 FIGURE: Final = ("metric", "value", "low", "high", "n")
 """Keys of the figure itself."""
 
-LARGEST: Final = 1e300
-"""Largest absolute number of a row (what is computed from it stays finite)."""
-
-_Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+_Number = Annotated[float, Field(ge=-1e300, le=1e300, allow_inf_nan=False)]
 
 
 def tidy_row(
-    keys: Mapping[str, Cell],
-    metric: str,
-    value: float | None,
-    low: float | None = None,
-    high: float | None = None,
-    n: int | None = None,
-) -> Row:
+    keys: Mapping[str, Cell], metric: str, value: float | None, low: float | None = None,
+    high: float | None = None, n: int | None = None,
+) -> Row:  # fmt: skip
     """One figure of n cases with its 95 % interval; what is not finite is None.
 
     The keys say what was measured, and the metric's name has its unit. An interval needs both ends.
@@ -73,11 +66,9 @@ def melted(lines: Iterable[Row], keys: Sequence[str]) -> list[Row]:
 
 
 def pivoted(
-    rows: Iterable[Row],
-    down: Sequence[str],
-    column: Callable[[Row], str | None],
+    rows: Iterable[Row], down: Sequence[str], column: Callable[[Row], str | None],
     cell: Callable[[Row], Cell],
-) -> list[dict[str, Cell]]:
+) -> list[dict[str, Cell]]:  # fmt: skip
     """A table for people: a line for each combination of some keys, with a cell for each row.
 
     Rows without a column are left out; of several rows of one cell, the last is shown.
@@ -161,21 +152,13 @@ def write_rows(rows: Sequence[Row], path: Path) -> None:
 
 
 def show_table(
-    rows: Sequence[Row],
-    json: Path | None = None,
-    title: str = "",
-    lines: Sequence[Mapping[str, Any]] | None = None,
-    legend: str = "",
-) -> None:
-    """Print a table for people, and write tidy rows as JSON if a file is named.
+    rows: Sequence[Row], json: Path | None = None, title: str = "",
+    lines: Sequence[Mapping[str, Any]] | None = None, legend: str = "",
+) -> None:  # fmt: skip
+    """Print a table for people, and write tidy rows as JSON if a file is named (``-``: instead).
 
-    Args:
-        rows: tidy rows.
-        json: file for the rows; ``-`` prints JSON instead of the table.
-        title: what stands above the table.
-        lines: what is printed, as mappings with the same keys; None for the rows themselves. Off a
-            terminal, a line is up to 200 characters wide.
-        legend: what stands below the table.
+    What is printed are ``lines``, mappings with the same keys, or the rows themselves. Off a
+    terminal, a line is up to 200 characters wide.
     """
     if json is not None:
         write_rows(rows, json)
@@ -189,9 +172,8 @@ def show_table(
     table = Table(*map(printable, columns), title=printable(title) or None)
     for row in shown:
         table.add_row(*(printable(_text(row.get(column))) for column in columns))
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, markup=False, width=200)
+    width = None if sys.stdout.isatty() else 200
+    console = Console(highlight=False, markup=False, width=width)
     console.print(table)
     if legend:
         console.print(legend)
@@ -204,11 +186,9 @@ def _text(cell: object) -> str:
 
 
 def show_parts(
-    name: str,
-    parts: Iterable[Sequence[Row]],
-    json: Path | None,
+    name: str, parts: Iterable[Sequence[Row]], json: Path | None,
     table: Callable[[Sequence[Row]], Sequence[Row]] | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Print rows of a command that come part by part, with `show_table`, laid out by ``table``.
 
     A file of JSON is written after every part, so a measurement that is stopped has left some.

@@ -108,10 +108,7 @@ def as_table(frame: pd.DataFrame, schema: pa.Schema) -> pa.Table:
 def predictions_table(
     prediction: Prediction, history: Tracks, predictor: str, entry: EpisodeEntry, horizon_s: float
 ) -> pd.DataFrame:
-    """One instant's futures of the last frame of a history, as rows with the columns `PREDICTIONS`.
-
-    No place farther ahead than the horizon, s, is kept.
-    """
+    """One instant's futures of a history's last frame up to a horizon, s: rows `PREDICTIONS`."""
     ahead = np.arange(1, round(horizon_s / SAMPLE_S) + 1) * SAMPLE_S
     ahead = ahead[ahead <= prediction.time_s[-1] + 1e-6]
     xy = prediction.xy[:, :, np.searchsorted(prediction.time_s, ahead - 1e-6)]
@@ -141,11 +138,7 @@ def check_ending(path: Path) -> Path:
 
 @contextmanager
 def table_file(path: Path, schema: pa.Schema) -> Iterator[Callable[[pd.DataFrame], None]]:
-    """A new file of rows; it appears complete when the block ends, or not at all.
-
-    What the block is given adds rows with the schema. The file's ending says whether it is Parquet
-    or CSV, where null is an empty cell.
-    """
+    """What adds rows to a new file, Parquet or CSV, which appears complete when the block ends."""
     with whole_file(check_ending(path)) as partial:
         writer: Any
         if path.suffix.lower() == ".csv":
@@ -157,11 +150,7 @@ def table_file(path: Path, schema: pa.Schema) -> Iterator[Callable[[pd.DataFrame
 
 
 def write_conflicts(source: Path, out: Path) -> None:
-    """Write the conflicts of all episodes of a dataset's folder into one file, .parquet or .csv.
-
-    It has the columns `JOINED`, the names of both road users, and those of the dataset's table
-    ``conflicts``.
-    """
+    """Write the conflicts of all episodes of a dataset's folder into one file, with `JOINED`."""
     dataset = open_dataset(source)
     names = [(name, pa.string()) for name in ("first_name", "second_name")]
     own = [

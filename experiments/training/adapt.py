@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -24,14 +23,9 @@ from sim.frames import BoolArray, FloatArray
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry
 
-LABELLED: Final = (10, 30, 100)
-"""Numbers of labelled drivers that are reported."""
-
-SPLITS: Final = 20
-"""Random choices of the labelled drivers that are averaged."""
-
-LEAST_SCORED: Final = 10
-"""Fewest drivers beside the labelled ones on which a number is reported."""
+LABELLED, SPLITS, LEAST_SCORED = (10, 30, 100), 20, 10
+"""Numbers of labelled drivers that are reported, random choices of them that are averaged, and the
+fewest drivers beside them on which a number is reported."""
 
 
 def adapt(

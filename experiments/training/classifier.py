@@ -19,11 +19,8 @@ from graphrqi.samples import WINDOWS_S, NoSamplesError
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import Split
 
-TRAINING_EVERY_S: Final = 3.0
-"""Time between the ends of training windows of one driver."""
-
-TRAINING_PER_MOMENT: Final = 1
-"""Window lengths drawn for each driver and moment in training."""
+TRAINING_EVERY_S, TRAINING_PER_MOMENT = 3.0, 1
+"""Time between the ends of training windows of one driver, s, and how many are drawn there."""
 
 TRAINING_LIMITS_MPS: Final = (13.89, 13.89, 13.89, 13.89, 8.33, 13.89, 13.89, 13.89, 13.89, 19.44)
 """Speed limits of the training data, episode by episode. A third of the training episodes have
@@ -32,14 +29,9 @@ and scoring have the usual limit."""
 
 
 def train_model(
-    datasets: Sequence[Dataset],
-    method: str,
-    *,
-    per_moment: int = TRAINING_PER_MOMENT,
-    seed: int = 0,
-    jobs: int | None = None,
-    quiet: bool = True,
-) -> Model:
+    datasets: Sequence[Dataset], method: str, *, per_moment: int = TRAINING_PER_MOMENT,
+    seed: int = 0, jobs: int | None = None, quiet: bool = True,
+) -> Model:  # fmt: skip
     """Train on training episodes; validation episodes serve early stopping and calibration.
 
     Args:
@@ -87,14 +79,9 @@ def train_model(
 
 
 def train_on(
-    datasets: Sequence[Path],
-    method: str,
-    out: Path,
-    seed: int = 0,
-    quiet: bool = False,
-    jobs: int | None = None,
-    per_moment: int = TRAINING_PER_MOMENT,
-) -> Model:
+    datasets: Sequence[Path], method: str, out: Path, seed: int = 0, quiet: bool = False,
+    jobs: int | None = None, per_moment: int = TRAINING_PER_MOMENT,
+) -> Model:  # fmt: skip
     """Train on dataset folders and save the model (``graphrqi train``), as `train_model` does.
 
     The card of the trained model has the scores on the test episodes as rows.

@@ -27,29 +27,22 @@ EXACT, NOISY, OTHER = range(3)
 PARTS: Final = ("home", "home, seen badly", "worlds")
 """Names of the parts of the training. They draw the sensors, so other names are other sensors."""
 
-EVERY_S: Final = 4.0
-"""Time between the moments at which every driver of a training episode is sampled, s. A moment of
-each place is drawn in each pass of the training."""
-
-WHOLE_TRACK_S: Final = (float("inf"),)
-"""Drivers are seen since they appeared, as in a stream."""
+EVERY_S, WHOLE_TRACK_S = 4.0, (float("inf"),)
+"""Time between the moments at which every driver of a training episode is sampled, s; drivers are
+seen since they appeared, as in a stream."""
 
 LEARNED: Final[tuple[Split, ...]] = ("train", "validation")
 """Splits that are learned from: nothing is chosen on validation episodes."""
 
 
 def train_on_worlds(
-    simulated: Sequence[Dataset],
-    worlds: Sequence[Dataset],
-    seed: int = 0,
-    jobs: int | None = None,
-    quiet: bool = True,
-) -> tuple[OtherTraffic, dict[str, Any]]:
+    simulated: Sequence[Dataset], worlds: Sequence[Dataset], seed: int = 0,
+    jobs: int | None = None, quiet: bool = True,
+) -> tuple[OtherTraffic, dict[str, Any]]:  # fmt: skip
     """Train the networks for traffic in which the classifier does not hold.
 
     Simulated episodes are used twice: as they are, and through a sensor that is drawn at random.
-    Both kinds of datasets have train and validation episodes. For the model's card, the data come
-    as ``networks``, and ``scores`` on unseen worlds.
+    For the model's card, the data come as ``networks``, and ``scores`` on unseen worlds.
     """
     from graphrqi.places.training import train_other_traffic
 

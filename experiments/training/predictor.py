@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -35,17 +35,11 @@ from sim.geometry import to_own_frame
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
-CALIBRATE_EVERY_S: Final = 6.0
-"""Time between scenes used for calibration, s."""
+CALIBRATE_EVERY_S, EXAMPLES_EVERY_S = 6.0, 1.5
+"""Time between scenes used for calibration, and between instants of training networks, s."""
 
-EXAMPLES_EVERY_S: Final = 1.5
-"""Time between instants that networks are trained on, s."""
-
-EPOCHS: Final = 24
-"""Passes over the training examples."""
-
-SEED: Final = 0
-"""Seed of searches, weights, order and the choice of beliefs left out or shuffled."""
+EPOCHS, SEED = 24, 0
+"""Passes over the training examples; seed of searches, weights, order and drawn beliefs."""
 
 UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 """Shares of instants in an epoch with all beliefs removed, and with beliefs permuted between
@@ -79,17 +73,9 @@ def _learned(history: Tracks, truth: FloatArray) -> BoolArray:
 
 
 def calibrate_drivers(
-    source: Path,
-    out: Path,
-    *,
-    iterations: int = 80,
-    quiet: bool = False,
+    source: Path, out: Path, *, iterations: int = 80, quiet: bool = False
 ) -> DriverTable:
-    """Calibrate the car-following numbers on a dataset's training episodes, and save them.
-
-    Raises:
-        InputError: if a training episode lacks a road or labels, or none exists.
-    """
+    """Calibrate the car-following numbers on a dataset's training episodes, and save them."""
     dataset = open_dataset(source)
     splits: dict[str, list[Sample]] = {}
     for split in ("train", "validation"):
@@ -125,24 +111,22 @@ class BeliefExamples:
     """The same examples with the classifier's posteriors, with none, and with other drivers'.
 
     They are drawn for every epoch, so that a network learns how far to trust beliefs. ``instant``
-    (m,) numbers the instants at which they were taken, from 0 on.
+    (m,) numbers their instants.
     """
 
+    instant: IntArray
     believed: Examples
     unknown: Examples
     shuffled: Examples
-    instant: IntArray
 
     @classmethod
     def join(cls, parts: list[BeliefExamples]) -> BeliefExamples:
         """One after the other."""
-        believed, unknown, shuffled = (
-            Examples.join([getattr(part, name) for part in parts])
-            for name in ("believed", "unknown", "shuffled")
-        )
+        names = ("believed", "unknown", "shuffled")
+        joined = [Examples.join([getattr(part, name) for part in parts]) for name in names]
         first = np.cumsum([0, *(part.instant.max() + 1 for part in parts[:-1])])
         instant = [part.instant + begin for part, begin in zip(parts, first, strict=True)]
-        return cls(believed, unknown, shuffled, np.concatenate(instant))
+        return cls(np.concatenate(instant), *joined)
 
     def draw(self, seed: int, epoch: int) -> Examples:
         """One of the three for each instant, by the shares above."""
@@ -159,10 +143,7 @@ class BeliefExamples:
 def examples_of(
     folder: Path, entry: EpisodeEntry, model: str, every_s: float
 ) -> tuple[BeliefExamples, Examples]:
-    """Training examples of learned predictors from one episode: with labels and without.
-
-    Beliefs are the classifier's own.
-    """
+    """Training examples from one episode: with the classifier's beliefs, and without labels."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None:
@@ -170,13 +151,11 @@ def examples_of(
     table = load_table()
     stops = list(instants(tracks, LEARNED_S, every_s))
     by_belief: list[list[Examples]] = [[], [], []]
-    label_free = []
+    label_free, sample = [], np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
     for stop, posterior in beliefs(tracks, load_model(model), stops).items():
         history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
         scene = make_scene(history, road, LEARNED_S)
-        rows = np.searchsorted(tracks.ids, history.ids)
-        sample = np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
-        truth = future(tracks, rows, stop, sample)
+        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, sample)
         counts = _learned(history, truth)
         if not counts.any():
             continue
@@ -188,8 +167,7 @@ def examples_of(
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled_inputs(scene), own, counts))
     instant = np.repeat(np.arange(len(label_free)), [len(one.features) for one in label_free])
-    believed, unknown_too, shuffled = (Examples.join(found) for found in by_belief)
-    return BeliefExamples(believed, unknown_too, shuffled, instant), Examples.join(label_free)
+    return BeliefExamples(instant, *map(Examples.join, by_belief)), Examples.join(label_free)
 
 
 def _examples(data: PredictorInputs, truth: FloatArray, counts: BoolArray) -> Examples:
@@ -201,22 +179,14 @@ def _examples(data: PredictorInputs, truth: FloatArray, counts: BoolArray) -> Ex
 
 
 def train_predictors(
-    source: Path,
-    model: str,
-    out: Path,
-    *,
-    quiet: bool = False,
+    source: Path, model: str, out: Path, *, quiet: bool = False
 ) -> dict[str, float]:
     """Train the learned predictors on a dataset's training episodes, and save them in a folder.
 
     The classifier ``model`` should not have been trained on these episodes, where its posteriors
     are too certain. Returned is each network's ADE on the validation episodes, m.
-
-    Raises:
-        InputError: if a split has no episode, or the model cannot be read.
     """
     dataset = open_dataset(source)
-    load_model(model)
     parts: dict[Split, tuple[BeliefExamples, Examples]] = {}
     splits: tuple[Split, ...] = ("train", "validation")
     for split in splits:
@@ -242,7 +212,7 @@ def train_predictors(
         network = train_perceptron(train, check, epochs=EPOCHS, seed=SEED, on_epoch=advance)
         rival = train_lstm(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
     scores = {
-        "graphrqi-predict": guess_ade_m(network, check), "lstm": guess_ade_m(rival, check_free)
+        "graphrqi-predict": _guess_ade_m(network, check), "lstm": _guess_ade_m(rival, check_free)
     }  # fmt: skip
     out.mkdir(parents=True, exist_ok=True)
     for name, save in (("graphrqi-predict", network.save), ("lstm", rival.save)):
@@ -250,7 +220,7 @@ def train_predictors(
     return scores
 
 
-def guess_ade_m(network: Callable[[PredictorInputs], Futures], examples: Examples) -> float:
+def _guess_ade_m(network: Callable[[PredictorInputs], Futures], examples: Examples) -> float:
     """Mean distance of a network's likeliest futures, m."""
     data = PredictorInputs(
         examples.features.astype(np.float64), examples.anchors.astype(np.float64)

@@ -22,12 +22,10 @@ from experiments.console.progress import Progress
 from experiments.training.recordings import (
     PAST_S,
     RecordedPlace,
-    happened,
+    by_dataset,
+    cases,
     history_of,
     moving_s,
-    read_sources,
-    recorded_instants,
-    scored,
     steady_motion,
 )
 from graphrqi.predict.networks import TIME_S
@@ -53,37 +51,28 @@ PER_DATASET: Final = 1_200
 LEAST_EVERY_S, MOST_EVERY_S = 0.4, 30.0
 """Shortest and longest time between the instants of a recording, s."""
 
-NOISE_M: Final = (0.02, 0.3)
-"""Range of the noise added to the past, standard deviation of each coordinate, m, log-uniform."""
+NOISE_M, MAP_OFF_M = (0.02, 0.3), 0.6
+"""Range of the noise added to the past, log-uniform, and the map's offset in an altered version:
+standard deviations of each coordinate, m."""
 
 COARSER, DENSE_S = (2, 3, 5), 0.15
 """Every second, third or fifth frame is kept in another version, where frames are closer than
 this, s."""
 
-MAP_OFF_M: Final = 0.6
-"""Standard deviation of each coordinate of the map's offset in an altered version, m."""
-
-KEY_FRAMES_S: Final = (1.0, 5.0)
+KEY_FRAMES_S, SHORTEST_PAST_S = (1.0, 5.0), 0.4
 """Range of the time between key frames, s, uniform (after NGSIM's Peachtree Street, whose speeds
-are piecewise constant)."""
+are piecewise constant), and the shortest past that is learned from, s."""
 
 MIRROR: Final = np.array([1.0, -1.0])
 """Swaps left and right."""
 
-SHORTEST_PAST_S: Final = 0.4
-"""The shortest past that is learned from, s."""
+MIRRORED_SHARE, ALONE_SHARE = 0.5, 0.08
+"""Shares of versions in which left and right are swapped, and of those without neighbours, as where
+gaps are implausible."""
 
-MIRRORED_SHARE: Final = 0.5
-"""Share of versions in which left and right are swapped (both sides are the same then)."""
-
-ALONE_SHARE: Final = 0.08
-"""Share of versions without neighbours, as where gaps are implausible."""
-
-FOLDS: Final = 3
-"""Groups of datasets that are left out in turn to see what corrections earn."""
-
-VALIDATION_EVERY: Final = 10
-"""Every tenth recording scales the spreads and is not trained on."""
+FOLDS, VALIDATION_EVERY = 3, 10
+"""Groups of datasets that are left out in turn to see what corrections earn. Every tenth recording
+scales the spreads and is not trained on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,11 +113,7 @@ def with_noise(history: Tracks, deviation_m: float, rng: np.random.Generator, st
 
 
 def between_key_frames(tracks: Tracks, rng: np.random.Generator) -> Tracks:
-    """A recording in which each agent moves steadily from one of its key frames to the next.
-
-    Trackers and annotators fill in what they do not see: speeds are then constant for seconds, and
-    the acceleration cannot be seen.
-    """
+    """A recording in which each agent moves steadily between key frames, as if filled in there."""
     xy, speed = tracks.xy.copy(), tracks.speed.copy()
     for row, seen in enumerate(tracks.valid):
         columns = np.flatnonzero(seen)
@@ -182,11 +167,10 @@ def recorded_examples(
     history: Tracks, truth: FloatArray, counts: BoolArray, group: int, believable: bool,
     road: Road | None = None, map_off_m: FloatArray | None = None,
 ) -> RecordedExamples:  # fmt: skip
-    """Training examples of one instant.
+    """Training examples of one instant, whose agents that count (n,) went to (n, KNOTS, 2), m.
 
-    All agents are seen in the history's last column, and those that count (n,) went to ``truth``
-    (n, KNOTS, 2), m. ``group`` is the dataset's number. Neighbours are seen only if their gaps are
-    ``believable``. The map may be off by ``map_off_m`` (2,), m.
+    ``group`` is the dataset's number. Neighbours are seen only if their gaps are ``believable``.
+    The map may be off by ``map_off_m`` (2,), m.
     """
     motion = Motion.of(history)
     ahead = LanesAhead.none(history.ids.size)
@@ -215,18 +199,12 @@ def examples_of(
 ) -> list[RecordedExamples]:
     """Training examples of one recording at instants ``every_s`` apart, also in altered versions.
 
-    Between key frames places are interpolated, so the key frame to come shows in the past of that
-    version, as it does in recordings that were filled in.
+    Between key frames places are interpolated, so the key frame to come shows in the past.
     """
     found, tracks = [], one.tracks
     filled_in = between_key_frames(tracks, rng) if versions else tracks
     swapped = mirrored_road(one.road) if versions and one.road is not None else None
-    for stop in recorded_instants(tracks, every_s):
-        history = history_of(tracks, stop)
-        truth = happened(tracks, history, stop)
-        counts = scored(history) & np.isfinite(truth).all(axis=(1, 2))
-        if not counts.any():
-            continue
+    for stop, history, truth, counts in cases(tracks, every_s):
         believable = plausible(history)
         seen_as = [history]
         if versions:
@@ -250,13 +228,12 @@ def gather_examples(
 
     None if no agent moves for long enough. ``group`` is the dataset's number.
     """
-    every_s = 0.7 * moving_s(places) / per_dataset
-    every_s = float(np.clip(every_s, LEAST_EVERY_S, MOST_EVERY_S))
+    every_s = np.clip(0.7 * moving_s(places) / per_dataset, LEAST_EVERY_S, MOST_EVERY_S)
     parts: tuple[list[RecordedExamples], list[RecordedExamples]] = ([], [])
     for index, one in enumerate(places):
         rng = np.random.default_rng((seed, group, index))
         apart = index % VALIDATION_EVERY == VALIDATION_EVERY - 1
-        parts[apart].extend(examples_of(one, every_s, group, rng, not apart))
+        parts[apart].extend(examples_of(one, float(every_s), group, rng, not apart))
     if not parts[0]:
         return None
     training, validation = (RecordedExamples.join(part) if part else None for part in parts)
@@ -265,29 +242,19 @@ def gather_examples(
 
 
 def train_on_recordings(
-    sources: Sequence[Path],
-    out: Path,
-    *,
-    epochs: int = EPOCHS,
-    seed: int = 0,
-    per_dataset: int = PER_DATASET,
-    quiet: bool = False,
+    sources: Sequence[Path], out: Path, *, epochs: int = EPOCHS, seed: int = 0, quiet: bool = False
 ) -> dict[str, float]:
     """Train the predictor for recordings, and save it with its card in a folder.
 
-    Sources are as `read_sources` takes them. About ``per_dataset`` agents at instants are taken
-    from each dataset. Returned is, by dataset, the mean error of the best guesses over that of
-    constant velocity, on its recordings apart; on its training recordings where it has too few.
+    Sources are as `by_dataset` takes them. Returned is, by dataset, the mean error of the best
+    guesses over that of constant velocity, on its recordings apart; on its training recordings
+    where it has too few.
     """
-    by_dataset: dict[str, list[RecordedPlace]] = {}
-    with Progress("reading recordings", 0, quiet) as progress:
-        for one in read_sources(sources):
-            by_dataset.setdefault(one.dataset, []).append(one)
-            progress.advance(one.tracks.ids.size, int(one.tracks.valid.sum()))
+    places = by_dataset(sources, quiet=quiet)
     found: list[DatasetExamples] = []
-    with Progress("observing recordings", len(by_dataset), quiet) as progress:
-        for name in sorted(by_dataset):
-            examples = gather_examples(by_dataset[name], len(found), seed, per_dataset)
+    with Progress("observing recordings", len(places), quiet) as progress:
+        for each in places.values():
+            examples = gather_examples(each, len(found), seed)
             if examples is not None:
                 found.append(examples)
             progress.advance()
@@ -334,9 +301,6 @@ def _fit(found: Sequence[DatasetExamples], epochs: int, seed: int, quiet: bool) 
     apart = [one.validation for one in found if one.validation is not None]
     with Progress("training epochs", epochs, quiet) as progress:
         return train_recorded(
-            training,
-            RecordedExamples.join(apart) if apart else training,
-            epochs=epochs,
-            seed=seed,
-            on_epoch=lambda epoch: progress.advance(),
-        )
+            training, RecordedExamples.join(apart) if apart else training, epochs=epochs,
+            seed=seed, on_epoch=lambda epoch: progress.advance(),
+        )  # fmt: skip

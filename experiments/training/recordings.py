@@ -8,15 +8,17 @@ samples the future would leak into an interpolated past.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from behaviors.errors import InputError
+from experiments.console.notices import LOGGER
+from experiments.console.progress import Progress
 from experiments.score.predictions import HISTORY_S, future
 from graphrqi.predict.networks import TIME_S
 from graphrqi.predict.recorded.features import inferred_leaders
@@ -26,28 +28,19 @@ from sim.road import Road
 from sim.road.road_files import read_road_file
 from sim.store.dataset import is_dataset, open_dataset
 
-PAST_S: Final = 3.0
-"""Least past of a scored agent, s."""
-
-AHEAD_S: Final = float(TIME_S[-1])
-"""How far ahead is predicted, s."""
+PAST_S, AHEAD_S, VELOCITY_S = 3.0, float(TIME_S[-1]), 0.5
+"""Least past of a scored agent, how far ahead is predicted, and the past over which constant
+velocity averages, s."""
 
 MOVING_MPS, MOVED_M = 1.0, 1.0
 """Agents that count as moving have at least this speed, m/s, or moved by this distance within the
 last `PAST_S`, m."""
 
 CLASSES: Final = ("standing", "slow", "free", "following")
-"""Classes of vehicles by their past."""
-
-STANDING_MPS, SLOW_MPS = 0.5, 5.0
-"""A standing vehicle is slower than the first and has moved by less than half a metre; a slow one
-is below the second, m/s."""
-
-FOLLOWING_S, FOLLOWING_M = 3.0, 15.0
-"""A follower has a leader within this time or distance."""
-
-VELOCITY_S: Final = 0.5
-"""Past over which constant velocity averages, s."""
+STANDING_MPS, SLOW_MPS, FOLLOWING_S, FOLLOWING_M = 0.5, 5.0, 3.0, 15.0
+"""Classes of vehicles by their past. A standing vehicle is slower than the first and has moved by
+less than half a metre; a slow one is below the second, m/s. A follower has a leader within the
+third, s, or the last, m."""
 
 MOST_NOISE_M: Final = 0.2
 """Episodes that say that they are shakier are left out."""
@@ -62,8 +55,10 @@ class RecordedPlace:
     road: Road | None
 
 
-def read_sources(sources: Sequence[Path], maps: bool = True) -> Iterator[RecordedPlace]:
-    """The recordings of datasets of ours, files and folders, in order of the files' names.
+def by_dataset(
+    sources: Sequence[Path], maps: bool = True, quiet: bool = True
+) -> dict[str, list[RecordedPlace]]:
+    """The recordings of datasets of ours, files and folders, by the names of their datasets.
 
     A folder that holds no recordings itself is a folder of datasets, one in each subfolder.
     Unknown formats and broken files are left out, each with a line on stderr. Roads are read only
@@ -72,14 +67,16 @@ def read_sources(sources: Sequence[Path], maps: bool = True) -> Iterator[Recorde
     Raises:
         InputError: if there is nothing at a path.
     """
-    for source in sources:
-        if not source.exists():
-            raise InputError(f"{source}: found nothing there, expected a dataset or a recording")
-        for folder in _datasets_in(source):
-            if is_dataset(folder):
-                yield from _stored(folder, maps)
-            else:
-                yield from _read(folder, maps)
+    found: dict[str, list[RecordedPlace]] = {}
+    with Progress("reading recordings", 0, quiet) as progress:
+        for source in sources:
+            if not source.exists():
+                raise InputError(f"{source}: found nothing, expected a dataset or a recording")
+            for folder in _datasets_in(source):
+                for one in (_stored if is_dataset(folder) else _read)(folder, maps):
+                    found.setdefault(one.dataset, []).append(one)
+                    progress.advance(one.tracks.ids.size, int(one.tracks.valid.sum()))
+    return dict(sorted(found.items()))
 
 
 def _datasets_in(source: Path) -> list[Path]:
@@ -104,24 +101,21 @@ def _stored(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
 
 def _read(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
     """The recordings of a file or folder."""
+    read_road = lru_cache(maxsize=1)(read_road_file)
     try:
         form = recognise(folder)
         files = recording_files(folder, form)
     except InputError as error:
-        sys.stderr.write(f"graphrqi: left out: {error}\n")
+        LOGGER.warning("left out: %s", error)
         return
-    roads: dict[Path, Road] = {}
     for file in files:
         try:
             for recording in get_reader(form)(file):
                 road = recording.road if maps else None
-                if isinstance(road, Path):
-                    if road not in roads:
-                        roads = {road: read_road_file(road)}  # the last one read
-                    road = roads[road]
+                road = read_road(road) if isinstance(road, Path) else road
                 yield RecordedPlace(folder.name, recording.tracks, road)
         except InputError as error:
-            sys.stderr.write(f"graphrqi: left out: {error}\n")
+            LOGGER.warning("left out: %s", error)
 
 
 def recorded_instants(tracks: Tracks, every_s: float) -> list[int]:
@@ -152,14 +146,27 @@ def history_of(tracks: Tracks, stop: int) -> Tracks:
     return tracks.window(stop, round(HISTORY_S / tracks.step_s) + 1)
 
 
-def scored(history: Tracks) -> BoolArray:
+def cases(tracks: Tracks, every_s: float) -> Iterator[tuple[int, Tracks, FloatArray, BoolArray]]:
+    """Instants with vehicles that are scored: index, history, future and who counts.
+
+    Counted (n,) are vehicles seen for `PAST_S` whose future (n, KNOTS, 2), m, is known.
+    """
+    for stop in recorded_instants(tracks, every_s):
+        history = history_of(tracks, stop)
+        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, TIME_S)
+        counts = _scored(history) & np.isfinite(truth).all(axis=(1, 2))
+        if counts.any():
+            yield stop, history, truth, counts
+
+
+def _scored(history: Tracks) -> BoolArray:
     """(n,) agents that the past admits to scoring: vehicles seen for `PAST_S`."""
     ago = history.time_s - history.time_s[-1]
     first = history.valid.argmax(axis=1)
     return np.asarray((history.kind != PEDESTRIAN) & (-ago[first] >= PAST_S - 1e-2))
 
 
-def moved_m(history: Tracks) -> FloatArray:
+def _moved_m(history: Tracks) -> FloatArray:
     """(n,) how far each is from where it was `PAST_S` ago, m."""
     ago = history.time_s - history.time_s[-1]
     first = history.valid.argmax(axis=1)
@@ -170,7 +177,7 @@ def moved_m(history: Tracks) -> FloatArray:
 
 def moving(history: Tracks) -> BoolArray:
     """(n,) moving agents among the scored ones."""
-    return scored(history) & ((moved_m(history) > MOVED_M) | (history.speed[:, -1] >= MOVING_MPS))
+    return _scored(history) & ((_moved_m(history) > MOVED_M) | (history.speed[:, -1] >= MOVING_MPS))
 
 
 def classes_of(history: Tracks) -> IntArray:
@@ -178,7 +185,7 @@ def classes_of(history: Tracks) -> IntArray:
     speed = history.speed[:, -1]
     leader, gap = inferred_leaders(history)
     follows = (leader >= 0) & (gap < np.maximum(FOLLOWING_S * speed, FOLLOWING_M))
-    stands = (speed < STANDING_MPS) & (moved_m(history) < STANDING_MPS)
+    stands = (speed < STANDING_MPS) & (_moved_m(history) < STANDING_MPS)
     code = np.where(follows, 3, 2)
     return np.where(stands, 0, np.where(speed < SLOW_MPS, 1, code))
 
@@ -195,8 +202,3 @@ def steady_motion(history: Tracks, time_s: FloatArray) -> FloatArray:
         passed = np.maximum(-ago[column], 1e-3)
         velocity = (here - history.xy[np.arange(column.size), column]) / passed[:, None]
     return np.asarray(here[:, None] + velocity[:, None] * time_s[:, None])
-
-
-def happened(tracks: Tracks, history: Tracks, stop: int) -> FloatArray:
-    """(n, KNOTS, 2) where a history's agents went, m; NaN where that was not seen."""
-    return future(tracks, np.searchsorted(tracks.ids, history.ids), stop, TIME_S)

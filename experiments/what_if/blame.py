@@ -21,7 +21,7 @@ from behaviors.errors import InputError
 from behaviors.labels import Behavior
 from experiments.score.rows import Cell
 from experiments.what_if.outcomes import INCIDENTS
-from sim.episode.incidents import incidents
+from sim.episode.annotate import incidents
 from sim.frames import Event, Frame, Tracks
 from sim.scenario import AgentSpec, Scenario
 from sim.sumo.branches import Trunk
@@ -50,7 +50,7 @@ def judge(
 
     Yields:
         A line for each incident and driver, in order of time. ``time_s``, ``incident``, ``agent``,
-        ``other`` and ``rule`` are those of the incident, by `sim.episode.incidents`. ``driver`` is
+        ``other`` and ``rule`` are those of the incident, by `sim.episode.annotate`. ``driver`` is
         who was made careful, with its ``role`` ("agent" or "other" as in the incident, or
         "bystander") and its own ``behavior``. ``prevents`` says whether the incident does not
         happen then: False where the driver is careful already, None where it could not be changed

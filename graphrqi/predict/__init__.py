@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
     from graphrqi.predict.prediction import Prediction
     from graphrqi.predict.scene.scene import Scene, Unmapped
-    from sim.episode.window import Window
+    from sim.episode.live import Window
     from sim.frames import Tracks
     from sim.road import Road
 

@@ -18,8 +18,6 @@ from typing import Any, Final
 
 import gymnasium
 
-ENTRY_POINT: Final = "scenarios.environments.environment:TrafficEnv"
-
 _GRID: Final = Path(__file__).parents[1] / "networks" / "grid_3" / "road.net.xml"
 
 _WIDE: Final[dict[str, Any]] = {
@@ -44,34 +42,34 @@ _FROM_THE_SOUTH: Final = {
     "left": ("south_in", "west_out"),
     "right": ("south_in", "east_out"),
 }
-
-
-def _row(scenario: str, routes: Any, defaults: dict[str, Any]) -> dict[str, Any]:
-    return {"scenario_name": scenario, "routes": routes, "defaults": defaults}
+_ROUND: Final = ("south_in", "south_east", "east_north", "north_out")
 
 
 ENVIRONMENTS: Final[dict[str, dict[str, Any]]] = {
-    # 800 m of one-way road with three lanes and a zebra crossing half-way, from west to east
-    "graphrqi/StraightRoad-v0": _row("straight_road", ("east_in", "east_out"), _ROAD),
-    # 1200 m of a road with one lane each way, where others overtake on the oncoming lane
-    "graphrqi/TwoWayRoad-v0": _row("two_way_road", ("east_in", "east_out"), {"duration_s": 150.0}),
-    # intersections of four arms of 250 m; the ego vehicle comes from the south
-    "graphrqi/FourWayIntersection-v0": _row("four_way_intersection", _FROM_THE_SOUTH, _SQUARE),
-    "graphrqi/PriorityIntersection-v0": _row("priority_intersection", _FROM_THE_SOUTH, _SQUARE),
-    "graphrqi/AllWayStop-v0": _row("all_way_stop", _FROM_THE_SOUTH, _SQUARE),
-    "graphrqi/RightBeforeLeft-v0": _row("right_before_left", _FROM_THE_SOUTH, _SQUARE),
-    # 2 km of motorway with three lanes; with ramps, the ego vehicle joins it
-    "graphrqi/Motorway-v0": _row("motorway", ("before", "between", "after"), _MOTORWAY),
-    "graphrqi/MotorwayRamps-v0": _row("motorway_ramps", ("on", "between", "after"), _MOTORWAY),
-    # from the southern arm round a ring with one lane to the northern arm
-    "graphrqi/Roundabout-v0": _row(
-        "roundabout", ("south_in", "south_east", "east_north", "north_out"), _SQUARE
-    ),
-    # a grid of streets, or any road by config={"net": FILE}, along a route of the traffic's
-    "graphrqi/OwnRoad-v0": _row(str(_GRID), None, {**_SQUARE, "duration_s": 120.0}),
+    f"graphrqi/{name}-v0": {"scenario_name": scenario, "routes": routes, "defaults": defaults}
+    for name, scenario, routes, defaults in (
+        # 800 m of one-way road with three lanes and a zebra crossing half-way, from west to east
+        ("StraightRoad", "straight_road", ("east_in", "east_out"), _ROAD),
+        # 1200 m of a road with one lane each way, where others overtake on the oncoming lane
+        ("TwoWayRoad", "two_way_road", ("east_in", "east_out"), {"duration_s": 150.0}),
+        # intersections of four arms of 250 m; the ego vehicle comes from the south
+        ("FourWayIntersection", "four_way_intersection", _FROM_THE_SOUTH, _SQUARE),
+        ("PriorityIntersection", "priority_intersection", _FROM_THE_SOUTH, _SQUARE),
+        ("AllWayStop", "all_way_stop", _FROM_THE_SOUTH, _SQUARE),
+        ("RightBeforeLeft", "right_before_left", _FROM_THE_SOUTH, _SQUARE),
+        # 2 km of motorway with three lanes; with ramps, the ego vehicle joins it
+        ("Motorway", "motorway", ("before", "between", "after"), _MOTORWAY),
+        ("MotorwayRamps", "motorway_ramps", ("on", "between", "after"), _MOTORWAY),
+        # from the southern arm round a ring with one lane to the northern arm
+        ("Roundabout", "roundabout", _ROUND, _SQUARE),
+        # a grid of streets, or any road by config={"net": FILE}, along a route of the traffic's
+        ("OwnRoad", str(_GRID), None, {**_SQUARE, "duration_s": 120.0}),
+    )
 }
 """Arguments of `TrafficEnv` for each environment, by its id."""
 
 for _name, _arguments in ENVIRONMENTS.items():
     if _name not in gymnasium.registry:
-        gymnasium.register(id=_name, entry_point=ENTRY_POINT, kwargs=_arguments)
+        gymnasium.register(
+            _name, "scenarios.environments.environment:TrafficEnv", kwargs=_arguments
+        )

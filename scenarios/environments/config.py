@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     BaseModel,
-    ConfigDict,
     Field,
     PlainValidator,
     SkipValidation,
@@ -22,21 +21,18 @@ from behaviors.profiles import DEFAULT_SPREAD
 from sim.highway.ego import check_action
 from sim.invalid_fields import first_wrong_field
 
+_POPULATION: Final = PlainValidator(
+    lambda given: None if given is None else read_population(given).table()
+)
+_BEHAVIORS: Final = PlainValidator(
+    lambda given: None if given is None else tables_of(read_behaviors(given))
+)
 
-def _behavior_tables(source: Any) -> dict[str, Any] | None:
-    return None if source is None else tables_of(read_behaviors(source))
 
-
-def _population_table(source: Any) -> dict[str, Any] | None:
-    return None if source is None else read_population(source).table()
-
-
-class TrafficConfig(BaseModel):
+class TrafficConfig(
+    BaseModel, extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+):
     """The keys that every environment has."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
-    )
 
     observation: Literal["kinematics", "behavior", "posterior", "graph"] = "kinematics"
     """Observation: positions and motion; with them every driver's true behaviour, the classifier's
@@ -64,11 +60,11 @@ class TrafficConfig(BaseModel):
     spread: Annotated[float, SkipValidation] = DEFAULT_SPREAD
     """How much drivers of one behaviour differ."""
 
-    population: Annotated[dict[str, Any] | None, PlainValidator(_population_table)] = None
+    population: Annotated[dict[str, Any] | None, _POPULATION] = None
     """A shipped population's name ("us101"), a TOML file, or its parsed content; None for drivers
     around the profiles."""
 
-    behaviors: Annotated[dict[str, Any] | None, PlainValidator(_behavior_tables)] = None
+    behaviors: Annotated[dict[str, Any] | None, _BEHAVIORS] = None
     """Behaviours of one's own, beside the six, that the mix may name: names that ship, a TOML file,
     or its parsed content. In observations each counts for that of the six which it is like."""
 

@@ -21,26 +21,12 @@ from scipy.spatial import cKDTree
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from scenarios import get_scenario
+from scenarios.environments import observation as seen
 from scenarios.environments.config import TrafficConfig, read_config
-from scenarios.environments.observation import (
-    exchange_sides,
-    observable_agents,
-    observation_space,
-    observe_agents,
-    observe_ego,
-    observe_graph,
-)
-from sim.episode.buffer import FrameBuffer
+from sim.episode.live import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
 from sim.highway import ego as ego_vehicles
-from sim.highway.ego import (
-    EgoEnv,
-    Observation,
-    as_mapping,
-    distance_left_m,
-    is_off_road,
-    is_on_route,
-)
+from sim.highway.ego import EgoEnv, Observation, as_mapping
 from sim.highway.engine import Demand, network_of
 from sim.highway.lanes import LaneIndex
 from sim.highway.traffic import TrafficRoad
@@ -77,10 +63,8 @@ ENTRY_ROOM_M: Final = 12.0
 walking pace)."""
 
 LONGEST_ENTRY_WAIT_S: Final = 60.0
-"""The ego vehicle waits this long for room; then the vehicles in its place are removed."""
-
-OF_TRAFFIC: Final = ("flow", "mix", "spread", "population", "behaviors")
-"""Keys of the configuration that are options of a scenario."""
+"""The traffic waits this long for room for an ego vehicle, s; then those in its place are removed.
+"""
 
 Stretches = tuple[tuple[str, str], ...]
 Outcome = tuple[Observation, float, bool, bool, dict[str, Any]]
@@ -97,7 +81,6 @@ class Ego:
         entered_s: when it entered, s.
         distance_left_m: along the lanes to the end of its route, m.
         near: when others last were in a near miss with it, s, by their ids.
-        near_misses: near misses that began in this step.
         rewards: the parts of the last step's reward, as in `REWARDS`.
     """
 
@@ -107,7 +90,6 @@ class Ego:
     entered_s: float = 0.0
     distance_left_m: float = 0.0
     near: dict[int, float] = field(default_factory=dict)
-    near_misses: int = 0
     rewards: dict[str, float] = field(default_factory=lambda: dict.fromkeys(REWARDS, 0.0))
 
     @property
@@ -223,7 +205,8 @@ class TrafficEnv(EgoEnv):
     def _scenario_of(self, checked: TrafficConfig) -> Scenario:
         """The scenario of a configuration; another one's own options hold unless they are given."""
         reference, usual = checked.net or checked.scenario or self._scenario_name, TrafficConfig()
-        given = {name: getattr(checked, name) for name in OF_TRAFFIC}
+        options = ("flow", "mix", "spread", "population", "behaviors")
+        given = {name: getattr(checked, name) for name in options}
         if reference != self._scenario_name:
             given = {name: one for name, one in given.items() if one != getattr(usual, name)}
         if checked.routes is not None:
@@ -231,16 +214,11 @@ class TrafficEnv(EgoEnv):
         duration_s = checked.duration_s + checked.warmup_s + LONGEST_ENTRY_WAIT_S
         return get_scenario(reference)(**given, duration_s=duration_s)
 
-    def _route(self, edges: Sequence[str] | None) -> Stretches:
-        """The stretches over some edges, or of one of the traffic's routes, drawn by their flow."""
-        if edges is None:
-            flows = [flow for flow in self.scenario.flows if not flow.walking]
-            rates = np.array([flow.per_hour for flow in flows])
-            weights = rates / rates.sum() if rates.sum() > 0 else None
-            edges = flows[int(self.np_random.choice(len(flows), p=weights))].route
-        return tuple(network_of(self.scenario.road).stretches(tuple(edges)))
-
-    # Episodes --------------------------------------------------------------------------------
+    def define_spaces(self) -> None:
+        """Make the configured spaces; on roads with left-hand traffic, sides are exchanged."""
+        super().define_spaces()
+        if self.scenario.road.left_hand:
+            ego_vehicles.exchange_sides(self.action_type)
 
     def _reset(self) -> None:
         config = self.config
@@ -252,7 +230,6 @@ class TrafficEnv(EgoEnv):
         self._belief: Any = None
         self._classify = self._classifier()
         self.dt = 1.0 / config["simulation_frequency"]
-        self.egos, self.coming, self.events = [], [], []
         self._seen, self._looked_s = FrameBuffer(round(SEEN_S / self.dt) + 1), -np.inf
         self.controlled_vehicles = []
         self.define_spaces()
@@ -261,29 +238,15 @@ class TrafficEnv(EgoEnv):
             edges = self._routes
             if isinstance(edges, Mapping):
                 edges = edges[config["goal"] or "straight"]
-        ego = Ego(max(self.agents, default=-1) + 1, self._route(edges))
+        first = Ego(max(self.agents, default=-1) + 1, self._route(edges))
+        self.egos, self.coming, self._came_s = [], [first], -np.inf
         self.road = TrafficRoad(network_of(self.scenario.road))
         self.demand = Demand(self.road, drawn, seed)
         for _ in range(round(config["warmup_s"] / self.dt)):
             self.advance()
-        for _ in range(round(LONGEST_ENTRY_WAIT_S / self.dt)):
-            lane, room, speed = self._roomiest(ego)
-            if room > ENTRY_ROOM_M:
-                break
-            self.advance()
-        else:
-            for vehicle in list(self.road.vehicles):
-                s, _ = self.road.network.lanes[lane].local_coordinates(vehicle.position)
-                if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
-                    self.road.remove(vehicle)
-        self._enter(ego, lane, room, speed)
-        self.events = []
-
-    def define_spaces(self) -> None:
-        """Make the configured spaces; on roads with left-hand traffic, sides are exchanged."""
-        super().define_spaces()
-        if self.scenario.road.left_hand:
-            ego_vehicles.exchange_sides(self.action_type)
+        self.let_in()
+        self.time = self._came_s = first.entered_s = 0.0
+        self.steps, self.events = 0, []
 
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
         """All agents but the ego vehicles, in an episode whose traffic has this seed."""
@@ -301,12 +264,41 @@ class TrafficEnv(EgoEnv):
         else:
             made = made()
         classify: Callable[[Frame], Any] = getattr(made, "update", made)
-        if not callable(classify):
-            raise InputError(
-                f"classifier: found that it makes {made!r:.80}, "
-                "expected a callable or an object with 'update'"
-            )
         return classify
+
+    def _route(self, edges: Sequence[str] | None) -> Stretches:
+        """The stretches over some edges, or of one of the traffic's routes, drawn by their flow."""
+        if edges is None:
+            flows = [flow for flow in self.scenario.flows if not flow.walking]
+            rates = np.array([flow.per_hour for flow in flows])
+            weights = rates / rates.sum() if rates.sum() > 0 else None
+            edges = flows[int(self.np_random.choice(len(flows), p=weights))].route
+        return tuple(network_of(self.scenario.road).stretches(tuple(edges)))
+
+    def invite(self, count: int) -> None:
+        """Let more ego vehicles come, each over ``ego_route`` or a route of the traffic's."""
+        begin, edges = self.egos[0].id + 1, self.config["ego_route"]
+        self.coming += [Ego(begin + number, self._route(edges)) for number in range(count)]
+
+    def let_in(self, every_s: float = 0.0) -> None:
+        """Let the next ego vehicles in that have room, this long after the last one, s.
+
+        While none is on the road, the traffic drives on until one has room, but at most for
+        `LONGEST_ENTRY_WAIT_S`.
+        """
+        until_s = self.time + LONGEST_ENTRY_WAIT_S - 1e-9
+        while True:
+            for ego in list(self.coming):
+                if self.time - self._came_s < every_s - 1e-9:
+                    break
+                lane, room, speed = self._roomiest(ego)
+                if room > ENTRY_ROOM_M or (not self.egos and self.time > until_s):
+                    self._enter(ego, lane, room, speed)
+            if self.egos or not self.coming:
+                return
+            self.advance()
+            self.steps += 1
+            self.time += self.dt
 
     def _roomiest(self, ego: Ego) -> tuple[LaneIndex, float, float]:
         """Lane to begin on with most room, its room, m, and the next vehicle's speed."""
@@ -323,83 +315,35 @@ class TrafficEnv(EgoEnv):
 
     def _enter(self, ego: Ego, lane: LaneIndex, room: float, speed: float) -> None:
         """Put an ego vehicle on a lane, as fast as the vehicle ahead allows."""
-        begin = 0.7 * float(self.road.network.lanes[lane].speed_limit)
+        geometry = self.road.network.lanes[lane]
+        if room <= ENTRY_ROOM_M:
+            for vehicle in list(self.road.vehicles):
+                s, _ = geometry.local_coordinates(vehicle.position)
+                if abs(s - BEGIN_M) < 2.0 * ENTRY_ROOM_M and vehicle.lane_index[:2] == lane[:2]:
+                    self.road.remove(vehicle)
+        begin = 0.7 * float(geometry.speed_limit)
         begin = min(begin, speed) if room < 40.0 else begin
         self.add_ego_vehicle(lane, BEGIN_M, begin, ego.route, ego.id)
         ego.vehicle = self.vehicle
         ego.entered_s = self._came_s = self.time
         self.road.locate()
-        ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
+        ego.distance_left_m = ego_vehicles.distance_left_m(self.road, ego.vehicle)
+        self.coming.remove(ego)
         self.egos.append(ego)
-
-    def invite(self, count: int) -> None:
-        """Let more ego vehicles come, each over ``ego_route`` or a route of the traffic's."""
-        begin = self.egos[0].id + 1
-        edges = self.config["ego_route"]
-        self.coming += [Ego(begin + number, self._route(edges)) for number in range(count)]
-
-    def let_in(self, every_s: float) -> None:
-        """Let the next ego vehicles in that have room, this long after the last one, s.
-
-        While none is on the road, the traffic drives on until one has room.
-        """
-        while True:
-            for ego in list(self.coming):
-                if self.time - self._came_s < every_s - 1e-9:
-                    break
-                lane, room, speed = self._roomiest(ego)
-                if room > ENTRY_ROOM_M:
-                    self.coming.remove(ego)
-                    self._enter(ego, lane, room, speed)
-            if self.egos or not self.coming:
-                return
-            self.advance()
-            self.steps += 1
-            self.time += self.dt
 
     def remove(self, ego: Ego) -> None:
         """Take an ego vehicle off the road."""
         self.egos.remove(ego)
         self.road.remove(ego.vehicle)
 
-    # Steps -----------------------------------------------------------------------------------
-
     def advance(self) -> None:
         """Move all agents for one simulation step."""
-        road = self.road
         self.demand.enter()
-        road.advance(self.dt)
-        events = road.take_events()
+        self.road.advance(self.dt)
+        events = self.road.take_events()
         self.events += events
         if self._classify is not None:
-            self._belief = self._classify(road.frame(events))
-
-    def drive(self, actions: Mapping[int, Any]) -> None:
-        """Drive on for one policy step.
-
-        Args:
-            actions: of the action space, by the ego vehicle's id; one without an action does what
-                it did before.
-        """
-        frames = self.config["simulation_frequency"] // self.config["policy_frequency"]
-        self.events = []
-        before_m = [ego.distance_left_m for ego in self.egos]
-        for ego in self.egos:
-            ego.near_misses = 0
-            if ego.id in actions:
-                self.action_type.controlled_vehicle = ego.vehicle
-                self.action_type.act(actions[ego.id])
-        for frame in range(frames):
-            self.advance()
-            self.steps += 1
-            self.watch()
-            if frame < frames - 1:
-                self._automatic_rendering()
-        self.enable_auto_render = False
-        self.time += frames * self.dt
-        self._count_near_misses()
-        for ego, before in zip(self.egos, before_m, strict=True):
-            self._judge(ego, before, frames)
+            self._belief = self._classify(self.road.frame(events))
 
     def step(self, action: int | NDArray[Any]) -> Outcome:
         """Drive on for one policy step.
@@ -423,32 +367,53 @@ class TrafficEnv(EgoEnv):
         return self.outcome(ego)
 
     def checked(self, action: object) -> Any:
-        """An action as the action space has it: a whole number, or an array of its shape.
-
-        Raises:
-            InputError: if it is none.
-        """
+        """An action as the action space has it: a whole number, or an array of its shape."""
         space, numbers = self.action_space, np.asarray(action)
         if isinstance(space, spaces.Discrete):
-            if numbers.size != 1 or not np.isin(numbers, np.arange(space.n)).all():
-                raise InputError(f"action: found {action!r:.60}, expected 0 to {space.n - 1}")
-            return int(numbers.item())
+            if numbers.size == 1 and np.isin(numbers, np.arange(space.n)).all():
+                return int(numbers.item())
+            raise InputError(f"action: found {action!r:.60}, expected 0 to {space.n - 1}")
         usable = numbers.dtype.kind in "biuf" and numbers.size == np.prod(space.shape or ())
-        if not usable or not np.isfinite(numbers).all():
-            raise InputError(
-                f"action: found {action!r:.60}, expected finite numbers of shape {space.shape}"
-            )
-        return numbers.reshape(space.shape)
+        if usable and np.isfinite(numbers).all():
+            return numbers.reshape(space.shape)
+        expected = f"finite numbers of shape {space.shape}"
+        raise InputError(f"action: found {action!r:.60}, expected {expected}")
+
+    def drive(self, actions: Mapping[int, Any]) -> None:
+        """Drive on for one policy step, with actions by the ego vehicles' ids.
+
+        An ego vehicle without an action does what it did before.
+        """
+        frames = self.config["simulation_frequency"] // self.config["policy_frequency"]
+        self.events = []
+        before_m = [ego.distance_left_m for ego in self.egos]
+        for ego in self.egos:
+            if ego.id in actions:
+                self.action_type.controlled_vehicle = ego.vehicle
+                self.action_type.act(actions[ego.id])
+        for frame in range(frames):
+            self.advance()
+            self.steps += 1
+            self.watch()
+            if frame < frames - 1:
+                self._automatic_rendering()
+        self.enable_auto_render = False
+        self.time += frames * self.dt
+        near_misses = self._near_misses()
+        for ego, before in zip(self.egos, before_m, strict=True):
+            ego.rewards = self._rewards(ego, before, frames * self.dt)
+            ego.rewards["near_miss"] = float(near_misses.count(ego.id))
 
     def watch(self) -> None:
         """Remember the step that has just been simulated."""
         self.road.locate()
         self._seen.push(self.road.frame())
 
-    def _count_near_misses(self) -> None:
-        """Count the near misses of the ego vehicles that the last steps show."""
+    def _near_misses(self) -> list[int]:
+        """The ego vehicle of each near miss that the last steps show and that is a new one."""
+        found: list[int] = []
         if len(self._seen) < 2 or self._seen.last.time_s - self._looked_s < LOOK_EVERY_S - 1e-6:
-            return
+            return found
         tracks, time_s = self._seen.tracks(), self._seen.last.time_s
         self._looked_s = time_s
         of_egos = np.isin(tracks.ids, [ego.id for ego in self.egos])
@@ -459,23 +424,24 @@ class TrafficEnv(EgoEnv):
             for ego in self.egos:
                 if ego.id in (first, second):
                     other = int(second if ego.id == first else first)
-                    ego.near_misses += time_s - ego.near.get(other, -np.inf) > AGAIN_S
+                    if time_s - ego.near.get(other, -np.inf) > AGAIN_S:
+                        found.append(ego.id)
                     ego.near[other] = time_s
+        return found
 
-    def _judge(self, ego: Ego, before_m: float, frames: int) -> None:
-        """Set the parts of the reward for a policy step that began this far from the goal, m."""
-        if is_on_route(self.road, ego.vehicle):
-            ego.distance_left_m = distance_left_m(self.road, ego.vehicle)
-        mine = [e for e in self.events if ego.id in (e.agent, e.other)]
-        red_runs = sum(e.kind is EventKind.RED_RUN and e.agent == ego.id for e in mine)
-        reachable_m = float(ego.vehicle.lane.speed_limit) * frames * self.dt
+    def _rewards(self, ego: Ego, before_m: float, step_s: float) -> dict[str, float]:
+        """The parts of the reward for a policy step that began this far from the goal, m."""
+        if ego_vehicles.is_on_route(self.road, ego.vehicle):
+            ego.distance_left_m = ego_vehicles.distance_left_m(self.road, ego.vehicle)
+        mine = [(e.kind, e.agent) for e in self.events if ego.id in (e.agent, e.other)]
+        reachable_m = float(ego.vehicle.lane.speed_limit) * step_s
         progress = np.clip((before_m - ego.distance_left_m) / reachable_m, 0.0, 1.0)
-        ego.rewards = {
+        return {
             "progress": float(progress),
-            "collision": float(sum(e.kind is EventKind.COLLISION for e in mine)),
-            "near_miss": float(ego.near_misses),
-            "red_run": float(red_runs),
-            "off_road": float(is_off_road(self.road, ego.vehicle)),
+            "collision": float(sum(kind is EventKind.COLLISION for kind, _ in mine)),
+            "near_miss": 0.0,
+            "red_run": float(mine.count((EventKind.RED_RUN, ego.id))),
+            "off_road": float(ego_vehicles.is_off_road(self.road, ego.vehicle)),
         }
 
     def outcome(self, ego: Ego) -> Outcome:
@@ -502,10 +468,8 @@ class TrafficEnv(EgoEnv):
             ),
         }
 
-    # Observation -----------------------------------------------------------------------------
-
     def _make_observation_space(self) -> spaces.Dict:
-        return observation_space(self.config["observation"], self.config["observed"])
+        return seen.observation_space(self.config["observation"], self.config["observed"])
 
     def _observe(self) -> Observation:
         return self.observe(self.egos[0])
@@ -517,33 +481,32 @@ class TrafficEnv(EgoEnv):
         """Current observation of an ego vehicle."""
         self.road.locate()
         vehicle, observed = ego.vehicle, self.config["observed"]
-        others = observable_agents(self.road, vehicle)[:observed]
+        others = seen.observable_agents(self.road, vehicle)[:observed]
         found: Observation = {
-            "ego": observe_ego(self.road, vehicle, ego.distance_left_m),
-            "agents": observe_agents(vehicle, others, self._behaviors(others), observed),
+            "ego": seen.observe_ego(self.road, vehicle, ego.distance_left_m),
+            "agents": seen.observe_agents(vehicle, others, self._behaviors(others), observed),
         }
         if self.config["observation"] == "graph":
-            found |= observe_graph(vehicle, others, observed)
+            found |= seen.observe_graph(vehicle, others, observed)
         if self.scenario.road.left_hand:
-            exchange_sides(found)
+            seen.exchange_sides(found)
         return found
 
     def _behaviors(self, others: list[Any]) -> FloatArray | None:
         """(n, 6) what is observed of behaviours: the truth, the belief, or None for nothing."""
         option = self.config["observation"]
-        found = np.zeros((len(others), len(BEHAVIORS)))
-        if option == "behavior":
-            for row, other in enumerate(others):
-                drawn = self.agents.get(other.agent)  # another ego vehicle is not drawn
-                if drawn is not None and drawn.behavior is not None:
-                    found[row, drawn.behavior.base.code] = 1.0
-        elif option == "posterior":
-            driving = [row for row, one in enumerate(others) if isinstance(one, ProfileVehicle)]
-            if self._belief is None:
-                found[driving] = 1.0 / len(BEHAVIORS)
-            elif others:
-                ids = np.array([one.agent for one in others], dtype=np.int64)
-                found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
-        else:
+        if option not in ("behavior", "posterior"):
             return None
+        found = np.zeros((len(others), len(BEHAVIORS)))
+        driving = [row for row, one in enumerate(others) if isinstance(one, ProfileVehicle)]
+        if option == "behavior":
+            for row in driving:
+                behavior = self.agents[others[row].agent].behavior
+                if behavior is not None:
+                    found[row, behavior.base.code] = 1.0
+        elif self._belief is None:
+            found[driving] = 1.0 / len(BEHAVIORS)
+        elif others:
+            ids = np.array([one.agent for one in others], dtype=np.int64)
+            found[driving] = np.asarray(self._belief.of(ids), dtype=np.float64)[driving]
         return found

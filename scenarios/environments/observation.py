@@ -21,8 +21,7 @@ RANGE_M: Final = 100.0
 SPEED_MPS: Final = 20.0
 """Speeds are divided by this, m/s."""
 
-LENGTH_UNIT_M: Final = 12.0
-WIDTH_UNIT_M: Final = 3.0
+SIZE_M: Final = (12.0, 3.0)
 """Lengths and widths are divided by these, m: those of a bus."""
 
 ROUTE_M: Final = 1000.0
@@ -134,8 +133,7 @@ def observe_agents(
             moving / SPEED_MPS,
             np.cos(heading),
             np.sin(heading),
-            np.array([one.LENGTH for one in others]) / LENGTH_UNIT_M,
-            np.array([one.WIDTH for one in others]) / WIDTH_UNIT_M,
+            np.array([(one.LENGTH, one.WIDTH) for one in others]) / SIZE_M,
             np.array([isinstance(one, Walker) for one in others]),
         ]
         rows[: len(others)] = np.column_stack(found if behaviors is None else [*found, behaviors])

@@ -12,7 +12,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -20,11 +20,8 @@ from pettingzoo import ParallelEnv
 
 from behaviors.errors import InputError, lookup
 from scenarios.environments import ENVIRONMENTS
-from scenarios.environments.environment import TrafficEnv
+from scenarios.environments.environment import Ego, TrafficEnv
 from sim.highway.ego import as_mapping
-
-MOST_EGOS: Final = 1000
-"""Most ego vehicles (more than any road here holds)."""
 
 
 class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
@@ -62,18 +59,17 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         render_mode: str | None = None,
     ) -> None:
         row = lookup(ENVIRONMENTS, name, "environment")
-        if isinstance(egos, bool) or not isinstance(egos, int) or not 1 <= egos <= MOST_EGOS:
-            raise InputError(f"egos: found {egos!r}, expected 1 to {MOST_EGOS}")
+        if isinstance(egos, bool) or not isinstance(egos, int) or egos < 1:
+            raise InputError(f"egos: found {egos!r}, expected 1 or more")
         if not 0 <= every_s < np.inf:
             raise InputError(f"every_s: found {every_s!r}, expected seconds >= 0")
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"render_mode: found {render_mode!r}, expected None or rgb_array")
         self.render_mode = render_mode
         self.traffic = TrafficEnv(config, render_mode, **row)
-        self._every_s = every_s
+        self._every_s, self._first_id = every_s, 0
         self.possible_agents = [f"ego_{i}" for i in range(egos)]
         self.agents: list[str] = []
-        self._names: dict[int, str] = {}
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Observation space of an agent; the same for all."""
@@ -86,24 +82,24 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode with the first agent.
+        """Begin an episode with the first agent; observations and infos by agent.
 
         Args:
             seed: seed of all random numbers; it determines the episode.
             options: ``{"config": {...}}`` changes the configuration; other keys are left alone, as
                 PettingZoo asks for.
-
-        Returns:
-            Observations and infos by agent.
         """
         given = as_mapping("options", options)
         wanted = {"config": given["config"]} if "config" in given else None
         observation, info = self.traffic.reset(seed=seed, options=wanted)
         self.traffic.invite(len(self.possible_agents) - 1)
-        everybody = [*self.traffic.egos, *self.traffic.coming]
-        self._names = dict(zip((ego.id for ego in everybody), self.possible_agents, strict=True))
+        self._first_id = self.traffic.egos[0].id
         self.agents = self.possible_agents[:1]
-        return {self.agents[0]: observation}, {self.agents[0]: info}
+        return {"ego_0": observation}, {"ego_0": info}
+
+    def _present(self) -> dict[str, Ego]:
+        """The ego vehicles on the road by agent."""
+        return {self.possible_agents[ego.id - self._first_id]: ego for ego in self.traffic.egos}
 
     def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], ...]:
         """Drive on for one policy step.
@@ -118,23 +114,19 @@ class ParallelTrafficEnv(ParallelEnv):  # type: ignore[misc]
         Raises:
             InputError: if an action is invalid, or of an absent agent; no vehicle has moved.
         """
-        traffic, there = self.traffic, {self._names[ego.id]: ego for ego in self.traffic.egos}
-        traffic.drive(
-            {
-                lookup(there, name, "agent").id: traffic.checked(action)
-                for name, action in actions.items()
-            }
-        )
+        traffic, there = self.traffic, self._present()
+        wanted = {lookup(there, name, "agent").id: a for name, a in actions.items()}
+        traffic.drive({id: traffic.checked(action) for id, action in wanted.items()})
         outcomes = {name: traffic.outcome(ego) for name, ego in there.items()}
         for name, (_, _, ended, cut, _) in outcomes.items():
             if ended or cut:
                 traffic.remove(there[name])
         traffic.let_in(self._every_s)
-        for ego in traffic.egos:
-            if self._names[ego.id] not in outcomes:
-                arrival = traffic.observe(ego), 0.0, False, False, traffic.info(ego)
-                outcomes[self._names[ego.id]] = arrival
-        self.agents = [self._names[ego.id] for ego in traffic.egos]
+        present = self._present()
+        for name, ego in present.items():
+            if name not in outcomes:
+                outcomes[name] = traffic.observe(ego), 0.0, False, False, traffic.info(ego)
+        self.agents = list(present)
         return tuple({name: outcome[i] for name, outcome in outcomes.items()} for i in range(5))
 
     def render(self) -> Any:

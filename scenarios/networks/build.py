@@ -1,28 +1,23 @@
 """Builds SUMO nets with netconvert and netgenerate (``pip install graphrqi[networks]``).
 
-``build(SHIPPED[name], FOLDER / name)`` makes a shipped net again from its sources.
+The nets that ship lie beside their sources and are known by the hash of these.
+``build(straight_sources(lanes=4), FOLDER / "one_way_4")`` makes one of them again.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.util
 import os
 import shutil
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from scenarios.networks.geometries import (
-    CONTROLS,
-    TWO_WAY_LENGTH_M,
-    Sources,
-    four_way_sources,
-    motorway_sources,
-    roundabout_sources,
-    straight_sources,
-)
+from scenarios.networks.geometries import SOURCE_FILES, Sources
 from sim.files import temporary_folder, user_cache, write_whole
 
 FOLDER: Final = Path(__file__).resolve().parent
@@ -47,57 +42,21 @@ GRID_OPTIONS: Final = (
 """Blocks of 150 m, two lanes in each direction, roads that lead out on every side, and fixed-time
 signals (common sizes of blocks in towns)."""
 
-LIMITS_MPS: Final = (8.33, 11.11, 16.67, 19.44)
-"""Other speed limits, km/h, whose nets are shipped for the two main roads."""
 
-SHIPPED: Final[dict[str, Sources]] = {
-    "straight_road": straight_sources(),
-    **{
-        f"one_way_{lanes}{'' if crossing else '_plain'}": straight_sources(lanes, crossing=crossing)
-        for lanes in (2, 3, 4, 5)
-        for crossing in (True, False)
-        if (lanes, crossing) != (3, True)
-    },
-    **{
-        f"two_way_{lanes}{'' if crossing else '_plain'}": straight_sources(
-            lanes, two_way=True, crossing=crossing, length_m=TWO_WAY_LENGTH_M
-        )
-        for lanes in (1, 2)
-        for crossing in (True, False)
-    },
-    "four_way_intersection": four_way_sources(),
-    **{f"four_way_{control}": four_way_sources(control, 1) for control in CONTROLS[1:]},
-    "four_way_1": four_way_sources(lanes=1),
-    "four_way_3": four_way_sources(lanes=3),
-    "four_way_priority_2": four_way_sources("priority", 2),
-    "four_way_right_before_left_2": four_way_sources("right_before_left", 2),
-    "motorway": motorway_sources(),
-    "motorway_ramps": motorway_sources(ramps=True),
-    "roundabout": roundabout_sources(),
-    **{f"straight_road_{limit:g}_mps": straight_sources(limit_mps=limit) for limit in LIMITS_MPS},
-    **{f"four_way_{limit:g}_mps": four_way_sources(limit_mps=limit) for limit in LIMITS_MPS},
-}
-"""The sources of the nets that are shipped, by folder name."""
-
-
-def find_program(name: str) -> str:
-    """A program of the ``networks`` extra, such as netconvert, else the one on the path."""
+def program_path(name: str) -> str | None:
+    """Where a program of the ``networks`` extra is, else the one on the path, if any."""
     spec = importlib.util.find_spec("sumo")
     packages = (spec.submodule_search_locations if spec else None) or []
     folders = [*(str(Path(one) / "bin") for one in packages), os.environ.get("PATH", "")]
-    found = shutil.which(name, path=os.pathsep.join(folders))
+    return shutil.which(name, path=os.pathsep.join(folders))
+
+
+def find_program(name: str) -> str:
+    """As `program_path`, where the program is needed."""
+    found = program_path(name)
     if found is None:
         raise InputError(f"{name}: not found, expected on the path: pip install graphrqi[networks]")
     return found
-
-
-def has_program(name: str) -> bool:
-    """Whether a program is there."""
-    try:
-        find_program(name)
-    except InputError:
-        return False
-    return True
 
 
 def cache_folder() -> Path:
@@ -105,13 +64,24 @@ def cache_folder() -> Path:
     return user_cache() / "networks"
 
 
+def _digest(texts: Iterable[str]) -> str:
+    return hashlib.sha256("".join(texts).encode()).hexdigest()[:16]
+
+
+@functools.cache
+def _shipped() -> dict[str, Path]:
+    """The folders of the nets that ship, by the hash of their sources."""
+    folders = [settings.parent for settings in FOLDER.glob(f"*/{SOURCE_FILES[-1]}")]
+    return {
+        _digest((folder / name).read_text(encoding="utf-8") for name in SOURCE_FILES): folder
+        for folder in folders
+    }
+
+
 def net_of(sources: Sources) -> Path:
     """The net of a road's sources: a shipped one, or one built now and kept for the next time."""
-    for name, shipped in SHIPPED.items():
-        if shipped == sources:
-            return FOLDER / name / NET
-    digest = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:16]
-    folder = cache_folder() / digest
+    digest = _digest(sources.values())
+    folder = _shipped().get(digest) or cache_folder() / digest
     return folder / NET if (folder / NET).is_file() else build(sources, folder)
 
 
@@ -121,8 +91,7 @@ def build(sources: Sources, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
-    settings = next(name for name in sources if name.endswith(".netccfg"))
-    run_program([program, "--configuration-file", settings], folder, folder / NET)
+    run_program([program, "--configuration-file", SOURCE_FILES[-1]], folder, folder / NET)
     return folder / NET
 
 

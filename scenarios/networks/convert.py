@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Final
 
 from behaviors.errors import InputError
-from scenarios.networks.build import NET, cache_folder, find_program, has_program, run_program
+from scenarios.networks.build import NET, cache_folder, find_program, program_path, run_program
 from scenarios.networks.plain_xml import plain_files
 from sim.files import temporary_folder, write_whole
 from sim.input_files import read_bytes, read_tree, refuse_declarations
@@ -27,9 +27,6 @@ from sim.road import Road
 from sim.road.maps.sources import Source, prepared
 from sim.road.net import MAX_NET_BYTES, read_road
 from sim.road.road_files import read_road_file
-
-MAX_MAP_BYTES: Final = 2**28
-"""Largest map, unpacked (256 MiB, as of nets)."""
 
 KINDS: Final[dict[str, str]] = {
     "sumo": "SUMO net",
@@ -105,14 +102,11 @@ class MapFile:
 
         A SUMO net without paths over its junctions gets them if netconvert is there; without paths,
         vehicles would jump over the junctions.
-
-        Raises:
-            InputError: if the map is broken, netconvert refuses it, or is needed and missing.
         """
         if self.kind == "sumo" and (
             b'function="internal"' in self.source.content
             or not _jumps(read_road(self.path))
-            or not has_program("netconvert")
+            or program_path("netconvert") is None
         ):
             return self.path
         return self._made
@@ -120,7 +114,7 @@ class MapFile:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Assumptions about the map, and netconvert's warnings when it makes the net."""
-        if not has_program("netconvert"):
+        if program_path("netconvert") is None:
             return self.source.warnings
         file = self._made.with_name("warnings.txt")
         warned = file.read_text(encoding="utf-8").splitlines() if file.is_file() else ()
@@ -148,14 +142,10 @@ class MapFile:
 
 
 def open_map(path: Path, left_hand: bool | None = None) -> MapFile:
-    """A map of any kind; ``left_hand`` says the side of traffic of OpenStreetMap, None as it says.
-
-    Raises:
-        InputError: if the file is broken or no map.
-    """
+    """A map of any kind; ``left_hand`` is the side of traffic of OpenStreetMap, None as it says."""
     if path.is_dir():
         raise InputError(f"{path}: found a folder, expected a map file")
-    content = read_bytes(path, MAX_MAP_BYTES)
+    content = read_bytes(path, MAX_NET_BYTES)
     refuse_declarations(path, content)
     kind = _kind(path, content)
     if left_hand is not None and kind != "openstreetmap":

@@ -15,14 +15,14 @@ from typing import Final
 from behaviors.errors import InputError
 
 SIDEWALK_WIDTH_M: Final = 2.0
-LANE_WIDTH_M: Final = 3.2
-"""SUMO's default lane width, m."""
+LANE_WIDTH_M, CROSSING_WIDTH_M = 3.2, 4.0
+"""Widths, m; those of lanes and crossings are SUMO's defaults."""
 
-CROSSING_WIDTH_M: Final = 4.0
-"""SUMO's default crossing width, m."""
+LIMIT_MPS, MOTORWAY_LIMIT_MPS = 13.89, 33.33
+"""The usual limit in towns is 50 km/h; the most common one of European motorways is 120 km/h."""
 
-LIMIT_MPS: Final = 13.89
-"""50 km/h: the usual limit in towns."""
+RAMP_LIMIT_MPS, RING_LIMIT_MPS = 22.22, 8.33
+"""A usual limit on ramps is 80 km/h; the bend of a small roundabout allows 30 km/h."""
 
 TWO_WAY_LENGTH_M: Final = 1200.0
 """Length of the shipped two-way roads, m: overtaking against oncoming traffic takes room."""
@@ -30,20 +30,11 @@ TWO_WAY_LENGTH_M: Final = 1200.0
 ARM_M: Final = 250.0
 """Length of an intersection's arm, m."""
 
-MOTORWAY_LIMIT_MPS: Final = 33.33
-"""120 km/h: the most common limit of European motorways."""
-
 RAMP_M: Final = 250.0
 """Length of a ramp outside the motorway, m (enough to speed up on)."""
 
 RAMP_SLOPE: Final = 0.12
 """How far a ramp departs from the road per metre (seven degrees)."""
-
-RAMP_LIMIT_MPS: Final = 22.22
-"""80 km/h: a usual limit on ramps."""
-
-RING_LIMIT_MPS: Final = 8.33
-"""30 km/h: what the bend of a small roundabout allows."""
 
 CONTROLS: Final = ("traffic_light", "priority", "allway_stop", "right_before_left")
 """How a four-way intersection can be controlled (SUMO's node types)."""
@@ -61,6 +52,9 @@ MOST_LANES: Final = 5
 
 _NO_WALKING: Final = 'disallow="pedestrian bicycle"'
 
+SOURCE_FILES: Final = ("road.nod.xml", "road.edg.xml", "road.con.xml", "road.netccfg")
+"""The files of a road's sources: nodes, edges, connections and netconvert's settings."""
+
 Sources = dict[str, str]
 Point = tuple[float, float]
 Link = tuple[str, int, str, int]
@@ -76,9 +70,8 @@ def straight_sources(
 ) -> Sources:
     """A straight road with a sidewalk on either side and a crossing half-way."""
     _check(lanes, length_m=length_m, limit_mps=limit_mps)
-    nodes = [
-        _node("west", 0.0, 0.0), _node("middle", length_m / 2, 0.0), _node("east", length_m, 0.0)
-    ]  # fmt: skip
+    places = {"west": 0.0, "middle": length_m / 2, "east": length_m}
+    nodes = [_node(name, x, 0.0) for name, x in places.items()]
     width = f'"{SIDEWALK_WIDTH_M:g}" spreadType="right"'
     road = f'priority="2" numLanes="{lanes}" speed="{limit_mps:g}" sidewalkWidth={width}'
     walk = f'priority="1" numLanes="1" speed="{limit_mps:g}" allow="pedestrian" '
@@ -149,10 +142,8 @@ def motorway_sources(
         return _edge(name, begin, end, f'{road}spreadType="right" {shape}{_NO_WALKING}')
 
     first, second, extra = length_m / 3, 2 * length_m / 3, int(ramps)
-    nodes = [
-        _node("west", 0.0, 0.0), _node("join", first, 0.0), _node("part", second, 0.0),
-        _node("east", length_m, 0.0),
-    ]  # fmt: skip
+    places = {"west": 0.0, "join": first, "part": second, "east": length_m}
+    nodes = [_node(name, x, 0.0) for name, x in places.items()]
     edges = [
         edge("before", "west", "join", lanes),
         edge("between", "join", "part", lanes + extra),
@@ -187,9 +178,7 @@ def roundabout_sources(
         raise InputError(f"radius_m: found {radius_m}, expected 12 or more")
     arms = list(ARMS)
     ring = [f"{arm}_{arms[(k + 1) % 4]}" for k, arm in enumerate(arms)]
-    nodes: list[str] = []
-    edges: list[str] = []
-    links: list[Link] = []
+    nodes, edges, links = list[str](), list[str](), list[Link]()
     lane = f'numLanes="{lanes}" {_NO_WALKING}'
     arm_road = f'priority="1" speed="{limit_mps:g}" {lane}'
     for k, (arm, (dx, dy)) in enumerate(ARMS.items()):
@@ -240,28 +229,22 @@ def _sources(
 ) -> Sources:  # fmt: skip
     """Netconvert's files; lanes may be used against their direction, and bends slow turns."""
     values = {
-        "node-files": "road.nod.xml",
-        "edge-files": "road.edg.xml",
-        "connection-files": "road.con.xml",
+        "node-files": SOURCE_FILES[0],
+        "edge-files": SOURCE_FILES[1],
+        "connection-files": SOURCE_FILES[2],
         "no-turnarounds": "true",
         "offset.disable-normalization": "true",
-        "junctions.limit-turn-speed": "5.5",
+        **({"junctions.limit-turn-speed": "5.5"} if limit_turns else {}),
         "tls.default-type": "static",
         "tls.cycle.time": "60",
         "tls.allred.time": "3",
         "no-warnings": "true",
     }
-    if not limit_turns:
-        del values["junctions.limit-turn-speed"]
     if opposites:
         values |= {"opposites.guess": "true", "opposites.guess.fix-lengths": "true"}
     settings = [f'    <{key} value="{value}"/>' for key, value in values.items()]
-    return {
-        "road.nod.xml": document("nodes", nodes),
-        "road.edg.xml": document("edges", edges),
-        "road.con.xml": document("connections", ways),
-        "road.netccfg": document("configuration", settings),
-    }
+    parts = {"nodes": nodes, "edges": edges, "connections": ways, "configuration": settings}
+    return dict(zip(SOURCE_FILES, (document(*part) for part in parts.items()), strict=True))
 
 
 def _check(lanes: int, most: int = MOST_LANES, **positive: float) -> None:

@@ -49,13 +49,7 @@ coincide)."""
 
 
 def plain_files(road: Road) -> dict[str, bytes]:
-    """Nodes, edges and connections of a road's lanes for cars, by file name.
-
-    Lanes inside junctions become ways between edges.
-
-    Raises:
-        InputError: if the road has no lane for cars outside junctions.
-    """
+    """Nodes, edges and connections of a road's lanes for cars outside junctions, by file name."""
     edges: dict[str, list[Lane]] = {}
     for lane in road.lanes:
         if lane.cars and not lane.walking and not lane.internal:

@@ -167,11 +167,6 @@ class EdgeGraph:
             ways = self.ways_out(start)
             total = sum(ways.values())
             found |= {way: len(self.lanes[start]) * n / total for way, n in ways.items()}
-        if not found:
-            raise InputError(
-                f"road {self.road.name!r:.60}: found no edge from which another one can be "
-                "reached, expected at least one"
-            )
         routes, weights = list(found), np.array(list(found.values()))
         weights = weights / weights.sum()
         if len(routes) > MOST_ROUTES:
@@ -211,14 +206,17 @@ class EdgeGraph:
 def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) -> list[RouteFlow]:
     """A flow for each route of a road.
 
-    Args:
-        road: where.
-        flow: a key of ``LEVELS``, or vehicles per hour over all routes.
-        demand: vehicles per hour that enter at each edge, instead of ``flow``.
+    The flow is a key of ``LEVELS``, or vehicles per hour over all routes. Instead of it, the demand
+    gives vehicles per hour that enter at each edge.
     """
     graph = EdgeGraph(road)
     if demand is None:
         routes = graph.routes()
+        if not routes:
+            raise InputError(
+                f"road {road.name!r:.60}: found no edge from which another one can be reached, "
+                "expected at least one"
+            )
         capacity = graph.capacity_per_h(routes)
         vehicles = parse_flow(flow, {name: share * capacity for name, share in LEVELS.items()})
         return [RouteFlow(way, vehicles * share) for way, share in routes.items()]
@@ -234,12 +232,7 @@ def flows_of(road: Road, flow: str | float, demand: Mapping[str, float] | None) 
 
 
 def read_routes(path: Path, road: Road) -> list[RouteFlow]:
-    """A flow for each route of a SUMO route file (``.rou.xml``, or trips), in the file's order.
-
-    Raises:
-        InputError: if the file is broken, names an edge or a route that is not there, joins edges
-            that no way joins, or has no vehicle.
-    """
+    """A flow for each route of a SUMO route file (``.rou.xml``, or trips), in the file's order."""
     root, graph = read_tree(path), EdgeGraph(road)
     found, single = defaultdict[Route, float](float), defaultdict[Route, float](float)
     departs_s = []

@@ -93,26 +93,25 @@ def own_road(
 _Positive = Annotated[float, Field(gt=0)]
 _Rate = Annotated[float, Field(ge=0)]
 _Shares = str | dict[str, float]
+_STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class Flow(_Table):
+class Flow(BaseModel):
     """The demand along one route: edges, agents per hour, and whether they walk."""
 
+    model_config = _STRICT
     route: Annotated[tuple[str, ...], Field(min_length=1, strict=False)]
     per_hour: _Rate
     walking: bool = False
 
 
-class ScenarioFile(_Table):
+class ScenarioFile(BaseModel):
     """The keys of a scenario's file; ``docs/roads.md`` explains them.
 
     Paths in ``net``, ``routes``, ``population`` and ``behaviors`` begin in the file's folder.
     """
 
+    model_config = _STRICT
     scenario: str | None = None
     net: str | None = None
     name: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[\w.-]+$")] | None = None

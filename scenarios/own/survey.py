@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from behaviors.errors import InputError
 from scenarios.networks.convert import KINDS, name_of, open_map
 from scenarios.own.flows import EdgeGraph
 from sim.road import MapKnowledge, Road
@@ -42,7 +41,7 @@ class Survey:
 
     def rows(self) -> list[dict[str, str | int | float]]:
         """Findings, gaps and every warning, as rows of ``what`` and ``value``."""
-        road, graph = self.road, self.graph
+        road, graph, routes = self.road, self.graph, self.graph.routes()
         cars = [lane for lanes in graph.lanes.values() for lane in lanes]
         limits = [lane.speed_limit_mps for lane in cars]
         found: dict[str, str | int | float] = {
@@ -56,14 +55,9 @@ class Survey:
             "crossings": len(road.crossings),
             "entries": len(graph.sources),
             "exits": len(graph.sinks),
-            "routes": 0,
+            "routes": len(routes),
         }
-        try:
-            routes = graph.routes()
-        except InputError:
-            pass
-        else:
-            found["routes"] = len(routes)
+        if routes:
             found["vehicles per hour that it can carry"] = round(graph.capacity_per_h(routes))
         found["lacks"] = ", ".join(self.knows.unknown) or "nothing"
         found["warnings"] = len(self.warnings)

@@ -1,15 +1,12 @@
 """Observables of traffic, from positions, headings and speeds on a known road.
 
 They give each agent's lane, leader and gap, limit, and the signal, stop line or crossing ahead
-with its pedestrians. One function serves a single frame and the many instants of an episode.
+with its pedestrians. One function serves a single frame and the many instants of an episode. The
+trait detectors read them together with the rules of the road.
 
 Leaders are looked for along the lane and onward over the junctions. Where a lane branches the
 straightest way is followed, because a frame does not give a driver's destination. Gaps are bumper
 to bumper. Vehicles on a junction's other paths are not leaders.
-
-References:
-    Surrogate safety measures: Hayward (1972), "Near miss determination through use of a scale of
-    danger" (time to collision).
 """
 
 from __future__ import annotations
@@ -19,12 +16,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, Frame, IntArray, Signal, Tracks
+from behaviors.traits import DetectorInputs
+from sim.frames import (
+    PEDESTRIAN,
+    BoolArray,
+    CodeArray,
+    FloatArray,
+    Frame,
+    IntArray,
+    Signal,
+    Tracks,
+    says_stop,
+)
 from sim.road import LanePosition, Road, lane_coordinates, lane_search
 from sim.road.lane_graph import LaneGraph
-
-MIN_SPEED_MPS: Final = 0.1
-"""Below this a headway in seconds means nothing; it is infinite."""
 
 CROSSING_MARGIN_M: Final = 2.0
 """A pedestrian this close beside a crossing or its end counts as near it (one stride and the width
@@ -47,13 +52,10 @@ class Observables:
         leader: (n,) row of the vehicle ahead.
         gap: (n,) bumper to bumper to the leader, m; negative when boxes overlap.
         closing: (n,) own speed minus the leader's, m/s; 0 without leader.
-        headway: (n,) gap over own speed, s.
-        time_to_collision: (n,) gap over closing speed, s; +inf when not closing.
         follower: (n,) row of the nearest vehicle that has this one as its leader.
         stop_distance: (n,) front bumper to the next junction entry, m; negative when inside one.
         signal: (n,) code into ``SIGNALS`` of the signal there; ``OFF`` if none.
-        crossing: (n,) the next crossing on the way, index into ``Road.crossings``.
-        crossing_distance: (n,) front bumper to the near edge of it, m.
+        crossing_distance: (n,) front bumper to the near edge of the next crossing, m.
         crossing_occupied: (n,) whether a pedestrian is on that crossing.
         crossing_waiting: (n,) whether one stands within reach of either end of it.
     """
@@ -67,12 +69,9 @@ class Observables:
     leader: IntArray
     gap: FloatArray
     closing: FloatArray
-    headway: FloatArray
-    time_to_collision: FloatArray
     follower: IntArray
     stop_distance: FloatArray
     signal: CodeArray
-    crossing: IntArray
     crossing_distance: FloatArray
     crossing_occupied: BoolArray
     crossing_waiting: BoolArray
@@ -97,8 +96,8 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
         ...     time_s=0.0, ids=[0, 1], xy=[[10.0, 0.0], [34.0, 0.0]], heading=[0.0, 0.0],
         ...     speed=[10.0, 5.0], length=[4.0, 4.0], width=[2.0, 2.0], kind=[0, 0])
         >>> seen = observe(frame, road)
-        >>> seen.leader.tolist(), seen.gap.tolist(), seen.time_to_collision[0].item()
-        ([1, -1], [20.0, inf], 4.0)
+        >>> seen.leader.tolist(), seen.gap.tolist(), seen.closing[0].item()
+        ([1, -1], [20.0, inf], 5.0)
     """
     if isinstance(traffic, Frame):
         n = len(traffic)
@@ -175,14 +174,10 @@ def _observe(
     graph = LaneGraph.of(road)
     m = speed.size
     place, view = _perceive(road, xy, heading, length, ~walking, by_time, begins)
-    on_road, leader, gap = view.lane >= 0, view.leader, view.gap
+    on_road, leader = view.lane >= 0, view.leader
     has = leader >= 0
     closing = np.zeros(m)
     closing[has] = speed[has] - speed[leader[has]]
-    headway = np.full(m, np.inf)
-    np.divide(gap, speed, out=headway, where=has & (speed > MIN_SPEED_MPS))
-    collision = np.full(m, np.inf)
-    np.divide(np.maximum(gap, 0.0), closing, out=collision, where=has & (closing > 1e-6))
 
     signal = np.full(m, Signal.OFF.code, dtype=np.int8)
     group, crossing = view.signal_group, view.crossing
@@ -202,15 +197,85 @@ def _observe(
         lane_heading=np.where(on_road, view.lane_heading, np.nan),
         limit=np.where(on_road, graph.limit[place.lane], np.nan),
         leader=leader,
-        gap=gap,
+        gap=view.gap,
         closing=closing,
-        headway=headway,
-        time_to_collision=collision,
         follower=view.follower,
         stop_distance=view.stop_distance,
         signal=signal,
-        crossing=crossing,
         crossing_distance=view.crossing_distance,
         crossing_occupied=is_occupied,
         crossing_waiting=is_waiting,
     )
+
+
+def detector_inputs(
+    tracks: Tracks, road: Road, observed: Observables | None = None
+) -> DetectorInputs:
+    """Inputs of the trait detectors, without the rules that applied (`sim.episode.annotate`).
+
+    ``observed`` are the observables of ``tracks``, if the caller has them.
+    """
+    observed = observe(tracks, road) if observed is None else observed
+    edges = {edge: i for i, edge in enumerate(dict.fromkeys(lane.edge for lane in road.lanes))}
+    edge_of = np.array([*(edges[lane.edge] for lane in road.lanes), -1], dtype=np.int64)
+    width_of = np.append(LaneGraph.of(road).width, np.inf)
+    lane = observed.lane
+    known = lane >= 0
+    held = np.zeros(len(road.lanes) + 1, dtype=bool)
+    for link in road.connections:
+        at = road.lane_index[link.from_lane]
+        held[at] |= link.must_stop or (link.must_yield and link.signal < 0)
+    off_crossing, on_red = _jaywalkers(tracks, road)
+    return DetectorInputs(
+        row_index=tracks.index,
+        time_s=tracks.time_s,
+        drives=np.asarray(tracks.kind != PEDESTRIAN),
+        length=tracks.length,
+        width=tracks.width,
+        speed=tracks.row_speed,
+        limit=np.where(np.isnan(observed.limit), np.inf, observed.limit),
+        edge=edge_of[lane],
+        lane=lane,
+        offset=np.where(known, observed.offset, 0.0),
+        lane_width=width_of[lane],
+        lane_heading=np.where(known, observed.lane_heading, 0.0),
+        leader=observed.leader,
+        follower=observed.follower,
+        gap=observed.gap,
+        closing=observed.closing,
+        stop_distance=observed.stop_distance,
+        stop_ahead=says_stop(observed.signal) | held[lane],
+        crossing_distance=observed.crossing_distance,
+        crossing_used=observed.crossing_occupied | observed.crossing_waiting,
+        off_crossing=off_crossing,
+        on_red=on_red,
+    )
+
+
+def _jaywalkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
+    """(m,) rows of pedestrians on the carriageway off any crossing, and on one entered on red."""
+    row_index = tracks.index
+    off, on_red = np.zeros((2, tracks.row_speed.size), dtype=bool)
+    rows = np.flatnonzero(tracks.walking)
+    if not rows.size:
+        return off, on_red
+    xy = tracks.row_xy[rows]
+    graph = LaneGraph.of(road)
+    place = graph.project(xy, tracks.row_heading[rows])
+    on_road = np.abs(place.offset) < graph.width[place.lane] / 2
+    on_road &= ~graph.internal[place.lane]
+    for crossing in road.crossings:
+        u, across, total = lane_coordinates.along(crossing.centerline, xy)
+        near = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > -2.0) & (u < total + 2.0)
+        on_road &= ~near
+        if not 0 <= crossing.signal < tracks.signals.shape[0]:  # recordings show no signals
+            continue
+        inside = np.zeros_like(off)
+        inside[rows] = near & (u > 0.3) & (u < total - 0.3)
+        for run in row_index.runs(inside):
+            entered = int(row_index.step[run.start])
+            # the entry of pedestrians present in the first frame is unknown
+            if entered > 0 and tracks.signals[crossing.signal, entered] == Signal.RED.code:
+                on_red[run] = True
+    off[rows[on_road]] = True
+    return off, on_red

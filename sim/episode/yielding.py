@@ -1,4 +1,10 @@
-"""Whether vehicles let pedestrians go first at crossings where pedestrians have priority."""
+"""Whether vehicles let pedestrians go first at crossings where pedestrians have priority.
+
+An encounter needs three things. The pedestrian is in the vehicle's way, or would have been, had the
+vehicle driven on unhindered from when the pedestrian stepped on the crossing. The driver could have
+stopped then. And only the pedestrian held the vehicle: no red light, no leader, no vehicle on a
+connection that crosses or joins its own.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +50,7 @@ class Walk(NamedTuple):
 
     Attributes:
         person: the pedestrian's id.
-        begin: column in which it steps on the crossing.
-        end: last column on the crossing.
+        begin, end: column in which it steps on the crossing, and the last one on it.
         along: (T,) distance along the crossing, m; NaN where not seen.
         direction: 1 or -1, the sign of its motion along the crossing.
     """
@@ -69,15 +74,13 @@ class Walk(NamedTuple):
 
 def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[Event]:
     """Events of vehicles that let a pedestrian go first at a crossing, or did not."""
-    walking, row_index = tracks.walking, tracks.index
-    walkers = np.flatnonzero(walking)
+    row_index = tracks.index
+    walkers, driving = np.flatnonzero(tracks.walking), np.flatnonzero(~tracks.walking)
     if not walkers.size:
         return []
     found = []
-    driving = np.flatnonzero(~walking)
     xy = tracks.row_xy[driving]
     longest = float(tracks.length.max())
-    links = road.connection_of_lane[observed.lane]
     for crossing in road.crossings:
         if crossing.signal < 0 and not crossing.priority:
             continue
@@ -90,7 +93,7 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
         facing = tracks.row_heading[near]
         forward = np.stack([np.cos(facing), np.sin(facing)], axis=1)
         front = tracks.row_xy[near] + 0.5 * tracks.length[row_index.agent[near], None] * forward
-        u, across, total = along(crossing.centerline, front)
+        u, across, total = along(line, front)
         inside = (np.abs(across) <= crossing.width_m / 2) & (u >= 0) & (u <= total)
         on = np.zeros(tracks.row_speed.size, dtype=bool)
         on[near[inside]] = True
@@ -98,7 +101,7 @@ def crossings_passed(tracks: Tracks, road: Road, observed: Observables) -> list[
             if row_index.begins[run.start]:
                 continue
             path = float(u[np.searchsorted(near, run.start)])
-            verdict = _verdict(tracks, road, observed, walks, run.start, path, links)
+            verdict = _verdict(tracks, road, observed, walks, run.start, path)
             if verdict is not None:
                 agent, time_s = tracks.agent_and_time(run.start)
                 found.append(Event(verdict[0], time_s, agent, verdict[1]))
@@ -128,26 +131,19 @@ def _walks(tracks: Tracks, crossing: Crossing, walkers: IntArray) -> list[Walk]:
 
 
 def _verdict(
-    tracks: Tracks, road: Road, observed: Observables, walks: Sequence[Walk], row: int, path: float,
-    links: IntArray,
-) -> tuple[EventKind, int] | None:  # fmt: skip
-    """Whether a vehicle that enters a crossing let a pedestrian go first.
+    tracks: Tracks, road: Road, observed: Observables, walks: Sequence[Walk], row: int, path: float
+) -> tuple[EventKind, int] | None:
+    """Whether a vehicle let a pedestrian go first, and the pedestrian's id; None if none met it.
 
-    An encounter needs three things. The pedestrian is in the vehicle's way, or would have been, had
-    the vehicle driven on unhindered from when the pedestrian stepped on the crossing. The driver
-    could have stopped then. And only the pedestrian held the vehicle: no red light, no leader, no
-    vehicle on a connection that crosses or joins its own.
-
-    Returns the kind of event and the pedestrian's id; None without an encounter. The vehicle's
-    front comes to the crossing in ``row``, at ``path`` m along it.
+    The vehicle's front comes to the crossing in ``row``, at ``path`` m along it.
     """
     row_index, step_s = tracks.index, tracks.step_s
     agent, entry = int(row_index.agent[row]), int(row_index.step[row])
     half = tracks.width[agent] / 2 + 0.3
     yielded: tuple[EventKind, int] | None = None
     for walk in walks:
-        person, begin, end, u, direction = walk
-        if not begin < entry or end < entry - round(LONGEST_WAIT_S / step_s):
+        begin = walk.begin
+        if not begin < entry or walk.end < entry - round(LONGEST_WAIT_S / step_s):
             continue
         come = row - (entry - begin)  # the row at which the pedestrian stepped on the crossing,
         if come < row_index.first[agent] or row_index.step[come] != begin:
@@ -157,9 +153,9 @@ def _verdict(
         left_m = float(speed.sum()) * step_s - np.cumsum(speed) * step_s
         if walk.blocks(path, half, entry):
             if could_stop(float(speed[0]), float(left_m[0])):
-                return EventKind.NOT_YIELDED, person
+                return EventKind.NOT_YIELDED, walk.person
             continue
-        walked = np.flatnonzero((path - u[begin : entry + 1]) * direction + half <= 0)
+        walked = np.flatnonzero((path - walk.along[begin : entry + 1]) * walk.direction + half <= 0)
         if not walked.size:
             continue
         clear = int(walked[0])  # columns from begin until it had left the vehicle's path
@@ -174,8 +170,8 @@ def _verdict(
         if not walk.blocks(path, half, begin + since + round(pulled_s / step_s)):
             continue
         until = begin + clear + round(FORESIGHT_S / step_s)
-        if not _others_cross(tracks, road, links, come + since, row, until):
-            yielded = EventKind.YIELDED, person
+        if not _others_cross(tracks, road, observed, come + since, row, until):
+            yielded = EventKind.YIELDED, walk.person
     return yielded
 
 
@@ -198,10 +194,10 @@ def _unhindered_s(speed: float, distance: float, limit: float) -> float:
 
 
 def _others_cross(
-    tracks: Tracks, road: Road, links: IntArray, since: int, entry: int, until: int
+    tracks: Tracks, road: Road, observed: Observables, since: int, entry: int, until: int
 ) -> bool:
     """Whether another vehicle was on a connection that crosses or joins this vehicle's."""
-    row_index = tracks.index
+    row_index, links = tracks.index, road.connection_of_lane[observed.lane]
     agent, begin = int(row_index.agent[entry]), int(row_index.step[since])
     soon = int(row_index.step[entry]) + round(5.0 / tracks.step_s)
     near = links[row_index.rows(agent, begin, soon)]
@@ -209,14 +205,7 @@ def _others_cross(
     if not mine.size:
         return False
     own = int(mine[0])
-    foes = {
-        index
-        for index, link in enumerate(road.connections)
-        if own in link.yields_to or index in road.connections[own].yields_to
-    }
-    if not foes:
-        return False
-    others = np.flatnonzero(np.isin(links, list(foes)))
-    step = row_index.step[others]
-    others = others[(step >= begin) & (step <= until)]
+    foes = [i for i, link in enumerate(road.connections) if own in link.yields_to]
+    others = np.isin(links, [*foes, *road.connections[own].yields_to])
+    others &= (row_index.step >= begin) & (row_index.step <= until)
     return bool((row_index.agent[others] != agent).any())

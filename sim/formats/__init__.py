@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -172,7 +172,7 @@ FORMATS: Final[Registry[Format]] = Registry(
         ),
         "table": Format(
             ("*.csv", "*.txt", "*.tsv", "*.parquet", "*.feather"),
-            reader="sim.formats.own_table:read", columns=(("id", "t", "x", "y"),),
+            reader="sim.formats.recorded_tables:read_own", columns=(("id", "t", "x", "y"),),
             example=b"id,t,x,y\n1,0.0,0.0,0.0\n1,0.1,1.0,0.0\n2,0.0,9.0,4.0\n2,0.1,9.0,4.0\n",
         ),
         "openscenario": Format(("*.xosc",), writer="sim.formats.asam.openscenario:write"),
@@ -181,7 +181,7 @@ FORMATS: Final[Registry[Format]] = Registry(
 """Every format by name."""
 
 OTHERS: Final = (
-    (re.compile(rb"^par1|^arrow1|^fea1"), "a table of other columns"),
+    (re.compile(rb"^par1|^arrow1|^fea1"), "no known format in a table with the columns"),
     (re.compile(rb"^\s*<(?:!doctype )?html", re.DOTALL), "a web page, no download"),
     (re.compile(rb"^pk\x03\x04"), "a ZIP archive (to be unpacked)"),
     (re.compile(rb"^\x1f\x8b"), "a gzipped file whose name does not end in .gz"),
@@ -234,7 +234,7 @@ def new_index(name: str) -> Any:
     return None if source is None else loaded(source)()
 
 
-def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
+def _files(path: Path, patterns: Sequence[str]) -> list[Path]:
     """The file itself, or a folder's files whose names match."""
     if path.is_file():
         return [path]
@@ -243,7 +243,7 @@ def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
     return sorted(file for file in path.rglob("*") if _named(file, patterns) and file.is_file())
 
 
-def _named(file: Path, patterns: tuple[str, ...]) -> bool:
+def _named(file: Path, patterns: Sequence[str]) -> bool:
     """Whether a file's name matches a pattern; upper case and packed files count, too.
 
     A pattern with a slash is one of the file's folder and name.
@@ -251,6 +251,11 @@ def _named(file: Path, patterns: tuple[str, ...]) -> bool:
     name = plain_name(file).lower()
     within = f"{file.parent.name.lower()}/{name}"
     return any(fnmatchcase(within if "/" in pattern else name, pattern) for pattern in patterns)
+
+
+def _beside(names: Iterable[str]) -> list[str]:
+    """The patterns of files that accompany those of some formats."""
+    return [pattern for name in names for pattern in FORMATS[name].beside]
 
 
 def recognise(path: Path) -> str:
@@ -273,10 +278,8 @@ def formats_in(path: Path) -> list[str]:
     for name, entry in FORMATS.items():
         files = [file for file in _files(path, entry.files) if file not in known]
         if path.is_dir():
-            accompanying = tuple(pattern for key in found for pattern in FORMATS[key].beside)
-            files = [file for file in files if not _named(file, accompanying)]
-        here = {file for file in files if entry.recognises(file)}
-        if here:
+            files = [file for file in files if not _named(file, _beside(found))]
+        if here := [file for file in files if entry.recognises(file)]:
             found.append(name)
             known.update(here)
     if not found:
@@ -298,10 +301,8 @@ def _what_it_is(path: Path) -> str:
     if not head:
         return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
     other = next((text for look, text in OTHERS if look.search(head.lower())), None)
-    if other == OTHERS[0][1]:
-        return f"no known format in a table with the columns {', '.join(names):.{SHOWN}}"
     if other is not None:
-        return other
+        return f"{other} {', '.join(names):.{SHOWN}}" if other.endswith("columns") else other
     line = b"".join(head.splitlines()[:1]).decode("utf-8", "replace")
     if line and line.replace("\t", " ").isprintable():
         return f"no known format in its first line {line[:SHOWN]!r}"
@@ -309,24 +310,16 @@ def _what_it_is(path: Path) -> str:
 
 
 def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
-    """Files in a folder that look like recordings, and that reading some formats leaves out.
+    """Files in a folder that are named like recordings, but not read as formats of these names.
 
-    Args:
-        path: a file or a folder.
-        names: keys of ``FORMATS``, the formats that are read.
-
-    Returns:
-        Files that are named like a format and not read, in order of their names; files that
-        accompany recordings of these formats are not among them.
+    Files that accompany recordings of these formats are not among them.
     """
     if path.is_file():
         return []
-    beside = tuple(pattern for name in names for pattern in FORMATS[name].beside)
     read = {file for name in names for file in recording_files(path, name)}
-    patterns = tuple(pattern for entry in FORMATS.values() for pattern in entry.files)
-    return [
-        file for file in _files(path, patterns) if file not in read and not _named(file, beside)
-    ]
+    patterns = [pattern for entry in FORMATS.values() for pattern in entry.files]
+    others = (file for file in _files(path, patterns) if file not in read)
+    return [file for file in others if not _named(file, _beside(names))]
 
 
 def recording_files(path: Path, name: str) -> list[Path]:
@@ -339,8 +332,8 @@ def recording_files(path: Path, name: str) -> list[Path]:
     files = _files(path, entry.files)
     if path.is_dir():
         files = [f for f in files if not _named(f, entry.beside) and _belongs(f, entry)]
-    if path.is_dir() and entry.one:
-        files = sorted({file.parent: file for file in reversed(files)}.values())
+        if entry.one:
+            files = sorted({file.parent: file for file in reversed(files)}.values())
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
     return files
@@ -396,7 +389,7 @@ def read_formats(
         names: keys of ``FORMATS``.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
         rate_hz: frames per second that the recordings really have; None for what they say.
-        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        columns: what the columns of a table of one's own are, as `check_columns` takes them.
         units: of these columns.
 
     Yields:
@@ -405,23 +398,21 @@ def read_formats(
     Raises:
         InputError: if a file is broken, or there is none of a format.
     """
-    from sim.formats.common.motion import at_rate
+    from sim.formats.common.recording import at_rate
 
     if types is not None and "sumo-fcd" not in names:
         raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
+    given: dict[str, dict[str, object]] = {
+        "sumo-fcd": {"types": types}, "table": {"columns": columns, "units": units},
+    }  # fmt: skip
     for name in names:
-        options: dict[str, object] = {}
-        if name == "sumo-fcd" and types is not None:
-            options = {"types": types}
-        if name == "table" and columns:
-            options = {"columns": columns, "units": units or {}}
         files = recording_files(path, name)
         alike = Counter(file.name for file in files)
         for file in files:
             yield file
             called = (file.relative_to(path) if path.is_dir() else Path(file.name)).as_posix()
             folder = called.removesuffix(file.name) if alike[file.name] > 1 else ""
-            for recording in get_reader(name)(file, **options):
+            for recording in get_reader(name)(file, **given.get(name, {})):
                 tracks = recording.tracks
                 if rate_hz is not None and tracks.time_s.size > 1:
                     tracks = at_rate(tracks, rate_hz)

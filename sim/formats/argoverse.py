@@ -42,7 +42,6 @@ from sim.formats.common.recording import CARS_ASSUMED, Recording, left_out, reco
 from sim.formats.common.tables import (
     among,
     kinds_in,
-    names_in,
     read_columns,
     read_table,
     rows_of,
@@ -413,7 +412,7 @@ def read_log(path: Path) -> Iterator[Recording]:
     ahead = np.einsum("nij,nj->ni", turn[at, :2], _rotations(path, boxes)[:, :, 0])
     centre = place[:, :2] + EGO_CENTRE_M * turn[:, :2, 0]
     agents = pandas.DataFrame(
-        {"id": names_in(boxes["track_uuid"]), "t": time_s[at], "x": xy[:, 0], "y": xy[:, 1],
+        {"id": boxes["track_uuid"], "t": time_s[at], "x": xy[:, 0], "y": xy[:, 1],
          "heading": np.arctan2(ahead[:, 1], ahead[:, 0]), "length": boxes["length_m"],
          "width": boxes["width_m"], "kind": kinds_in(boxes["category"], CATEGORIES)}
     )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from behaviors.labels import BEHAVIORS
-from experiments.benchmarks.behaviors import COUNTS, METRICS, DriverCounts, measure, rows_of
+from experiments.benchmarks.behaviors import COUNTS, METRICS, WALKS, measure, rows_of
 
 
 def test_rows_are_tidy_and_say_what_the_drivers_did():
@@ -22,12 +22,10 @@ def test_rows_are_tidy_and_say_what_the_drivers_did():
 
 
 def test_ratios_are_sums_over_drivers():
-    counts = np.zeros((2, len(COUNTS)))
-    counts[:, COUNTS.index("km")] = [1.0, 3.0]
-    counts[:, COUNTS.index("lane_changes")] = [4.0, 0.0]
-    counts[:, COUNTS.index("headway")] = [np.nan, 2.0]
-    drivers = pd.DataFrame(counts, columns=COUNTS).assign(behavior=0)
-    made = DriverCounts(drivers, 1, 5)
+    made = pd.DataFrame(0.0, index=range(7), columns=COUNTS)
+    made["behavior"] = [0, 0, *[WALKS] * 5]
+    made.loc[:1, ["km", "lane_changes", "headway"]] = [[1.0, 4.0, np.nan], [3.0, 0.0, 2.0]]
+    made.loc[2, "jaywalks"] = 1.0
     value = {(r["behavior"], r["metric"]): r for r in rows_of(made, "sumo", "x")}
     assert value["impatient", "lane_changes_per_km"]["value"] == 1.0
     assert value["impatient", "headway_median_s"]["n"] == 1

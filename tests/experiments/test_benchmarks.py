@@ -18,7 +18,7 @@ from sim.frames import Frame, Tracks
 
 
 def test_every_stage_of_the_real_loop_is_timed() -> None:
-    rows, *engines = loop.measure_loop(("sumo",), duration_s=12.0, repeats=1)
+    rows, *engines = loop.measure(("sumo",), duration_s=12.0, repeats=1)
     stages = {*loop.STAGES, "all"}
     assert {row["stage"] for row in rows} == stages
     value = {(row["stage"], row["metric"]): row["value"] for row in rows}

@@ -11,7 +11,7 @@ from experiments.generate.episode import Task
 from experiments.what_if.blame import judge
 from scenarios import SCENARIOS
 from sim.engines import get_engine
-from sim.episode.incidents import incidents
+from sim.episode.annotate import incidents
 from sim.frames import EventKind, Tracks
 from sim.scenario import sample_agents
 

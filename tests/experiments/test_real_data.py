@@ -102,7 +102,8 @@ def test_labels_of_sheets(tmp_path):
 
 
 def test_bench_finds_what_is_there(data):
-    rows = [row for part in measure(data, ("nine-numbers", "majority"), (2,), 1) for row in part]
+    views = ("nine-numbers", "majority")
+    rows = [row for part in measure(data, "behavior", 1, views, (2,)) for row in part]
     score = {(r["method"], r["metric"]): r["value"] for r in rows}
     assert score["nine-numbers", "balanced_accuracy"] > 0.9
     assert score["nine-numbers", "auc"] > 0.95

@@ -10,9 +10,10 @@ import runpy
 from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
-from experiments.benchmarks.behaviors import DriverCounts, count_scenario, rows_of
+from experiments.benchmarks.behaviors import count_scenario, rows_of
 from scenarios import SCENARIOS
 from sim.scenario import Scenario
 
@@ -41,7 +42,7 @@ def shown(request: pytest.FixtureRequest) -> dict[tuple[str, str, str], float]:
     values: dict[tuple[str, str, str], float] = {}
     for road, (make, seeds) in DRIVEN.items():
         counted = [count_scenario(make(), seed, request.param, 60.0) for seed in seeds]
-        for row in rows_of(DriverCounts.joined(counted), request.param, road):
+        for row in rows_of(pd.concat(counted), request.param, road):
             if row["value"] is not None and row["n"]:
                 values[road, str(row["metric"]), str(row["behavior"])] = float(row["value"])
     return values

@@ -10,7 +10,7 @@ from sklearn.metrics import roc_auc_score
 
 from behaviors.labels import BEHAVIORS
 from experiments.benchmarks.prediction import yield_chances
-from experiments.benchmarks.real_data import auc_within
+from experiments.score.metrics import auc_over_episodes
 from graphrqi.posterior import Posterior
 from graphrqi.predict.rollout.driver_table import YIELDS
 from scenarios import SCENARIOS
@@ -68,5 +68,5 @@ def test_pairs_of_one_group_count_as_scikit_learn_has_it():
     rng = np.random.default_rng(0)
     chance = rng.integers(0, 20, 200) / 20.0  # with ties
     happened = rng.random(200) < chance
-    area = auc_within(chance, happened, np.zeros(200, dtype=np.int64))[0]
+    area = auc_over_episodes(chance, happened, np.arange(200), np.zeros(200))[0]
     assert area == pytest.approx(roc_auc_score(happened, chance))

@@ -14,7 +14,7 @@ from graphrqi.predict.scene.scene import make_scene
 from scenarios import SCENARIOS
 from scenarios.city import city_agents
 from sim.engines import get_engine
-from sim.episode.buffer import FrameBuffer
+from sim.episode.live import FrameBuffer
 from sim.frames import Tracks
 from sim.road import Road, SignalPlan
 from sim.road.lane_graph import LaneGraph

@@ -101,6 +101,7 @@ def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
     headway = {}
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
         rows = (seen.behavior == behavior.code)[steps.index.agent]
-        near = facts.on_road[rows] & (facts.headway[rows] < 8.0) & (steps.row_speed[rows] > 2.0)
-        headway[behavior] = float(np.median(facts.headway[rows][near]))
+        gap, speed = facts.gap[rows], steps.row_speed[rows]
+        near = facts.on_road[rows] & (gap < 8.0 * speed) & (speed > 2.0)
+        headway[behavior] = float(np.median(gap[near] / speed[near]))
     assert headway[Behavior.TIMID] > 1.5 * headway[Behavior.THREATENING]

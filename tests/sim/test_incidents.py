@@ -3,9 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from scenarios.networks.build import SHIPPED, net_of
-from sim.episode.annotate import annotate
-from sim.episode.incidents import incidents
+from scenarios.networks.build import FOLDER, NET
+from sim.episode.annotate import annotate, incidents
 from sim.frames import AgentKind, Event, EventKind, Signal, Tracks
 from sim.road.net import read_road
 
@@ -14,17 +13,17 @@ STEP_S = 0.1
 
 @pytest.fixture(scope="module")
 def four_way():
-    return read_road(net_of(SHIPPED["four_way_intersection"]), "four_way")
+    return read_road(FOLDER / "four_way_intersection" / NET, "four_way")
 
 
 @pytest.fixture(scope="module")
 def all_way_stop():
-    return read_road(net_of(SHIPPED["four_way_allway_stop"]), "all_way_stop")
+    return read_road(FOLDER / "four_way_allway_stop" / NET, "all_way_stop")
 
 
 @pytest.fixture(scope="module")
 def straight():
-    return read_road(net_of(SHIPPED["straight_road"]), "straight")
+    return read_road(FOLDER / "straight_road" / NET, "straight")
 
 
 def tracks_of(road, paths, *, kinds=None, signal=Signal.GREEN, events=()):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behaviors.errors import InputError
-from scenarios.networks.build import SHIPPED, net_of
+from scenarios.networks.build import FOLDER, NET
 from sim.frames import Signal
 from sim.road import SignalPlan
 from sim.road.lane_graph import LaneGraph
@@ -13,12 +13,12 @@ from sim.road.net import read_road
 
 @pytest.fixture(scope="module")
 def four_way():
-    return read_road(net_of(SHIPPED["four_way_intersection"]), "four_way")
+    return read_road(FOLDER / "four_way_intersection" / NET, "four_way")
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", sorted(one.parent.name for one in FOLDER.glob("*/road.netccfg")))
 def test_every_shipped_net_is_a_road(name):
-    road = read_road(net_of(SHIPPED[name]), name)
+    road = read_road(FOLDER / name / NET, name)
     assert road.name == name
     assert road.connections
     assert {link.from_lane for link in road.connections} <= set(road.lane_index)
@@ -54,7 +54,7 @@ def test_a_left_turn_yields_to_the_oncoming_traffic_only(four_way):
 
 def test_control_decides_who_stops_and_who_yields():
     def arms(name, field):
-        road = read_road(net_of(SHIPPED[name]))
+        road = read_road(FOLDER / name / NET)
         links = [c for c in road.connections if c.direction == "straight"]
         return {c.from_lane.split("_")[0] for c in links if getattr(c, field)}
 
@@ -66,7 +66,7 @@ def test_control_decides_who_stops_and_who_yields():
 
 
 def test_two_way_roads_know_the_lane_of_the_other_direction():
-    road = read_road(net_of(SHIPPED["two_way_1"]))
+    road = read_road(FOLDER / "two_way_1" / NET)
     lane = road.lanes[road.lane_index["east_in_1"]]
     assert lane.opposite == "west_out_1"
     heading = {
@@ -77,7 +77,7 @@ def test_two_way_roads_know_the_lane_of_the_other_direction():
 
 
 def test_project_finds_lane_distance_and_offset():
-    road = read_road(net_of(SHIPPED["straight_road"]))
+    road = read_road(FOLDER / "straight_road" / NET)
     lane = road.lanes[road.lane_index["east_in_2"]]
     x, y = lane.centerline[0] + [100.0, 0.7]
     found = LaneGraph.of(road).project(np.array([[x, y]]), np.array([0.0]))

@@ -9,9 +9,8 @@ import pytest
 from behaviors.labels import PROFILES, Behavior, Style
 from behaviors.traits import cutting_in
 from scenarios import SCENARIOS, get_scenario
-from sim.episode.detector_inputs import detector_inputs
-from sim.episode.incidents import incidents
-from sim.episode.observables import observe
+from sim.episode.annotate import incidents
+from sim.episode.observables import detector_inputs, observe
 from sim.frames import PEDESTRIAN, AgentKind, EventKind, Frame, Tracks
 from sim.road.lane_graph import LaneGraph
 from sim.road.net import signal_code

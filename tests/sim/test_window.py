@@ -10,7 +10,7 @@ from graphrqi.predict import predict
 from graphrqi.stream import load_stream
 from scenarios import SCENARIOS
 from sim.engines import get_engine
-from sim.episode.window import Window
+from sim.episode.live import Window
 from sim.frames import Frame
 from sim.scenario import sample_agents
 
