@@ -132,26 +132,31 @@ class Scenario:
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated, by name."""
         for flow in self.flows:
-            if not flow.per_hour >= 0:
+            if not math.isfinite(flow.per_hour) or flow.per_hour < 0:
                 raise InputError(f"flow: found {flow.per_hour}, expected vehicles per hour >= 0")
+            if not flow.route:
+                raise InputError("flows: found a route without edges, expected at least one")
         if AgentKind.PEDESTRIAN in self.kinds:
             raise InputError("kinds: found pedestrian, expected kinds of vehicles")
+        for name, walking in (("flow", False), ("pedestrians_per_h", True)):
+            per_hour = self.per_hour(walking=walking)
+            if per_hour > MAX_PER_HOUR * (1 + 1e-9):  # the parts of a total may add up to more
+                raise InputError(
+                    f"{name}: found {per_hour:g} per hour, expected at most {MAX_PER_HOUR:g}"
+                )
         for name, shares in (("mix", self.mix), ("kinds", self.kinds)):
             values = list(shares.values())
             if not all(v >= 0 for v in values) or not abs(sum(values) - 1.0) <= 1e-6:
                 expected = "shares >= 0 that add up to 1"
                 raise InputError(f"{name}: found shares {values}, expected {expected}")
-        # the parts of a total of vehicles may add up to a little more
         for name, value, least, most in (
-            ("flow", self.per_hour(walking=False) * (1 - 1e-9), 0.0, MAX_PER_HOUR),
-            ("pedestrians_per_h", self.per_hour(walking=True) * (1 - 1e-9), 0.0, MAX_PER_HOUR),
             ("spread", self.spread, 0.0, 1.0),
             ("jaywalk_share", self.jaywalk_share, 0.0, 1.0),
             ("step_s", self.step_s, 0.01, 1.0),
             ("duration_s", self.duration_s, self.step_s, MAX_DURATION_S),
         ):
             if not least <= value <= most:
-                raise InputError(f"{name}: found {value:g}, expected {least:g} to {most:g}")
+                raise InputError(f"{name}: found {value}, expected {least:g} to {most:g}")
 
     @property
     def population_option(self) -> dict[str, Any]:
