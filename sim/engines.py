@@ -34,8 +34,8 @@ ENGINES: Final[Registry[Engine]] = Registry(
     {
         "sumo": "sim.sumo.engine:run",
         "sumo-idm": "sim.sumo.engine:run_idm",
-        "highway": "sim.highway.engine:run",
-        "highway-krauss": "sim.highway.engine:run_krauss",
+        "highway": "sim.highway.run:run",
+        "highway-krauss": "sim.highway.run:run_krauss",
     },
     made=_checked,
 )

@@ -97,7 +97,7 @@ FORMATS: Final[Registry[Format]] = Registry(
         ),
         "argoverse2-log": Format(
             ("annotations.feather", "annotations_with_ego.feather"),
-            reader="sim.formats.argoverse:read_log",
+            reader="sim.formats.sensor_logs:read_argoverse2",
             clock=True, own_names=True, beside=("map/*.json", "log_map_archive_*.json"),
             columns=(("timestamp_ns", "track_uuid", "category"),), one=True,
         ),
@@ -146,7 +146,7 @@ FORMATS: Final[Registry[Format]] = Registry(
                 rb"^\d+ (?:-1|\d+) "
                 rb"(?:car|van|truck|tram|cyclist|pedestrian|person|person_sitting|misc|dontcare) "
             ),
-            "sim.formats.kitti:read", beside=("oxts/*.txt", "calib/*.txt"),
+            "sim.formats.sensor_logs:read_kitti", beside=("oxts/*.txt", "calib/*.txt"),
         ),
         "argo": Format(
             ("*.csv",), re.compile(rb'^"?frame"?[,;\t]"?id"?[,;\t]"?x"?[,;\t]"?y"?\s*\n'),

@@ -87,6 +87,8 @@ def _rows(root: Element, unit_s: float) -> tuple[pandas.DataFrame, list[str]]:
         static = "static" in (element.findtext("role", "").strip(), element.tag[:6])
         facts = element.attrib["id"].strip(), TYPES[word].code, *_size(element)
         found += [(*state, *facts, static and len(states) == 1) for state in states]
+    if not found:
+        raise InputError("found no obstacle that is a road-agent, expected at least one")
     columns = [*STATE, "id", "kind", "length", "width", "stands"]
     rows = pandas.DataFrame(found, columns=columns)
     rows["t"] = np.round(rows["t"] * unit_s, DECIMALS)
