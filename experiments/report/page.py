@@ -22,7 +22,7 @@ from experiments.report.worst_cases import take_excerpts
 from experiments.score.rows import MADE, checked_rows, read_rows
 from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
-from sim.store.catalogue import is_dataset
+from sim.store.dataset import is_dataset
 
 FORMATS: Final = {"svg": ".svg", "pdf": ".pdf"}
 """Formats of pictures in files of their own, and their endings."""

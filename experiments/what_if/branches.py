@@ -19,8 +19,7 @@ from experiments.data.data_card import write_data_card
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
 from sim.scenario import sample_agents
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
+from sim.store.dataset import is_dataset, open_dataset
 from sim.store.schema import EpisodeMeta, Manifest
 from sim.store.writing import made_with, new_dataset
 from sim.sumo.branches import ENGINE_LAWS, Trunk, check_platform
