@@ -30,8 +30,7 @@ from sim.formats.argoverse import NoWindowError
 from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
 from sim.formats.recorded_tables import check_columns
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
+from sim.store.dataset import is_dataset, open_dataset
 from sim.store.schema import EpisodeMeta, Manifest, Split, split_of
 from sim.store.writing import made_with, new_dataset
 

@@ -27,10 +27,10 @@ from experiments.generate.episode import Task
 from experiments.generate.workers import in_workers
 from scenarios.own.scenario_file import is_path
 from sim.files import PARTIAL_PREFIX, Place, place_of, user_cache
-from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
-from sim.store.dataset import open_dataset
-from sim.store.parquet import metadata_of, opened
+from sim.store.dataset import is_dataset, open_dataset
+from sim.store.reading import metadata_of, opened
 from sim.store.schema import (
+    EPISODES,
     TABLES,
     EpisodeEntry,
     FileEntry,
@@ -41,7 +41,7 @@ from sim.store.schema import (
     shard_file,
     split_of,
 )
-from sim.store.writing import EpisodeWriter, checksum, made_with
+from sim.store.writing import EpisodeWriter, checksum, made_with, write_catalogue
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
 """Other content of a dataset's folder beside its tables."""
@@ -158,7 +158,7 @@ def generate(
         complete = is_dataset(out) and open_dataset(out).header.configuration == asked
         if entries and (missing or not complete):
             files = {name: file for made in shards for name, file in made.files.items()}
-            write_catalogue(place, asked, [catalogue_table(made.entries) for made in shards], files)
+            write_catalogue(place, asked, entries, files)
             write_data_card(out)
         elif not entries and not place.remote:
             for name in (*TABLES, "roads"):

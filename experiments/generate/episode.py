@@ -20,8 +20,8 @@ from sim.files import temporary_folder
 from sim.frames import Frame, Tracks
 from sim.road.net import read_road
 from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.store.encoding import rounded
 from sim.store.schema import EpisodeEntry, EpisodeMeta, split_of
-from sim.store.tables import rounded
 from sim.store.writing import EpisodeWriter, made_with
 
 SENSOR_STREAM: Final = 9

@@ -23,9 +23,8 @@ import pandas
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, left_out, recorded
 from sim.frames import AgentKind
-from sim.input_files import stem
+from sim.input_files import read_tree, stem, without_collection
 from sim.road.maps.commonroad_lanelets import road_of
-from sim.xml_tree import read_tree, without_collection
 
 VERSIONS: Final = {"2017a": True, "2018a": True, "2018b": False, "2020a": False}
 """Whether each version gives obstacles' times in seconds."""

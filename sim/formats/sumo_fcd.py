@@ -27,8 +27,7 @@ from sim.files import write_whole
 from sim.formats.common.recording import Recording, default_size, recorded
 from sim.formats.common.tables import beginning_of, read_table
 from sim.frames import PEDESTRIAN, AgentKind, Tracks
-from sim.input_files import opened, stem
-from sim.xml_tree import refuse_declarations
+from sim.input_files import opened, refuse_declarations, stem
 
 HEAD_BYTES: Final = 2**16
 """Beginning of a file in which declarations are looked for: they come before all elements."""

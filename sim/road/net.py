@@ -12,9 +12,8 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray, Signal
-from sim.input_files import broken_as_one_line, read_bytes, read_once
+from sim.input_files import broken_as_one_line, read_bytes, read_once, refuse_declarations
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
-from sim.xml_tree import refuse_declarations
 
 _DIRECTIONS: Final = {
     "s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "turnaround",
