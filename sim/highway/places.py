@@ -80,13 +80,6 @@ def heading_at(s: float, k: int, net: Net) -> float:
     return float(slope * (s - one.begin) + one.heading)
 
 
-@in_place(inner=True)
-def curvature_at(s: float, k: int, net: Net) -> float:
-    """How fast a lane's heading turns around a place, rad/m."""
-    after, before = heading_at(s + BLEND_M / 2, k, net), heading_at(s - BLEND_M / 2, k, net)
-    return (after - before) / BLEND_M
-
-
 @in_place()
 def closest_lane(x: float, y: float, heading: float, net: Net) -> int:
     """The lane closest to a place by highway-env's measure; ``heading`` is NaN if it is unknown."""

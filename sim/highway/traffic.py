@@ -19,11 +19,11 @@ from numba import typeof
 
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
-from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame, IntArray, Signal
+from sim.frames import AgentKind, Event, EventKind, Frame, IntArray, Signal
 from sim.highway import move, state
 from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
-from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
+from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
 from sim.highway.pedestrians import Footway, find_footway, footways_of
 from sim.highway.places import locate
@@ -72,6 +72,7 @@ class RowView:
     LENGTH = _column("length", float)
     WIDTH = _column("width", float)
     crashed = _column("crashed", bool)
+    position = property(lambda self: np.array([self.field("x"), self.field("y")]))
 
     def __init__(self, road: Any, agent: int) -> None:
         self.road, self.agent = road, agent
@@ -80,11 +81,6 @@ class RowView:
         """A field of its row."""
         rows, row = self.road.row_of(self.agent)
         return rows[name][row]
-
-    @property
-    def position(self) -> FloatArray:
-        """(2,) its place, m, in highway-env's axes."""
-        return np.array([self.field("x"), self.field("y")])
 
 
 class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
@@ -98,18 +94,8 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     target_lane_index = _lane_column("target")
     target_speed = _column("entry_speed", float)
     route = None
-
-    @property
-    def lane(self) -> PolylineLane:
-        """The lane it is on."""
-        found: PolylineLane = self.road.network.lanes[self.lane_index]
-        return found
-
-    @property
-    def behavior(self) -> Behavior | None:
-        """The driver's true behaviour, for colours and labels only."""
-        found: Behavior | None = self.road.behaviors.get(self.agent)
-        return found
+    lane = property(lambda self: self.road.network.lanes[self.lane_index])
+    behavior = property(lambda self: self.road.behaviors.get(self.agent))  # the true one
 
 
 class Walker(RowView, Landmark):  # type: ignore[misc]
@@ -247,7 +233,11 @@ class TrafficRoad(Road):  # type: ignore[misc]
             order = self._order = np.argsort(everybody["agent"], kind="stable")
             self._lasting = {name: frozen(of[order]) for name, of in everybody.items()}
             if self._ways is None:
-                self._ways = self._route_table(), footways_of(self.footways)
+                longest = max(map(len, self.routes), default=0)
+                table = np.full((len(self.routes) + 1, longest + 1), -1)
+                for number, route in enumerate(self.routes):
+                    table[number, : len(route)] = [self.network.stretch_number[r] for r in route]
+                self._ways = table, footways_of(self.footways)
             routes, footways = self._ways
             n, many = len(cars), len(order)
             strips = net.lanes["strip_end"] - net.lanes["strip"]
@@ -277,15 +267,6 @@ class TrafficRoad(Road):  # type: ignore[misc]
             row["length"], row["width"] = one.LENGTH, one.WIDTH
             target = getattr(one, "target_lane_index", None) or one.lane_index
             row["lane"], row["target"] = number[one.lane_index], number[target]
-
-    def _route_table(self) -> IntArray:
-        """The numbers of the stretches on each route, -1 after the last."""
-        numbers = self.network.stretch_number
-        longest = max(map(len, self.routes), default=0)
-        table = np.full((len(self.routes) + 1, longest + 1), -1, dtype=np.int64)
-        for number, route in enumerate(self.routes):
-            table[number, : len(route)] = [numbers[one] for one in route]
-        return table
 
     def frame(self, events: tuple[Event, ...] | None = None) -> Frame:
         """Everybody on the road now, in the axes of a `Frame`, whose y is to the left.
