@@ -43,15 +43,5 @@ ENGINES: Final[Registry[Engine]] = Registry(
 
 
 def get_engine(name: str) -> Engine:
-    """The engine of that name.
-
-    Args:
-        name: a key of ``ENGINES``.
-
-    Returns:
-        The engine's ``run`` function.
-
-    Raises:
-        InputError: if no such engine exists.
-    """
+    """The ``run`` function of the engine of that name, a key of ``ENGINES``."""
     return ENGINES[name]

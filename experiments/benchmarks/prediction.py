@@ -82,7 +82,6 @@ encounter if it happens within this of the crossing, m (less than lies between t
 _Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
 
-
 BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "classifier": lambda history, posterior: posterior,
     "truth": lambda history, posterior: Posterior(
@@ -98,11 +97,9 @@ posteriors. Episodes are labelled, so the truth is known."""
 
 
 def measure(
-    episodes: int = 10,
-    duration_s: float | None = None,
-    predictors: Sequence[str] = (),
+    episodes: int = 10, duration_s: float | None = None, predictors: Sequence[str] = (),
     jobs: int | None = None,
-) -> Iterator[list[Row]]:
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of each scenario: errors with the road and without it, ratios, and who yields.
 
     Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. Episodes have a
@@ -172,8 +169,8 @@ def compare(episodes: Sequence[_Figures], scenario: str, split: str) -> list[Row
     """Ratios of our predictor's figures to others', with intervals over episodes."""
     rows: list[Row] = []
     ours = (OURS, "classifier")
-    for metric, *other in RATIOS:
-        theirs = (other[0], other[1])
+    for metric, name, kind in RATIOS:
+        theirs = name, kind
         if not episodes or not {ours, theirs} <= set(episodes[0]):
             continue
         at = MEASURES.index(metric)

@@ -92,19 +92,25 @@ def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iter
     known = tracks.time_s[tracks.time_s + horizon_s <= tracks.time_s[-1:] + 1e-6]
     if not known.size:
         return
-    warm_up_s = min(WARM_UP_S, horizon_s, max(LEAST_SEEN_S, known[-1] - known[0]))
-    due = known[0] + warm_up_s
-    for column, time_s in enumerate(known):
-        if time_s >= due - 1e-6:
-            yield column + 1
-            due = time_s + every_s
+    longest_s = max(LEAST_SEEN_S, known[-1] - known[0])
+    yield from spaced(known, min(WARM_UP_S, horizon_s, longest_s), every_s)
+
+
+def spaced(
+    time_s: FloatArray, after_s: float, every_s: float, slack_s: float = 1e-6
+) -> Iterator[int]:
+    """Indices one past each time that is due, the first one ``after_s`` after the beginning."""
+    due_s = -np.inf if not time_s.size else time_s[0] + after_s
+    for stop, now_s in enumerate(time_s, start=1):
+        if now_s >= due_s - slack_s:
+            yield stop
+            due_s = now_s + every_s
 
 
 def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> FloatArray:
     """(n, H, 2) where agents of some rows went, at times (H,) after an index one past the present.
 
-    Places are on the straight line between frames, m; NaN where either frame is missing or they are
-    more than `MOST_SPAN_S` apart.
+    Places are on the straight line between frames, m; NaN where one is missing or too far away.
     """
     at = tracks.time_s[stop - 1] + time_s
     after = np.clip(np.searchsorted(tracks.time_s, at - 1e-6), 1, tracks.time_s.size - 1)
@@ -220,9 +226,8 @@ def _membership(history: Tracks, scored: IntArray) -> FloatArray:
     member = np.zeros((scored.size, len(GROUPS)))
     member[:, 0], member[:, -1] = ~walks, walks
     if history.behavior is not None:
-        code = history.behavior[scored].astype(np.int64)
-        known = np.flatnonzero((code >= 0) & ~walks)
-        member[known, code[known] + 1] = 1.0
+        code = np.where(walks, -1, history.behavior[scored])
+        member[code >= 0, code[code >= 0] + 1] = 1.0
     return member
 
 

@@ -49,9 +49,7 @@ def train_on_worlds(
     parts = [
         (part, _gathered(datasets, split, part, seed, jobs, quiet))
         for split in LEARNED
-        for part, datasets in zip(
-            (EXACT, NOISY, OTHER), (simulated, simulated, worlds), strict=True
-        )
+        for part, datasets in enumerate((simulated, simulated, worlds))  # EXACT, NOISY, OTHER
         if any(dataset.episodes(split) for dataset in datasets)
     ]
     training = Samples.join([samples for _, samples in parts])
@@ -91,11 +89,7 @@ def _gathered(
     datasets: Sequence[Dataset], split: Split, part: int, seed: int, jobs: int | None, quiet: bool
 ) -> Samples:
     """Samples of the episodes of a split; no two datasets' or parts' episodes share a number."""
-    arguments = [
-        (dataset.path, entry, part, seed)
-        for dataset in datasets
-        for entry in dataset.episodes(split)
-    ]
+    arguments = [(each.path, e, part, seed) for each in datasets for e in each.episodes(split)]
     what = f"{PARTS[part]}: observing {split} episodes"
     found = list(in_parallel(_observed, arguments, jobs, what, quiet))
     return Samples.join([samples for samples in found if samples is not None])

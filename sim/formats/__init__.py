@@ -75,12 +75,15 @@ class Format:
         return known or self.head.search(head.lower()) is not None
 
 
-LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
-"""Tables that accompany the tracks of inD, rounD and highD."""
+_LEVELX: Final[dict[str, Any]] = {
+    "own_names": True,
+    "beside": ("*_tracksmeta.csv", "*_recordingmeta.csv"),
+}
+"""The tracks of inD, rounD and highD, and the tables that accompany them."""
 
 IND: Final = Format(
-    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind", own_names=True,
-    beside=LEVELX_BESIDE, columns=(("trackid", "xcenter", "ycenter", "heading"),),
+    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind",
+    columns=(("trackid", "xcenter", "ycenter", "heading"),), **_LEVELX,
 )  # fmt: skip
 """inD and rounD, which look the same."""
 
@@ -89,40 +92,37 @@ FORMATS: Final[Registry[Format]] = Registry(
     "graphrqi.formats",
     {
         "argoverse2": Format(
-            ("scenario_*.parquet",),
-            reader="sim.formats.argoverse:read_scenario",
-            writer="sim.formats.argoverse:write_scenarios",
-            own_names=True, beside=("log_map_archive_*.json", "behavior_*.parquet"),
+            ("scenario_*.parquet",), reader="sim.formats.argoverse:read_scenario",
+            writer="sim.formats.argoverse:write_scenarios", own_names=True,
+            beside=("log_map_archive_*.json", "behavior_*.parquet"),
             columns=(("track_id", "object_type", "timestep", "position_x"),),
         ),
         "argoverse2-log": Format(
             ("annotations.feather", "annotations_with_ego.feather"),
-            reader="sim.formats.argoverse:read_log",
-            clock=True, own_names=True, beside=("map/*.json", "log_map_archive_*.json"),
-            columns=(("timestamp_ns", "track_uuid", "category"),), one=True,
+            reader="sim.formats.sensor_logs:read_argoverse2", clock=True, own_names=True, one=True,
+            beside=("map/*.json", "log_map_archive_*.json"),
+            columns=(("timestamp_ns", "track_uuid", "category"),),
         ),
         "argoverse1": Format(
-            ("*.csv", "*.parquet"),
-            reader="sim.formats.argoverse:read_csv",
+            ("*.csv", "*.parquet"), reader="sim.formats.argoverse:read_csv",
             writer="sim.formats.argoverse:write_csv",
             columns=(("timestamp", "track_id", "object_type", "x", "y"),),
         ),
         "ngsim": Format(
             ("*.csv", "*.txt", "*.parquet"),
             re.compile(rb"^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"),
-            "sim.formats.recorded_tables:read_ngsim",
-            clock=True, columns=(("vehicle_id", "local_x", "local_y"),),
+            "sim.formats.recorded_tables:read_ngsim", clock=True,
+            columns=(("vehicle_id", "local_x", "local_y"),),
         ),
         "ind": IND,
         "round": IND,
         "highd": Format(
-            ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_highd", own_names=True,
-            beside=LEVELX_BESIDE, columns=(("frame", "id", "width", "height", "xvelocity"),),
+            ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_highd",
+            columns=(("frame", "id", "width", "height", "xvelocity"),), **_LEVELX,
         ),
         "interaction": Format(
             ("vehicle_tracks_*.csv", "*_train.csv", "*_val.csv", "*_obs.csv"),
-            reader="sim.formats.recorded_tables:read_interaction",
-            own_names=True,
+            reader="sim.formats.recorded_tables:read_interaction", own_names=True,
             beside=("pedestrian_tracks_*.csv", "map_*.xml", "meta_data.csv", "signal_phases_*.csv",
                     "log_map_archive_*.json"),
             columns=(("track_id", "timestamp_ms", "agent_type"),),
@@ -146,7 +146,7 @@ FORMATS: Final[Registry[Format]] = Registry(
                 rb"^\d+ (?:-1|\d+) "
                 rb"(?:car|van|truck|tram|cyclist|pedestrian|person|person_sitting|misc|dontcare) "
             ),
-            "sim.formats.kitti:read", beside=("oxts/*.txt", "calib/*.txt"),
+            "sim.formats.sensor_logs:read_kitti", beside=("oxts/*.txt", "calib/*.txt"),
         ),
         "argo": Format(
             ("*.csv",), re.compile(rb'^"?frame"?[,;\t]"?id"?[,;\t]"?x"?[,;\t]"?y"?\s*\n'),
@@ -198,11 +198,7 @@ OTHERS: Final = (
 
 
 def get_reader(name: str) -> Reader:
-    """The reader of a format.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The reader of a format; one that is only written is refused."""
     source = FORMATS[name].reader
     if source is None:
         raise InputError(f"format {name}: found no reader, expected one that can be read")
@@ -216,11 +212,7 @@ def get_reader(name: str) -> Reader:
 
 
 def get_writer(name: str) -> Writer:
-    """The writer of a format.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The writer of a format; one that is only read is refused."""
     source = FORMATS[name].writer
     if source is None:
         able = ", ".join(key for key, entry in FORMATS.items() if entry.writer)
@@ -266,22 +258,17 @@ def recognise(path: Path) -> str:
 def formats_in(path: Path) -> list[str]:
     """Every format of a file or of the files in a folder, told from columns and beginnings.
 
-    Returns:
-        Keys of ``FORMATS`` in their order. A file that looks like several has the first of them:
-        ``ind`` for rounD too.
-
-    Raises:
-        InputError: if there is none; the message says what a file is instead.
+    They are keys of ``FORMATS`` in their order. A file that looks like several has the first of
+    them: ``ind`` for rounD too. If there is none, an error says what a file is instead.
     """
     found: list[str] = []
     known: set[Path] = set()
     for name, entry in FORMATS.items():
-        files = [file for file in _files(path, entry.files) if file not in known]
-        if path.is_dir():
-            files = [file for file in files if not _named(file, _beside(found))]
-        if here := [file for file in files if entry.recognises(file)]:
+        accompanying = _beside(found) if path.is_dir() else ()
+        files = (file for file in _files(path, entry.files) if not _named(file, accompanying))
+        if here := {file for file in files if file not in known and entry.recognises(file)}:
             found.append(name)
-            known.update(here)
+            known |= here
     if not found:
         raise InputError(
             f"{path}: found {_what_it_is(path)}, expected one of "
@@ -323,11 +310,7 @@ def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
 
 
 def recording_files(path: Path, name: str) -> list[Path]:
-    """The files of a format in a folder, by name; a file is itself.
-
-    Raises:
-        InputError: if there is nothing to read.
-    """
+    """The files of a format in a folder, at least one, by name; a file is itself."""
     entry = FORMATS[name]
     files = _files(path, entry.files)
     if path.is_dir():
@@ -364,9 +347,6 @@ def read_recordings(path: Path, name: str | None = None, **options: Any) -> Iter
         what is left out. Files of one name in several folders make recordings that are called by
         their folders, too: ``north/vehicle_tracks_000``. One that is called like its file's own
         folder keeps its name.
-
-    Raises:
-        InputError: if a file is broken, or there is none.
     """
     name = "table" if options.get("columns") else name or recognise(path)
     for item in read_formats(path, [name], **options):
@@ -382,7 +362,7 @@ def read_formats(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Iterator[tuple[str, Recording] | Path]:
-    """As `read_recordings`, of several formats.
+    """As `read_recordings`, of several formats; each file's path comes before its recordings.
 
     Args:
         path: a file or a folder.
@@ -391,12 +371,6 @@ def read_formats(
         rate_hz: frames per second that the recordings really have; None for what they say.
         columns: what the columns of a table of one's own are, as `check_columns` takes them.
         units: of these columns.
-
-    Yields:
-        The path of every file before it is read, then its recordings with their format's name.
-
-    Raises:
-        InputError: if a file is broken, or there is none of a format.
     """
     from sim.formats.common.recording import at_rate
 

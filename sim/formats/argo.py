@@ -75,17 +75,10 @@ def read_labels(path: Path) -> dict[str, DriverLabel]:
     return found
 
 
-def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The rotation and shift that most of (n, 2) points follow from one frame to the next.
 
     ``after @ rotation.T + shift`` is near ``before`` for at least half of the points.
-
-    Examples:
-        >>> still = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 9.0], [7.0, 7.0]])
-        >>> seen = still - [1.0, 0.5]
-        >>> seen[3] += 5.0  # one drives off
-        >>> rigid_motion(still, seen)[1].round(6).tolist()
-        [1.0, 0.5]
     """
     rotation = np.eye(2)
     shift = np.median(before - after, axis=0)
@@ -113,7 +106,7 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
         before, here = tracks.index.at(t - 1), tracks.index.at(t)
         _, one, other = np.intersect1d(agent[before], agent[here], return_indices=True)
         if one.size >= MIN_AGENTS:
-            turn, step = rigid_motion(seen[before[one]], seen[here[other]])
+            turn, step = _rigid_motion(seen[before[one]], seen[here[other]])
         shift = rotation @ step + shift
         rotation = rotation @ turn
         xy[here] = seen[here] @ rotation.T + shift

@@ -360,9 +360,7 @@ UNITS: Final[dict[str, dict[str, str]]] = {
 def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
     """Refuse columns that are not known or missing, and units that a column cannot have.
 
-    Args:
-        columns: name in the file of each of ``WORDS`` and ``NUMBERS``.
-        units: of some of ``NUMBERS``.
+    Columns are the names in the file of some of ``WORDS`` and ``NUMBERS``.
     """
     for key in columns:
         if key not in (*WORDS, *NUMBERS):
@@ -382,12 +380,10 @@ def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
 def read_own(
     path: Path, columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> Iterator[Recording]:
-    """Read a table of one's own; headings, speeds and sizes that it lacks are told or assumed.
+    """Read a table of one's own; headings, speeds and sizes that it lacks are computed or assumed.
 
-    Args:
-        path: the file.
-        columns: as `check_columns` takes them; by default ``id``, ``t``, ``x`` and ``y``.
-        units: of the columns; SI units, and radians from +x, where they say nothing.
+    Columns and units are as `check_columns` takes them; by default ``id``, ``t``, ``x`` and ``y``
+    in SI units, and radians from +x.
     """
     columns, units = columns or {key: key for key in NEEDED}, units or {}
     check_columns(columns, units)

@@ -27,8 +27,7 @@ from sim.files import write_whole
 from sim.formats.common.recording import Recording, default_size, recorded
 from sim.formats.common.tables import beginning_of, read_table
 from sim.frames import PEDESTRIAN, AgentKind, Tracks
-from sim.input_files import opened, stem
-from sim.xml_tree import refuse_declarations
+from sim.input_files import opened, refuse_declarations, stem
 
 HEAD_BYTES: Final = 2**16
 """Beginning of a file in which declarations are looked for: they come before all elements."""
@@ -85,11 +84,7 @@ CLOCK: Final = "timestep_time"
 def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     """The recording of one FCD file: XML, or SUMO's own CSV or Parquet.
 
-    Args:
-        path: the file; gzipped where its name ends in ``.gz``. Speeds and angles that it does not
-            have are taken from the motion.
-        types: a file with the vTypes; by default the one that ends in ``.types.xml`` beside it,
-            if there is one.
+    The vTypes are by default in the file that ends in ``.types.xml`` beside it, if there is one.
     """
     beside = path.with_name(stem(path) + TYPES_SUFFIX)
     types = types or (beside if beside.is_file() else None)
@@ -99,13 +94,8 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     yield _recording(stem(path), rows, times_s, known)
 
 
-def seconds_of(text: str) -> float:
-    """A time of SUMO's, s: a number, or ``[days:]hours:minutes:seconds``.
-
-    Examples:
-        >>> seconds_of("01:00:02.50"), seconds_of("1:00:00:00"), seconds_of("7")
-        (3602.5, 86400.0, 7.0)
-    """
+def _seconds_of(text: str) -> float:
+    """A time of SUMO's, s: a number, or ``[days:]hours:minutes:seconds``."""
     try:
         parts = [float(part) for part in text.split(":")]
     except ValueError:
@@ -122,7 +112,7 @@ def _rows_of_xml(path: Path) -> tuple[pandas.DataFrame, list[float]]:
     times_s: list[float] = []
     agent, values = array("q"), array("d")
     for step in _elements(path, "timestep"):
-        now_s = seconds_of(step.get("time", ""))
+        now_s = _seconds_of(step.get("time", ""))
         if times_s and not now_s > times_s[-1]:
             raise InputError(f"timestep: found time {now_s:g}, expected one after {times_s[-1]:g}")
         times_s.append(now_s)
@@ -147,7 +137,7 @@ def _rows_of_table(path: Path) -> tuple[pandas.DataFrame, list[float]]:
     numbers = [f"{tag}_{name}" for tag in TAGS for name in NUMBERS]
     words = [f"{tag}_{name}" for tag in TAGS for name in FACTS]
     table = read_table(path, numbers, [CLOCK, *words], [*numbers, *words])
-    table["t"] = table[CLOCK].map(seconds_of).astype(float)
+    table["t"] = table[CLOCK].map(_seconds_of).astype(float)
     parts = []
     for tag in TAGS:
         part = table.rename(columns={f"{tag}_{name}": name for name in (*FACTS, *NUMBERS)})
@@ -215,11 +205,7 @@ def _kind_in(name: str) -> AgentKind:
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:
-    """Write an episode, with its behaviours, and its vTypes beside it; lanes are left out.
-
-    Raises:
-        InputError: if an agent has a name that XML cannot hold.
-    """
+    """Write an episode, with its behaviours, and its vTypes beside it; lanes are left out."""
     for label in tracks.names:
         if not label.isprintable():
             raise InputError(f"{name}: found agent {label!r}, expected a name that can be printed")

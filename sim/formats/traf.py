@@ -53,7 +53,7 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 
-def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording]:
+def read(path: Path) -> Iterator[Recording]:
     """The recording of one ``..._gt.txt``, in pixels, y up.
 
     An agent's length and width are the median sides of its box in the image. Annotators who
@@ -66,12 +66,12 @@ def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording
         for k, own in enumerate(_tracks_of(boxes[boxes[:, 5] == identity])):
             rows = pandas.DataFrame(_centres(own), columns=["x", "y"])
             rows["id"] = f"{identity}-{k + 1}" if k else str(identity)
-            rows["t"] = own[:, 0] / frame_rate_hz
+            rows["t"] = own[:, 0] / FRAME_RATE_HZ
             rows["length"], rows["width"] = np.median(own[:, 3:5], axis=0)
             parts.append(rows)
     notes = [
         "lengths are pixels and speeds pixels per second: the format has no scale",
-        f"{frame_rate_hz:g} frames per second are assumed; kinds are not in this format",
+        f"{FRAME_RATE_HZ:g} frames per second are assumed; kinds are not in this format",
     ]
     if twins := len(parts) - len(ids):
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
@@ -164,11 +164,7 @@ class Sheet:
 
 
 def read_sheet(path: Path) -> Sheet:
-    """One annotator's sheet, ``<letter><video>.xlsx``.
-
-    Raises:
-        InputError: naming file and row, if the sheet is broken.
-    """
+    """One annotator's sheet, ``<letter><video>.xlsx``."""
     name = re.fullmatch(r"([a-z])(\d+)", path.stem)
     if name is None or not path.is_file():
         raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")
@@ -197,12 +193,7 @@ def sheets_of(folder: Path, video: int | None) -> tuple[Sheet, ...]:
 
 
 def video_number(path: Path) -> int | None:
-    """The number by which sheets name a video: the last one in the file's name.
-
-    Examples:
-        >>> video_number(Path("TRAF53_8_gt.txt"))
-        8
-    """
+    """The number by which sheets name a video: the last one in the name, ``TRAF53_8_gt.txt``."""
     found = re.search(r"(\d+)_gt$", stem(path))
     return int(found[1]) if found else None
 
@@ -216,13 +207,7 @@ def sheets_beside(path: Path) -> tuple[Sheet, ...]:
 
 
 def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:
-    """(N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
-
-    Args:
-        tracks: of the video; agents are found by their names.
-        sheets: of the same video.
-        rule: how conflicts are resolved.
-    """
+    """(N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the rule leaves a conflict."""
     out = np.full(tracks.ids.size, -1, dtype=np.int8)
     for row, name in enumerate(tracks.names):
         noted = [s.traits[int(name)] for s in sheets if name.isdecimal() and int(name) in s.traits]

@@ -26,10 +26,10 @@ from sim.highway import state
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.places import closest_lane
 from sim.highway.state import Net, Records, listed
+from sim.input_files import without_collection
 from sim.road import Connection, Lane, Road
 from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
-from sim.xml_tree import without_collection
 
 STUB_M, TIGHT_M = 0.1, 5.0
 """A junction path between lanes that touch is this long. A path of a smaller mean radius is tight

@@ -15,7 +15,6 @@ import pytest
 from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise
-from sim.formats.argoverse import SCHEMA
 from sim.formats.common.recording import row_motion
 from sim.frames import KINDS, AgentKind, Tracks
 from tests.sim.scenes import (
@@ -94,7 +93,7 @@ def argoverse2() -> bytes:
         row |= {"num_timestamps": 110, "focal_track_id": "AV", "city": "austin", "map_id": 1}
         row |= {"slice_id": "s"}
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), sink)
+    pq.write_table(pa.Table.from_pylist(rows), sink)
     return sink.getvalue().to_pybytes()
 
 

@@ -100,12 +100,10 @@ VEHICLES: Final = (AgentKind.CAR.code, AgentKind.BUS.code, AgentKind.TRUCK.code)
 
 
 def doubts_of(tracks: Tracks, heading: FloatArray, *, sizes: bool) -> list[str]:
-    """What contradicts itself in a recording, a sentence each.
+    """What contradicts itself in a recording, in metres as the format's units say, a sentence each.
 
-    Args:
-        tracks: in metres, as the format's units say.
-        heading: (m,) rad as the file states it; NaN where it is taken from the motion.
-        sizes: whether the file has sizes.
+    Headings (m,), rad, are as the file states them; NaN where they are taken from the motion.
+    ``sizes`` says whether the file has sizes.
     """
     steps = _Steps(tracks)
     found = [_time_doubt(steps), _place_doubt(tracks, steps)]

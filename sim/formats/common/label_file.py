@@ -27,12 +27,7 @@ class DriverLabel:
 
     @property
     def allowed(self) -> tuple[bool, ...]:
-        """(6,) which of ``BEHAVIORS`` the driver may be of.
-
-        Examples:
-            >>> DriverLabel(Style.AGGRESSIVE).allowed
-            (True, True, True, False, False, False)
-        """
+        """(6,) which of ``BEHAVIORS`` the driver may be of."""
         return tuple(
             b is self.behavior if self.behavior else b.style is self.style for b in BEHAVIORS
         )

@@ -289,13 +289,8 @@ def row_motion(
 
     The velocity at each time is the difference of the neighbouring positions of the agent
     (one-sided at the ends). Below ``MOVING_MPS`` the heading is that of the last time in motion;
-    before the first such time it is that of the first, and ``rest_heading`` if there is none.
-
-    Args:
-        agent: (m,) ascending.
-        xy: (m, 2) m.
-        time_s: (m,) s, ascending for each agent.
-        rest_heading: rad.
+    before the first such time it is that of the first, and ``rest_heading`` if there is none. Rows
+    are in order of agent (m,), then of time (m,).
     """
     same = agent[1:] == agent[:-1]
     before = np.arange(agent.size) - np.append(np.zeros(min(agent.size, 1), bool), same)

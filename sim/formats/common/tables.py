@@ -145,21 +145,11 @@ def _dialect_of(head: bytes, encoding: str) -> _Dialect:
 def read_table(
     path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Collection[str] = ()
 ) -> pandas.DataFrame:
-    """Some columns of a table; upper and lower case of their names do not matter.
+    """Some columns, named in lower case, of a Parquet or Feather file, or of a CSV file.
 
-    Args:
-        path: a Parquet file, a Feather file, or a CSV file with a header: fields separated by
-            comma, semicolon, tab or bar, decimals by point or comma, in UTF-8 or UTF-16; gzipped
-            where its name ends in ``.gz``.
-        numbers: names, in lower case, of columns of numbers.
-        words: names of columns of text, which become categories; numbers in them become text.
-        optional: those that may be missing, and may be empty anywhere.
-
-    Returns:
-        The columns that there are; fields of numbers that are not finite are NaN.
-
-    Raises:
-        InputError: naming the file and the column or row that is wrong.
+    A CSV file has a header, fields separated by comma, semicolon, tab or bar, and decimals by point
+    or comma, in UTF-8 or UTF-16. Words become categories; numbers that are not finite become NaN.
+    Those that are ``optional`` may be missing, and may be empty anywhere.
     """
     with broken_as_one_line(path, "a table"):
         head, encoding = _head_of(path)
