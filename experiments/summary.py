@@ -157,8 +157,9 @@ def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait
     for part, found in annotated_parts(tracks, road):
         events += found.events
         shown += found.shown_traits
-        near = np.isfinite(found.gap)
-        gaps.append((part.ids[part.index.agent][near], part.row_speed[near], found.gap[near]))
+        gap = found.inputs.gap
+        near = np.isfinite(gap)
+        gaps.append((part.ids[part.index.agent][near], part.row_speed[near], gap[near]))
     return events, shown, gaps
 
 
