@@ -50,11 +50,17 @@ class Registry(Mapping[str, T], Generic[T]):
         entries: Mapping[str, str | T],
         made: Callable[[str, Any], T] = lambda _, found: cast(T, found),
     ) -> None:
-        self._what, self._group, self._made, self._entries = what, group, made, dict(entries)
+        self._what, self._group, self._made = what, group, made
+        self._entries, self._loaded = dict(entries), dict[str, T]()
 
     def __getitem__(self, name: str) -> T:
         """The entry of that name, imported if it is asked for the first time."""
-        entry = lookup(self._all(), name, self._what)
+        if name not in self._loaded:
+            self._loaded[name] = self._load(name, lookup(self._all(), name, self._what))
+        return self._loaded[name]
+
+    def _load(self, name: str, entry: Any) -> T:
+        """Import an entry of this package, or of a plugin."""
         if name in self._entries:
             return self._made(name, loaded(entry)) if isinstance(entry, str) else cast(T, entry)
         try:
@@ -64,6 +70,10 @@ class Registry(Mapping[str, T], Generic[T]):
                 f"{self._what} {name!r}: found a plugin that does not load, "
                 f"{_distribution(entry)} ({entry.value}): {_reason(error)}"
             ) from error
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The entry of that name, or the default if there is none."""
+        return self[name] if name in self else default  # noqa: SIM401  it would call itself
 
     def __iter__(self) -> Iterator[str]:
         """The names: those of this package, then those of plugins."""
@@ -80,10 +90,12 @@ class Registry(Mapping[str, T], Generic[T]):
     def __setitem__(self, name: str, entry: T) -> None:
         """Set an entry in this process."""
         self._entries[name] = entry
+        self._loaded.pop(name, None)
 
     def __delitem__(self, name: str) -> None:
         """Delete an entry in this process."""
         del self._entries[name]
+        self._loaded.pop(name, None)
 
     def origin(self, name: str) -> str:
         """The distribution that an entry comes from: "graphrqi" or a plugin's name and version."""
@@ -97,7 +109,7 @@ class Registry(Mapping[str, T], Generic[T]):
     def _all(self) -> dict[str, Any]:
         """The entries of this package, then those that other distributions add; none twice."""
         found: dict[str, Any] = dict(self._entries)
-        for plugin in _entry_points(tuple(sys.path)).select(group=self._group):
+        for plugin in _plugins(tuple(sys.path), self._group):
             if plugin.name in found:
                 other = found[plugin.name]
                 owner = "graphrqi" if plugin.name in self._entries else _distribution(other)
@@ -142,9 +154,9 @@ def _distribution(plugin: EntryPoint) -> str:
     return f"{plugin.dist.name} {plugin.dist.version}" if plugin.dist else "an unknown distribution"
 
 
-@lru_cache(maxsize=1)
-def _entry_points(path: tuple[str, ...]) -> Any:
-    """Every installed entry point; looked for again when ``sys.path`` changes."""
+@lru_cache(maxsize=32)
+def _plugins(path: tuple[str, ...], group: str) -> tuple[EntryPoint, ...]:
+    """The installed entry points of a group; looked for again when ``sys.path`` changes."""
     from importlib.metadata import entry_points
 
-    return entry_points()
+    return tuple(entry_points(group=group))

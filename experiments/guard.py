@@ -20,11 +20,8 @@ from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
 
-MEMORY_BYTES, MEMORY_PER_BYTE = 2**31 - 2**28, 16
-"""Memory that a child may use: bytes, and bytes for each byte of the files it reads."""
-
-TIME_S, TIME_S_PER_BYTE = 50.0, 5e-6
-"""Time that a child may take for each answer, s, and the time for each byte it reads, s."""
+MEMORY_BYTES, MEMORY_PER_BYTE, TIME_S, TIME_S_PER_BYTE = 2**31 - 2**28, 16, 50.0, 5e-6
+"""Memory that a child may use, and time for each answer, s: each also by byte of its files."""
 
 THREADS: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 """Settings of the child: each thread of a library would reserve memory of its own."""
@@ -46,10 +43,8 @@ def guarded(source: Path, function: Callable[..., Iterator[Any]], *arguments: An
     """Yields of a module's function that runs in a child process, inside a block of `guarding`.
 
     The size of the file or folder ``source`` decides the limits. A path that the function yields
-    names the file that it reads next, and is not handed on.
-
-    Raises:
-        InputError: the function's own, or one line that names the file and says what happened.
+    names the file that it reads next, and is not handed on. An `InputError` is the function's own,
+    or names the file and says what happened.
     """
     from multiprocessing import Pipe
 

@@ -37,54 +37,52 @@ from sim.store.dataset import open_dataset
 RECORDINGS: Final = Path(__file__).resolve().parents[2] / "shared" / "data" / "real"
 """Folder of open recordings, beside the checkout."""
 
-CLASSIFIER_SEEDS: Final = {"sumo": 2020, "sumo-idm": 2022}
-PREDICTOR_SEED: Final = 2021
-"""Seeds of the datasets, the classifier's by engine; examples and benchmarks use other seeds."""
-
-CLASSIFIER_EPISODES: Final = {
-    "sumo": {"straight_road": 40, "four_way_intersection": 450},
-    "sumo-idm": {"straight_road": 15, "four_way_intersection": 75},
-}
-PREDICTOR_EPISODES: Final = 30
-"""Episodes by engine and scenario, of 300 s each, 60 % of them for training."""
-
-WORLDS, WORLDS_SEED = 60, 77
-"""Random worlds that the predictor for recordings is trained on, and their seed."""
+CLASSIFIER_DATA: Final[dict[str, dict[str, Any]]] = {
+    f"classifier-{engine}-{scenario}": {
+        "scenarios": (scenario,), "episodes": episodes, "seed": seed, "engine": engine,
+        "limits_mps": TRAINING_LIMITS_MPS,
+    }
+    for engine, seed, counts in (("sumo", 2020, (40, 450)), ("sumo-idm", 2022, (15, 75)))
+    for scenario, episodes in zip(SCENARIOS, counts, strict=True)
+}  # fmt: skip
+PREDICTOR_DATA: Final[dict[str, Any]] = {"scenarios": SCENARIOS, "episodes": 30, "seed": 2021}
+"""Datasets by folder, as options of `GenerateConfig`; examples and benchmarks use other seeds. Of
+the predictors' episodes, 60 % are for training."""
 
 CLASSIFIER_PER_MOMENT: Final = 2
 """Window lengths drawn for each driver and moment, twice as many as by default."""
 
-NETWORK_EPISODES: Final[dict[str, dict[str, Any]]] = {
-    "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
-    "light": {"episodes": 20, "flow": "light"},
-    "dense": {"episodes": 20, "flow": "dense"},
-    "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+NETWORK_DATA: Final[dict[str, dict[str, Any]]] = {
+    f"networks-{name}": {"scenarios": SCENARIOS, "seed": 2023, "duration_s": 150.0, **options}
+    for name, options in {
+        "as-usual": {"episodes": 90, "limits_mps": TRAINING_LIMITS_MPS},
+        "light": {"episodes": 20, "flow": "light"},
+        "dense": {"episodes": 20, "flow": "dense"},
+        "idm": {"episodes": 20, "engine": "sumo-idm", "limits_mps": TRAINING_LIMITS_MPS},
+    }.items()
 }
-"""Simulated traffic that the networks for other traffic learn from: options of `GenerateConfig`."""
+NETWORK_WORLDS: Final[dict[str, dict[str, Any]]] = {
+    f"networks-worlds-{seed}": {"scenarios": (RANDOM_WORLD,), "episodes": episodes, "seed": seed}
+    for seed, episodes in ((7000, 700), (31000, 1500), (52000, 2000))
+}
+"""Simulated traffic and random worlds that the networks for other traffic learn from."""
 
-NETWORK_SEED, NETWORK_S = 2023, 150.0
-"""Seed of this traffic, and the length of its episodes, s."""
-
-WORLDS_EPISODES: Final = {7000: 700, 31000: 1500, 52000: 2000}
-"""Random worlds that the networks for other traffic learn from, by their seed."""
+WORLDS: Final[dict[str, Any]] = {"scenarios": (RANDOM_WORLD,), "episodes": 60, "seed": 77}
+"""Random worlds that the predictor for recordings is trained on."""
 
 ROUNDABOUTS: Final = ((13.0, 1), (20.0, 1), (20.0, 2), (30.0, 2), (45.0, 2))
 """Radius of the ring, m, and lanes of each roundabout (from the smallest that a bus can pass to
 those of country roads)."""
 
-ROUNDABOUT_EPISODES, ROUNDABOUT_ENGINE = 2, "sumo-idm"
-"""Episodes of each roundabout, and which law drives there."""
-
-ROUNDABOUT_LIMITS_MPS: Final = (13.89, 8.33, 11.11, 16.67)
-"""Limits of the roundabouts' arms, which their episodes take in turn, m/s."""
-
-MOTORWAYS: Final = ("motorway", "motorway_ramps")
-MOTORWAY_EPISODES: Final = 8
-MOTORWAY_LIMITS_MPS: Final = (22.22, 50.0, 27.78, 36.11)
-"""Episodes of each motorway, and the limits that they take in turn, m/s."""
-
-ROAD_S: Final = 60.0
-"""Length of the episodes of roundabouts and motorways, s."""
+FREE_ROADS: Final[dict[str, Any]] = {
+    "scenarios": ("motorway", "motorway_ramps"), "episodes": 8, "flow": "light", "seed": 78,
+    "limits_mps": (22.22, 50.0, 27.78, 36.11), "duration_s": 60.0,
+}  # fmt: skip
+RINGS: Final[dict[str, Any]] = {
+    "episodes": 2, "engine": "sumo-idm", "seed": 77, "limits_mps": (13.89, 8.33, 11.11, 16.67),
+    "duration_s": 60.0,
+}  # fmt: skip
+"""Options of the episodes of nearly empty motorways, and of each roundabout."""
 
 OPEN_DATA: Final = ("ngsim_us101", "ngsim_lankershim", "ngsim_peachtree", "sind_tianjin")
 """Recordings whose licence lets weights be shipped: NGSIM (US government, open) and SinD (CC0)."""
@@ -101,39 +99,18 @@ def _made(work: Path, name: str, jobs: int | None, quiet: bool = False, **option
 
 def _train_classifier(work: Path, jobs: int) -> None:
     """Generate the classifier's data and train it."""
-    folders = [
-        _made(
-            work, f"classifier-{engine}-{scenario}", jobs, scenarios=(scenario,),
-            episodes=episodes, seed=CLASSIFIER_SEEDS[engine], engine=engine,
-            limits_mps=TRAINING_LIMITS_MPS,
-        )
-        for engine, scenarios in CLASSIFIER_EPISODES.items()
-        for scenario, episodes in scenarios.items()
-    ]  # fmt: skip
+    folders = [_made(work, name, jobs, **options) for name, options in CLASSIFIER_DATA.items()]
     train_on(folders, BEST_METHOD, work / BEST_METHOD, jobs=jobs, per_moment=CLASSIFIER_PER_MOMENT)
     _put_together(work)
 
 
 def _train_networks(work: Path, jobs: int) -> None:
     """Generate simulated traffic and random worlds, and train the networks for other traffic."""
-    usual: dict[str, Any] = {
-        "scenarios": SCENARIOS, "seed": NETWORK_SEED, "duration_s": NETWORK_S
-    }  # fmt: skip
-    simulated = [
-        _made(work, f"networks-{name}", jobs, **usual, **options)
-        for name, options in NETWORK_EPISODES.items()
-    ]
-    worlds = [
-        _made(work, f"networks-worlds-{seed}", jobs, scenarios=(RANDOM_WORLD,), episodes=count,
-              seed=seed)
-        for seed, count in WORLDS_EPISODES.items()
-    ]  # fmt: skip
-    learned, about = train_on_worlds(
-        [open_dataset(folder) for folder in simulated],
-        [open_dataset(folder) for folder in worlds],
-        jobs=jobs,
-        quiet=False,
+    simulated, worlds = (
+        [open_dataset(_made(work, name, jobs, **options)) for name, options in data.items()]
+        for data in (NETWORK_DATA, NETWORK_WORLDS)
     )
+    learned, about = train_on_worlds(simulated, worlds, jobs=jobs, quiet=False)
     save_weights(work / NETWORKS, "networks", {"card": about}, learned.arrays())
     _put_together(work)
 
@@ -156,10 +133,7 @@ def _put_together(work: Path) -> None:
 
 def _train_predictors(work: Path, jobs: int) -> None:
     """Generate the predictors' data, and train them; weights for recordings need the recordings."""
-    data = _made(
-        work, "predictor", jobs, scenarios=SCENARIOS, episodes=PREDICTOR_EPISODES,
-        seed=PREDICTOR_SEED,
-    )  # fmt: skip
+    data = _made(work, "predictor", jobs, **PREDICTOR_DATA)
     weights = Path(graphrqi.predict.__file__).parent / "weights"
     calibrate_drivers(data, SHIPPED)
     train_predictors(data, BEST_METHOD, weights)
@@ -177,10 +151,7 @@ def simulated_like_recordings(
     work: Path, jobs: int | None = None, quiet: bool = False
 ) -> list[Path]:
     """Generate the simulated traffic that the predictor for recordings learns from, too."""
-    worlds = _made(
-        work, "recorded-worlds", jobs, quiet, scenarios=(RANDOM_WORLD,), episodes=WORLDS,
-        seed=WORLDS_SEED,
-    )  # fmt: skip
+    worlds = _made(work, "recorded-worlds", jobs, quiet, **WORLDS)
     return [worlds, *generate_roads(work, jobs, quiet)]
 
 
@@ -195,16 +166,9 @@ def generate_roads(work: Path, jobs: int | None = None, quiet: bool = False) -> 
         rings.append(work / f"roundabout-{radius_m:g}-{lanes}.toml")
         options = f"lanes = {lanes}\noptions = {{ radius_m = {radius_m} }}\n"
         rings[-1].write_text(f'scenario = "roundabout"\n{options}', encoding="utf-8")
-    free = _made(
-        work, "recorded-free", jobs, quiet, scenarios=MOTORWAYS, episodes=MOTORWAY_EPISODES,
-        seed=WORLDS_SEED + 1, duration_s=ROAD_S, flow="light", limits_mps=MOTORWAY_LIMITS_MPS,
-    )  # fmt: skip
-    roundabouts = _made(
-        work, "recorded-roundabouts", jobs, quiet, scenarios=tuple(map(str, rings)),
-        episodes=ROUNDABOUT_EPISODES, seed=WORLDS_SEED, engine=ROUNDABOUT_ENGINE,
-        duration_s=ROAD_S, limits_mps=ROUNDABOUT_LIMITS_MPS,
-    )  # fmt: skip
-    return [free, roundabouts]
+    free = _made(work, "recorded-free", jobs, quiet, **FREE_ROADS)
+    names = tuple(map(str, rings))
+    return [free, _made(work, "recorded-roundabouts", jobs, quiet, scenarios=names, **RINGS)]
 
 
 PARTS: Final[dict[str, Callable[[Path, int], None]]] = {

@@ -29,11 +29,9 @@ NAMES: Final = (
 )  # fmt: skip
 """The nine numbers."""
 
-AHEAD_M, BESIDE_M = 100.0, 1.8
-"""Without a map, the leader is the nearest within this far ahead and to the side, m."""
-
-LEAST_SPEED_MPS: Final = 1.0
-"""Headways count from this speed on, m/s."""
+AHEAD_M, BESIDE_M, LEAST_SPEED_MPS = 100.0, 1.8, 1.0
+"""Without a map, the leader is the nearest within this far ahead and to the side, m. Headways count
+from the last speed on, m/s."""
 
 
 def nine_numbers(tracks: Tracks, road: Road | None) -> FloatArray:
@@ -118,20 +116,17 @@ def whole_track_samples(
 
 
 def whole_tracks(dataset: Dataset, split: Split | None = None, jobs: int | None = None) -> Samples:
-    """The nine numbers of every labelled driver of a split (None: of all episodes), a sample each.
+    """The nine numbers of every labelled driver of a split, or of all, a sample each.
 
     Episodes are numbered as in the dataset.
     """
-    number = {entry.id: i for i, entry in enumerate(dataset.manifest.episodes)}
-    arguments = [(dataset.path, entry, number[entry.id]) for entry in dataset.episodes(split)]
+    every = enumerate(dataset.manifest.episodes)
+    arguments = [(dataset.path, e, i) for i, e in every if split in (None, e.split)]
     return Samples.join(list(in_parallel(_episode, arguments, jobs)))
 
 
 class PlainRival:
-    """A random forest of scikit-learn on `nine_numbers`; unknown numbers are left to its trees.
-
-    It learns from labelled drivers, as from `whole_tracks`.
-    """
+    """A random forest of scikit-learn on `nine_numbers`; unknown numbers are left to its trees."""
 
     def __init__(self, training: Samples, seed: int = 0) -> None:
         from sklearn.ensemble import RandomForestClassifier

@@ -41,7 +41,7 @@ def _kernel(function: F, *, kept: bool = True, **options: Any) -> F:
 
 
 def compiled(function: F) -> F:
-    """Compile a function in numba's subset of Python on its first call, or load it from the cache.
+    """Compile a function on its first call, or load it from the cache.
 
     Divisions follow IEEE 754 and nothing is reassociated, so results equal those of the same
     arithmetic in numpy to the bit.
@@ -65,11 +65,10 @@ def vectorised(function: F) -> F:
     The compiler packs like operations on neighbouring numbers, also in the kernels that this one
     calls first. Numba leaves that out by default.
     """
-    settings: Any = config
     kernel: Any = compiled(function)
-    plain: Any = getattr(
-        kernel, "compile", None
-    )  # none where nothing is compiled (NUMBA_DISABLE_JIT)
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return cast(F, kernel)
+    plain, settings = kernel.compile, cast(Any, config)
 
     def with_vectors(signature: Any) -> Any:
         before, settings.SLP_VECTORIZE = settings.SLP_VECTORIZE, 1
@@ -78,20 +77,15 @@ def vectorised(function: F) -> F:
         finally:
             settings.SLP_VECTORIZE = before
 
-    if plain is not None:
-        kernel.compile = with_vectors
+    kernel.compile = with_vectors
     return cast(F, kernel)
 
 
 def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F]:
     """Compile a function that makes no array and returns none, but writes into its arguments.
 
-    No references to its arrays need to be counted: it takes a third less time to compile, and short
-    functions may be called with many arrays.
-
-    Args:
-        inner: whether only other kernels call it, as of `inner`.
-        reordered: whether sums and products may be reordered; the same on every run.
+    References to its arrays are not counted, so it compiles faster. Only other kernels may call it
+    if ``inner``. Sums and products may be ``reordered``, in the same way on every run.
     """
     options = {"_nrt": False, "no_cpython_wrapper": inner, "fastmath": reordered}
     return lambda function: _kernel(function, **options)
@@ -99,11 +93,7 @@ def in_place(*, inner: bool = False, reordered: bool = False) -> Callable[[F], F
 
 @cache
 def shared(function: F) -> F:
-    """Compile a scalar function that several kernels call, such as a driver model.
-
-    It is stored in the cache files of the kernels that call it. Its own cache would be named after
-    the function alone, and could hold code compiled with other options.
-    """
+    """Compile a scalar function that several kernels call, into whose cache files it goes."""
     return _kernel(function, kept=False, no_cpython_wrapper=True)
 
 

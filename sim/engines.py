@@ -34,8 +34,8 @@ ENGINES: Final[Registry[Engine]] = Registry(
     {
         "sumo": "sim.sumo.engine:run",
         "sumo-idm": "sim.sumo.engine:run_idm",
-        "highway": "sim.highway.engine:run",
-        "highway-krauss": "sim.highway.engine:run_krauss",
+        "highway": "sim.highway.run:run",
+        "highway-krauss": "sim.highway.run:run_krauss",
     },
     made=_checked,
 )
@@ -43,15 +43,5 @@ ENGINES: Final[Registry[Engine]] = Registry(
 
 
 def get_engine(name: str) -> Engine:
-    """The engine of that name.
-
-    Args:
-        name: a key of ``ENGINES``.
-
-    Returns:
-        The engine's ``run`` function.
-
-    Raises:
-        InputError: if no such engine exists.
-    """
+    """The ``run`` function of the engine of that name, a key of ``ENGINES``."""
     return ENGINES[name]

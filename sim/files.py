@@ -2,11 +2,7 @@
 
 Everything is written under a hidden name beside its destination and moved there with `os.replace`.
 A reader never sees a partial file, even after a run was killed. A URL such as ``s3://bucket/data``
-may be given instead of a path; credentials are those of the store's usual environment variables
-and files.
-
-References:
-    fsspec (2024), Filesystem interfaces for Python: https://filesystem-spec.readthedocs.io.
+may be given instead of a path, if fsspec knows its protocol.
 """
 
 from __future__ import annotations
@@ -17,7 +13,7 @@ import re
 import shutil
 import tempfile
 import uuid
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -37,10 +33,7 @@ _URL: Final = re.compile(r"^([a-z][a-z0-9+.-]+):/{1,3}(?!/)(.*)$", re.DOTALL)
 
 
 def url_of(path: str | Path) -> str | None:
-    """The URL that a path stands for; None for a path of this machine.
-
-    Args:
-        path: as a user gave it, or as `pathlib` made of it (with one slash less).
+    """The URL that a path stands for, also with one slash less; None for a path of this machine.
 
     Examples:
         >>> url_of(Path("s3://bucket/data")), url_of("data"), url_of("file:///data")
@@ -58,15 +51,7 @@ def is_remote(path: str | Path) -> bool:
 
 
 def local_path(path: str | Path) -> Path:
-    """A path of this machine, also where it was given as a ``file://`` URL.
-
-    Raises:
-        InputError: if it is the URL of something else.
-
-    Examples:
-        >>> str(local_path(Path("file:///data/one")))
-        '/data/one'
-    """
+    """A path of this machine, also where it was given as a ``file://`` URL."""
     url = url_of(path)
     if url is not None:
         raise InputError(f"{url}: found a URL, expected a path of this machine here")
@@ -95,17 +80,10 @@ def write_whole(path: Path, data: bytes) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A new file to write, moved to its destination when the block ends without an error.
+    """A new file to write, moved to its path or URL when the block ends without an error.
 
-    Args:
-        path: where it will appear, or a URL. An older file there is replaced, a link is followed,
-            and a pipe or device is written to. Its folder must exist.
-
-    Yields:
-        The path to write to.
-
-    Raises:
-        OSError: if it cannot be written; nothing is left behind.
+    An older file there is replaced, a link is followed, and a pipe or device is written to. Its
+    folder must exist. After an error nothing is left behind.
     """
     url = url_of(path)
     if url is not None or (path.exists() and not path.is_file() and not path.is_dir()):
@@ -132,19 +110,11 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
-    """A new folder to fill, moved to its destination when the block ends without an error.
+def whole_folder(path: Path) -> Iterator[Path]:
+    """A new folder to fill, moved to its path when the block ends without an error.
 
-    Args:
-        path: where it will appear; a link is followed. In an older folder, files of the same names
-            are replaced and all others are kept. Its parent is created.
-        outdated: names of files and folders of the older folder that are not kept.
-
-    Yields:
-        The folder to write into.
-
-    Raises:
-        OSError: if it cannot be written; nothing is left behind.
+    A link is followed. In an older folder, files of the same names are replaced and all others are
+    kept. Its parent is created. After an error nothing is left behind.
     """
     target = Path(os.path.realpath(local_path(path)))
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -153,7 +123,7 @@ def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
         partial.mkdir()
         yield partial
         if target.is_dir():
-            new = {*outdated, *os.listdir(partial)}
+            new = os.listdir(partial)
             shutil.copytree(
                 target, partial, symlinks=True, dirs_exist_ok=True,
                 ignore=lambda folder, names: new if folder == str(target) else (),
@@ -170,12 +140,7 @@ def whole_folder(path: Path, outdated: Collection[str] = ()) -> Iterator[Path]:
 
 @contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """As `whole_folder`, where there is nothing yet.
-
-    Raises:
-        InputError: if there is something.
-        OSError: if it cannot be written; nothing is left behind.
-    """
+    """As `whole_folder`, where there is nothing yet."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: found a file, expected a new or empty folder")
     found = next(path.iterdir(), None) if path.is_dir() else None
@@ -235,8 +200,6 @@ def _errors_named(name: str) -> Iterator[None]:
 @dataclass(frozen=True, slots=True)
 class Place:
     """A folder of files, on a disk or in an object store. Names are relative, with slashes.
-
-    Reading a file that does not exist is a `FileNotFoundError`.
 
     Attributes:
         url: what people call it: a path, or a URL.
@@ -302,11 +265,11 @@ class Place:
         """A file's bytes."""
         return cast(bytes, self._call("cat_file", name))
 
-    def files(self, prefix: str = "") -> dict[str, int]:
-        """Sizes of the files below a folder, by name, sorted; hidden ones are left out."""
-        if not self._call("exists", prefix):
+    def files(self) -> dict[str, int]:
+        """Sizes of the files in it, by name, sorted; hidden ones are left out."""
+        if not self._call("exists", ""):
             return {}
-        found: dict[str, Any] = self._call("find", prefix, detail=True)
+        found: dict[str, Any] = self._call("find", "", detail=True)
         begin = len(self.full().strip("/")) + 1
         named = {path.strip("/")[begin:]: int(one["size"] or 0) for path, one in found.items()}
         return {
@@ -339,13 +302,5 @@ class Place:
 
 
 def place_of(path: str | Path) -> Place:
-    """The place that a path or URL names.
-
-    Args:
-        path: of a folder; or a URL that fsspec knows, ``file://`` among them.
-
-    Examples:
-        >>> place_of("memory://datasets/one").url
-        'memory://datasets/one'
-    """
+    """The place that the path or URL of a folder names."""
     return Place(url_of(path) or str(local_path(path)))

@@ -8,7 +8,7 @@ truth (who is which behaviour) is never in a `Frame`: it lives in `sim.scenario.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -456,10 +456,6 @@ class Tracks:
                 seen = np.flatnonzero(np.diff(part.index.first))
                 yield part.part(seen, slice(None))
 
-    def with_behavior(self, behavior: CodeArray) -> Tracks:
-        """The same tracks with other labels (-1: no label)."""
-        return replace(self, behavior=behavior)
-
     def __repr__(self) -> str:
         """The agents by kind, the times, and counts of labels, signals and events."""
         labelled = 0 if self.behavior is None else int((self.behavior >= 0).sum())
@@ -483,22 +479,15 @@ class Tracks:
         """A table with a row per kind of agent, for notebooks."""
         import pandas
 
-        rows = []
-        for code in np.unique(self.kind).tolist():
-            of_kind = self.kind == code
-            speed = self.row_speed[of_kind[self.index.agent]]
-            rows.append(
-                (
-                    str(KINDS[code]),
-                    int(of_kind.sum()),
-                    speed.size,
-                    f"{speed.mean():.1f}" if speed.size else "",
-                    0 if self.behavior is None else int((self.behavior[of_kind] >= 0).sum()),
-                )
-            )
-        header = ("kind", "agents", "rows", "mean speed, m/s", "labelled")
-        table = pandas.DataFrame(rows, columns=[*header]).to_html(index=False)
-        return f"<p>Tracks: {self._times()}</p>{table}"
+        rows = [np.bincount(self.index.agent, w, self.ids.size) for w in (None, self.row_speed)]
+        agents = pandas.DataFrame(
+            {"kind": self.kind, "agents": 1, "rows": rows[0], "mean speed, m/s": rows[1],
+             "labelled": 0 if self.behavior is None else self.behavior >= 0}
+        )  # fmt: skip
+        table = agents.groupby("kind").sum().rename(index=lambda code: str(KINDS[code]))
+        table["mean speed, m/s"] = (table["mean speed, m/s"] / table["rows"]).round(1)
+        shown = table.reset_index().to_html(index=False)
+        return f"<p>Tracks: {self._times()}</p>{shown}"
 
     def to_pandas(self) -> Any:
         """A pandas table with a row for each time at which each agent is present.

@@ -1,6 +1,6 @@
 """Lines of points, (P, 2) m, and the outlines of vehicles, in numpy.
 
-The compiled counterparts for loops are in `sim.road.lane_coordinates`. Outlines are rectangles
+The compiled counterparts for loops are in `sim.road.lane_search`. Outlines are rectangles
 about the vehicles' centres, turned by their headings. Two are apart if their projections onto one
 of the four axes are (separating axis theorem).
 
@@ -92,19 +92,25 @@ def to_own_frame(xy: FloatArray, origin: FloatArray, heading: FloatArray) -> Flo
         array([[4., 0.]])
     """
     shape = (-1,) + (1,) * (xy.ndim - 2)
-    return _turned(xy - origin.reshape((*shape, 2)), -heading.reshape(shape))
+    return turned(xy - origin.reshape((*shape, 2)), -heading.reshape(shape))
 
 
 def from_own_frame(own: FloatArray, origin: FloatArray, heading: FloatArray) -> FloatArray:
     """(n, ..., 2) places, m, of distances ahead of agents and to their left; see `to_own_frame`."""
     shape = (-1,) + (1,) * (own.ndim - 2)
-    return _turned(own, heading.reshape(shape)) + origin.reshape((*shape, 2))
+    out = turned(own, heading.reshape(shape))
+    for axis in (0, 1):  # axes of two are slow to add to
+        out[..., axis] += origin[:, axis].reshape(shape)
+    return out
 
 
-def _turned(xy: FloatArray, angle: FloatArray) -> FloatArray:
-    """Vectors turned to the left by angles."""
+def turned(xy: FloatArray, angle: FloatArray) -> FloatArray:
+    """Vectors (..., 2) turned to the left by angles (...), rad."""
     cos, sin, x, y = np.cos(angle), np.sin(angle), xy[..., 0], xy[..., 1]
-    return np.stack([x * cos - y * sin, x * sin + y * cos], axis=-1)
+    out = np.empty(xy.shape)
+    np.subtract(x * cos, y * sin, out=out[..., 0])
+    np.add(x * sin, y * cos, out=out[..., 1])
+    return out
 
 
 class Meeting(NamedTuple):

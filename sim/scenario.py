@@ -23,9 +23,6 @@ from sim.road import Road
 
 M = TypeVar("M")
 
-DEFAULT_JAYWALK_SHARE: Final = 0.1
-"""Share of pedestrians who cross where and when they should not."""
-
 MAX_PER_HOUR: Final = 100_000.0
 """Most vehicles, and most pedestrians, per hour over all flows; twice the capacity of the widest
 scenario."""
@@ -33,18 +30,11 @@ scenario."""
 MAX_DURATION_S: Final = 86_400.0
 """Longest episode, s (a day)."""
 
-MAX_SPREAD: Final = 1.0
-"""Largest log-normal spread between drivers of one behaviour (two thirds of them are then within a
-factor of e)."""
-
 CarFollowing = Literal["Krauss", "IDM"]
 """The car-following law of all drivers in a run, by SUMO's names."""
 
 IMPERFECTION: Final = 0.2
 """Krauss's sigma, the same for every driver (SUMO's default is 0.5). IDM has none."""
-
-EQUAL_MIX: Final[dict[Behavior, float]] = {b: 1.0 / len(BEHAVIORS) for b in BEHAVIORS}
-"""Every behaviour as often as any other."""
 
 WALK_START_M: Final = 40.0
 """Pedestrians enter this far before the end of their first edge, so that those who cross do so
@@ -114,7 +104,8 @@ class Scenario:
         flows: the demand along each route; at most `MAX_PER_HOUR` vehicles and as many pedestrians
             in all.
         mix: share of each behaviour among drivers; sums to 1.
-        spread: log-normal spread between drivers of one behaviour, at most `MAX_SPREAD`.
+        spread: log-normal spread between drivers of one behaviour, at most 1 (two thirds of them
+            are then within a factor of e).
         duration_s: length of an episode, s; at least a step, at most `MAX_DURATION_S`.
         step_s: time between frames, s.
         kinds: share of each vehicle kind; sums to 1.
@@ -127,12 +118,14 @@ class Scenario:
     name: str
     road: Road
     flows: tuple[RouteFlow, ...]
-    mix: Mapping[Behavior, float] = field(default_factory=lambda: dict(EQUAL_MIX))
+    mix: Mapping[Behavior, float] = field(
+        default_factory=lambda: dict.fromkeys(BEHAVIORS, 1.0 / len(BEHAVIORS))
+    )
     spread: float = DEFAULT_SPREAD
     duration_s: float = 300.0
     step_s: float = 0.1
     kinds: Mapping[AgentKind, float] = field(default_factory=lambda: {AgentKind.CAR: 1.0})
-    jaywalk_share: float = DEFAULT_JAYWALK_SHARE
+    jaywalk_share: float = 0.1
     population: Population | None = None
     behaviors: tuple[Behavior, ...] = ()
 
@@ -145,36 +138,31 @@ class Scenario:
                 raise InputError("flows: found a route without edges, expected at least one")
         if AgentKind.PEDESTRIAN in self.kinds:
             raise InputError("kinds: found pedestrian, expected kinds of vehicles")
-        for field_name, walking in (("flow", False), ("pedestrians_per_h", True)):
+        for name, walking in (("flow", False), ("pedestrians_per_h", True)):
             per_hour = self.per_hour(walking=walking)
             if per_hour > MAX_PER_HOUR * (1 + 1e-9):  # the parts of a total may add up to more
                 raise InputError(
-                    f"{field_name}: found {per_hour:g} per hour, expected at most {MAX_PER_HOUR:g}"
+                    f"{name}: found {per_hour:g} per hour, expected at most {MAX_PER_HOUR:g}"
                 )
-        for field_name, shares in (("mix", self.mix), ("kinds", self.kinds)):
+        for name, shares in (("mix", self.mix), ("kinds", self.kinds)):
             values = list(shares.values())
             if not all(v >= 0 for v in values) or not abs(sum(values) - 1.0) <= 1e-6:
                 expected = "shares >= 0 that add up to 1"
-                raise InputError(f"{field_name}: found shares {values}, expected {expected}")
-        for field_name, least, most in (
-            ("spread", 0.0, MAX_SPREAD),
-            ("jaywalk_share", 0.0, 1.0),
-            ("step_s", 0.01, 1.0),
-            ("duration_s", self.step_s, MAX_DURATION_S),
+                raise InputError(f"{name}: found shares {values}, expected {expected}")
+        for name, value, least, most in (
+            ("spread", self.spread, 0.0, 1.0),
+            ("jaywalk_share", self.jaywalk_share, 0.0, 1.0),
+            ("step_s", self.step_s, 0.01, 1.0),
+            ("duration_s", self.duration_s, self.step_s, MAX_DURATION_S),
         ):
-            value = getattr(self, field_name)
             if not least <= value <= most:
-                raise InputError(f"{field_name}: found {value}, expected {least:g} to {most:g}")
+                raise InputError(f"{name}: found {value}, expected {least:g} to {most:g}")
 
     @property
     def population_option(self) -> dict[str, Any]:
         """Options of an episode that state the population and behaviours of one's own, if any."""
-        found: dict[str, Any] = {}
-        if self.population is not None:
-            found["population"] = self.population.option
-        if self.behaviors:
-            found["behaviors"] = tables_of(self.behaviors)
-        return found
+        population = {} if self.population is None else {"population": self.population.option}
+        return population | ({"behaviors": tables_of(self.behaviors)} if self.behaviors else {})
 
     @property
     def steps(self) -> int:
@@ -247,11 +235,11 @@ def sample_agents(
     """Draw all agents of an episode, in order of departure, with ids 0, 1, 2, ...
 
     Each flow draws from its own generator, so changing one flow leaves the agents of the others as
-    they were.
+    they were. The same seed, an integer >= 0, draws the same agents.
 
     Args:
         scenario: whose demand to draw.
-        seed: any non-negative integer; the same seed draws the same agents.
+        seed: of all chance.
         population: of which drivers are drawn; None for the scenario's.
     """
     if seed < 0:
@@ -274,12 +262,7 @@ def sample_agents(
 
 
 def check_agents(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
-    """Refuse what no engine can drive.
-
-    Raises:
-        InputError: if the seed is out of range, an id occurs twice, or a route has an edge that is
-            not on the road.
-    """
+    """Refuse what no engine can drive: a bad seed, an id twice, an edge that is not on the road."""
     if not 0 <= seed < 2**31:
         raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
     if len({agent.id for agent in agents}) != len(agents):
@@ -345,19 +328,10 @@ def with_behavior(
     spread: float = DEFAULT_SPREAD,
     population: Population | None = None,
 ) -> AgentSpec:
-    """The same driver, had it been drawn with another behaviour.
+    """The same driver, had it been drawn with another behaviour; spread as in `Scenario`.
 
     The vehicle, route and departure stay. The profile is drawn from the driver's own random stream,
     so the same driver and behaviour give the same profile in every run.
-
-    Args:
-        agent: a driver.
-        behavior: the behaviour to draw the profile of.
-        spread: how much drivers of one behaviour differ, as in `Scenario`.
-        population: as in `Scenario`.
-
-    Raises:
-        InputError: if the agent is a pedestrian.
     """
     if agent.profile is None:
         raise InputError(f"agent {agent.id}: found a pedestrian, expected a driver")

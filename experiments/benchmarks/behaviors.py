@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -25,16 +25,12 @@ from sim.episode.annotate import annotate
 from sim.frames import Event, EventKind, Frame, Tracks
 from sim.scenario import Scenario, sample_agents
 
-FREE_HEADWAY_S: Final = 6.0
-"""A road is free for a driver with this headway or more."""
+FREE_HEADWAY_S, STEADY_MPS2 = 6.0, 0.3
+"""A road is free for a driver with this headway or more, s; the largest acceleration of a driver at
+the speed that it has chosen, m/s2."""
 
-STEADY_MPS2: Final = 0.3
-"""Largest acceleration of a driver at the speed that it has chosen, m/s2."""
-
-CLEARING_S: Final = 300.0
-"""Episodes are driven on for so long after the demand ends, so that vehicles can leave, s."""
-
-RESAMPLES: Final = 1000
+CLEARING_S, RESAMPLES = 300.0, 1000
+"""Episodes are driven on for so long, s, so that vehicles can leave; bootstrap resamples."""
 
 METRICS: Final[dict[str, tuple[str, str]]] = {
     "red_run_share": ("red_runs", "red_faced"),
@@ -119,9 +115,8 @@ def _counted(
     table["drivers"][:] = 1.0
     row_index = seen.row_index
 
-    def in_all(values: NDArray[np.float64] | NDArray[np.bool_]) -> NDArray[np.float64]:
-        counts = np.bincount(row_index.agent, values, minlength=tracks.ids.size)
-        return np.asarray(counts, dtype=np.float64)
+    def in_all(values: NDArray[Any]) -> NDArray[Any]:
+        return np.bincount(row_index.agent, values, minlength=tracks.ids.size)
 
     table["km"] = in_all(seen.speed) * seen.step_s / 1000.0
     steady = (np.abs(seen.closing) < 1.5) & (seen.headway < FREE_HEADWAY_S)
@@ -180,10 +175,9 @@ def rows_of(
     found: list[Row] = []
     for code, behavior in enumerate(classes):
         mine = counts[counts["behavior"] == code]
-        weights = np.zeros((RESAMPLES, 0))
+        weights = np.zeros((RESAMPLES, 0), dtype=np.int64)
         if len(mine):
-            share = np.full(len(mine), 1 / len(mine))
-            weights = rng.multinomial(len(mine), share, RESAMPLES).astype(np.float64)
+            weights = rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), RESAMPLES)
         for metric, (above, below) in METRICS.items():
             top = mine[above].to_numpy()
             n, value, drawn = len(mine), float(top.sum()), None

@@ -38,6 +38,7 @@ from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.rival import PlainRival, whole_track_samples, whole_tracks
 from experiments.score.answers import known_answers, score_answers, scores_table
+from experiments.score.labels import beliefs
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import (
     TRAINING_EVERY_S,
@@ -47,10 +48,8 @@ from experiments.training.classifier import (
 from graphrqi.classify import CLASSIFIERS
 from graphrqi.methods import METHODS, Model, train
 from graphrqi.model_files import load_model
-from graphrqi.posterior import Posterior
 from graphrqi.samples import WINDOWS_S as TRAINING_WINDOWS_S
 from graphrqi.samples import Samples
-from graphrqi.stream import BehaviorStream
 from sim.frames import FloatArray
 from sim.store.dataset import Dataset, open_dataset
 from sim.store.schema import EpisodeEntry, Split
@@ -68,7 +67,19 @@ TRAFFIC: Final[dict[str, dict[str, Any]]] = {
     "limits of 40 and 60 km/h": {"limits_mps": (11.11, 16.67)},
     "other roads": {"scenarios": ("two_way_road", "priority_intersection")},
 }  # fmt: skip
-"""Options of `GenerateConfig` for traffic outside the training data, each with its baseline."""
+"""Options of `GenerateConfig` for traffic outside the training data."""
+
+DATASETS: Final[dict[str, tuple[float, dict[str, Any]]]] = {
+    "base": (1.0, {"seed": 11, "limits_mps": TRAINING_LIMITS_MPS}),
+    "usual": (0.4, {"seed": 14}),
+    "many": (2.7, {"seed": 15}),
+    "highway": (0.8, {"seed": 13, "engine": "highway"}),
+    "highway-krauss": (0.8, {"seed": 14, "engine": "highway-krauss"}),
+    "sumo-idm": (0.8, {"seed": 15, "engine": "sumo-idm"}),
+    **{name: (0.8, {"seed": 12, **options}) for name, options in TRAFFIC.items()},
+}
+"""Share of the episodes that are asked for, and options of each dataset: what is learned from with
+unseen episodes beside it, usual traffic, much of it for the leak probe, and others."""
 
 WHOLE: Final = float("inf")
 """The length of observation that is a driver's whole track."""
@@ -100,8 +111,7 @@ class Recordings:
     def __init__(self, dataset: Dataset, jobs: int | None = None) -> None:
         self.dataset, self._jobs = dataset, jobs
         self.scenario = np.array([e.scenario for e in dataset.manifest.episodes])
-        self._gathered = cache(self._gather)
-        self.fitted = cache(self._fit)
+        self._gathered, self.fitted = cache(self._gather), cache(self._fit)
 
     def _gather(self, split: Split, method: str, windows_s: tuple[float, ...]) -> Samples:
         """Windows of a split for training, or of other lengths for scoring."""
@@ -158,7 +168,7 @@ class Recordings:
         training, validation = self.training(method), self.validation(method)
         if scenario is not None:
             training = self.of(scenario, training)
-            validation = None if validation is None else self.of(scenario, validation)
+            validation = validation and self.of(scenario, validation)
         return train(method, training, validation), _majority_of(training)
 
     def answers(self, probability: FloatArray, samples: Samples) -> pd.DataFrame:
@@ -176,52 +186,28 @@ class Recordings:
         return self.answers(np.concatenate(answers), Samples.join(list(samples)))
 
 
-@dataclasses.dataclass(frozen=True)
-class Data:
-    """The datasets, each made in a folder when first asked for, and the methods, `OURS` first.
+class Data(dict[str, Recordings]):
+    """The datasets by name, each made in a folder when first asked for, and the methods.
 
     Of each scenario, so many ``episodes`` are learned from; others are made in proportion.
     """
 
-    folder: Path
-    methods: tuple[str, ...]
-    episodes: int
-    duration_s: float
-    jobs: int | None
+    def __init__(
+        self, folder: Path, methods: tuple[str, ...], episodes: int, duration_s: float,
+        jobs: int | None,
+    ) -> None:  # fmt: skip
+        self._folder, self.methods, self._episodes = folder, methods, episodes
+        self._duration_s, self._jobs = duration_s, jobs
 
-    def _made(self, name: str, share: float = 0.8, **options: Any) -> Recordings:
-        where = self.folder / name.replace(" ", "-").replace("/", "")
-        made = {"scenarios": SCENARIOS, "duration_s": self.duration_s, **options}
-        config = GenerateConfig(episodes=max(3, round(share * self.episodes)), **made)
-        generate(config, where, self.jobs, True)
-        return Recordings(open_dataset(where), self.jobs)
-
-    @cached_property
-    def base(self) -> Recordings:
-        """Training data, and the unseen episodes beside it."""
-        return self._made("base", 1.0, seed=11, limits_mps=TRAINING_LIMITS_MPS)
-
-    @cached_property
-    def usual(self) -> Recordings:
-        """Usual traffic that nothing was ever trained on."""
-        return self._made("usual", 0.4, seed=14)
-
-    @cached_property
-    def many(self) -> Recordings:
-        """Usual traffic for the leak probe, whose interval needs episodes."""
-        return self._made("many", 2.7, seed=15)
-
-    @cached_property
-    def engines(self) -> dict[str, Recordings]:
-        """Drivers of other engines and laws."""
-        return {
-            name: self._made(name, seed=13 + number, engine=name)
-            for number, name in enumerate(("highway", "highway-krauss", "sumo-idm"))
-        }
-
-    def other_traffic(self) -> dict[str, Recordings]:
-        """Traffic of other kinds."""
-        return {name: self._made(name, seed=12, **options) for name, options in TRAFFIC.items()}
+    def __missing__(self, name: str) -> Recordings:
+        """Make the dataset of that name."""
+        where = self._folder / name.replace(" ", "-").replace("/", "")
+        share, options = DATASETS[name]
+        made = {"scenarios": SCENARIOS, "duration_s": self._duration_s, **options}
+        config = GenerateConfig(episodes=max(3, round(share * self._episodes)), **made)
+        generate(config, where, self._jobs, True)
+        self[name] = Recordings(open_dataset(where), self._jobs)
+        return self[name]
 
 
 def drivers(samples: Samples) -> FloatArray:
@@ -286,14 +272,15 @@ def _streamed(
     tracks = measured(open_dataset(folder).read(entry))
     if given is not None:
         tracks = NOISE[given[0]][0](tracks, given[1], np.random.default_rng(number))
-    stream, asked = BehaviorStream(model), list[tuple[float, Posterior]]()
-    for frame in tracks.frames():
-        stream.push(frame)
-        if not asked or frame.time_s >= asked[-1][0] + ASKED_EVERY_S - 1e-6:
-            asked.append((frame.time_s, stream.posterior()))
-    probability = np.concatenate([one.probability for _, one in asked])
-    row = np.searchsorted(tracks.ids, np.concatenate([one.ids for _, one in asked]))
-    at_s = np.repeat([time_s for time_s, _ in asked], [one.ids.size for _, one in asked])
+    stops, due_s = [], -np.inf
+    for stop, time_s in enumerate(tracks.time_s, start=1):
+        if time_s >= due_s - 1e-6:
+            stops.append(stop)
+            due_s = time_s + ASKED_EVERY_S
+    asked = beliefs(tracks, model, stops).values()
+    probability = np.concatenate([one.probability for one in asked])
+    row = np.searchsorted(tracks.ids, np.concatenate([one.ids for one in asked]))
+    at_s = np.repeat(tracks.time_s[np.array(stops) - 1], [one.ids.size for one in asked])
     age_s = at_s - tracks.time_s[tracks.valid.argmax(axis=1)][row]
     codes = np.full(tracks.ids.size, -1) if tracks.behavior is None else tracks.behavior
     chosen = []
@@ -315,20 +302,21 @@ def _streamed(
 def shipped(data: Data) -> Iterator[list[Row]]:
     """The model that ships, on traffic of every kind."""
     model = load_model(OURS)
-    rival = PlainRival(data.base.training_tracks)
-    others = {"": data.usual, **data.other_traffic(), "highway engine": data.engines["highway"]}
-    for name, seen in others.items():
+    rival = PlainRival(data["base"].training_tracks)
+    named = [("", "usual"), *((name, name) for name in TRAFFIC), ("highway engine", "highway")]
+    for name, seen in ((name, data[made]) for name, made in named):
         yield _rows(seen, seen.streamed(model), "shipped", name, OURS, rival=rival)
 
 
 def inductive(data: Data) -> Iterator[list[Row]]:
     """Every method at every length of observation; rival and ceiling."""
-    rival: PlainRival | None = PlainRival(data.base.training_tracks)
+    base = data["base"]
+    rival: PlainRival | None = PlainRival(base.training_tracks)
     for method in data.methods:
-        model, majority = data.base.fitted(method)
-        yield _model_rows(data.base, model, majority, rival, "inductive", windows_s=WINDOWS_S)
+        model, majority = base.fitted(method)
+        yield _model_rows(base, model, majority, rival, "inductive", windows_s=WINDOWS_S)
         rival = None
-    yield ceiling(data.base)
+    yield ceiling(base)
 
 
 def ceiling(data: Recordings) -> list[Row]:
@@ -340,10 +328,16 @@ def ceiling(data: Recordings) -> list[Row]:
     known, asked = _profiles(data, "train"), _profiles(data, "test")
     chosen = np.random.default_rng(0).permutation(len(known))[:CEILING_DRIVERS]
     known = known.where(np.isin(np.arange(len(known)), chosen))
-    forest = CLASSIFIERS["forest"](len(BEHAVIORS), trees=200, min_leaf=3, feature_share=0.4)
-    forest.fit(known.features.astype(np.float64), known.codes, None, 0)
-    answers = data.answers(forest.posterior(asked.features.astype(np.float64)), asked)
+    answers = _forest_answers(data, known, asked, trees=200, min_leaf=3, feature_share=0.4)
     return _rows(data, answers, "inductive", "", "ceiling", _majority_of(known))
+
+
+def _forest_answers(
+    data: Recordings, known: Samples, asked: Samples, **options: Any
+) -> pd.DataFrame:
+    forest = CLASSIFIERS["forest"](len(BEHAVIORS), **options)
+    forest.fit(known.features.astype(np.float64), known.codes, None, 0)
+    return data.answers(forest.posterior(asked.features.astype(np.float64)), asked)
 
 
 def _profiles(data: Recordings, split: Split) -> Samples:
@@ -361,12 +355,11 @@ def _profiles(data: Recordings, split: Split) -> Samples:
 
 def across_scenarios(data: Data) -> Iterator[list[Row]]:
     """Trained on each scenario alone, scored on every other one."""
-    base = data.base
+    base = data["base"]
     for source in base.dataset.scenarios:
         others = [name for name in base.dataset.scenarios if name != source]
         model, majority = base.fitted(data.methods[0], source)
-        rival = PlainRival(base.of(source, base.training_tracks))
-        about = f"trained on {source}"
+        rival, about = PlainRival(base.of(source, base.training_tracks)), f"trained on {source}"
         yield _model_rows(
             base, model, majority, rival, "across-scenarios", about, scenarios=others
         )  # fmt: skip
@@ -374,13 +367,13 @@ def across_scenarios(data: Data) -> Iterator[list[Row]]:
 
 def across_engines(data: Data) -> Iterator[list[Row]]:
     """Trained on one simulator's drivers, of one law or both, scored on another's."""
-    sumo, highway = data.base, data.engines["highway"]
+    sumo, highway = data["base"], data["highway"]
     ways: Mapping[str, tuple[list[Recordings], Recordings]] = {
         "sumo, scored on highway": ([sumo], highway),
-        "sumo with both laws, scored on highway": ([sumo, data.engines["sumo-idm"]], highway),
-        "highway, scored on sumo": ([highway], data.usual),
+        "sumo with both laws, scored on highway": ([sumo, data["sumo-idm"]], highway),
+        "highway, scored on sumo": ([highway], data["usual"]),
         "highway with both laws, scored on sumo": (
-            [highway, data.engines["highway-krauss"]], data.usual,
+            [highway, data["highway-krauss"]], data["usual"],
         ),
     }  # fmt: skip
     method = data.methods[0]
@@ -399,25 +392,24 @@ def noise(data: Data) -> Iterator[list[Row]]:
     levels = ((name, level) for name, (_, levels) in NOISE.items() for level in levels)
     for given in (None, *levels):
         about = "undisturbed" if given is None else f"{given[0]} {given[1]:g}"
-        yield _rows(data.usual, data.usual.streamed(model, given), "noise", about, OURS)
+        yield _rows(data["usual"], data["usual"].streamed(model, given), "noise", about, OURS)
 
 
 def leak_probe(data: Data) -> Iterator[list[Row]]:
     """A forest on agent numbers and times: on all windows, and on each driver's first.
 
-    A number and a time together give the time in sight, and slow drivers stay longer. When its
-    first window ends, each has been in sight for as long.
+    Together they give the time in sight, and slow drivers stay longer. When its first window ends,
+    each has been in sight for as long.
     """
+    many = data["many"]
     known, asked = (
         dataclasses.replace(part, features=np.stack([part.agent, part.time_s], 1).astype("f4"))
-        for part in (data.many.training("majority"), data.many.scored("majority", MAIN_S[:1]))
+        for part in (many.training("majority"), many.scored("majority", MAIN_S[:1]))
     )
-    forest = CLASSIFIERS["forest"](len(BEHAVIORS), feature_share=1.0)
-    forest.fit(known.features.astype(np.float64), known.codes, None, 0)
-    answers = data.many.answers(forest.posterior(asked.features.astype(np.float64)), asked)
+    answers = _forest_answers(many, known, asked, feature_share=1.0)
     _, first = np.unique(answers["driver"], return_index=True)  # windows are in order of time
     for variation, some in (("", answers), ("first window", answers.iloc[first])):
-        yield _rows(data.many, some, "leak-probe", variation, "leak-probe", _majority_of(known))
+        yield _rows(many, some, "leak-probe", variation, "leak-probe", _majority_of(known))
 
 
 PROTOCOLS: Final[dict[str, Callable[[Data], Iterator[list[Row]]]]] = {

@@ -20,11 +20,11 @@ from experiments.score.rows import Cell, Row, tidy_row
 from scenarios import get_scenario
 from sim.files import temporary_folder
 from sim.frames import Tracks
+from sim.input_files import read_tree
 from sim.safety import CONFLICT_KINDS, ConflictKind, Conflicts, conflicts
 from sim.scenario import sample_agents
 from sim.sumo.engine import run_with
 from sim.sumo.vehicle_types import SumoSettings
-from sim.xml_tree import read_tree
 
 SCENARIOS: Final = ("straight_road", "four_way_intersection", "motorway_ramps")
 

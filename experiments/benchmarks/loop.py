@@ -41,15 +41,12 @@ time measured after it, s."""
 WARM_FRAMES: Final = 5
 """Frames that are classified and predicted before any is timed."""
 
-STOCK_STEP_S: Final = 1.0 / 15.0
-"""highway-env's default step, s."""
-
 STOCK_ROADS_S: Final = {"straight_road": 60.0, "four_way_intersection": 240.0}
 """Roads on which the engine drives beside highway-env's own, and for how long at most, s: the
 intersection takes some minutes to fill."""
 
-STOCK_REPEATS: Final = 5
-"""Times that both are timed; the rows have the median, the least and the greatest."""
+STOCK_STEP_S, STOCK_REPEATS = 1.0 / 15.0, 5
+"""highway-env's default step, s, and how often both are timed."""
 
 
 def _timed(work: Callable[[], T]) -> tuple[T, float]:
@@ -130,13 +127,12 @@ def _keys(engine: str, agents: float, scenario: Scenario) -> dict[str, Cell]:
 def _stage_rows(keys: Mapping[str, Cell], spent_ms: FloatArray, step_s: float) -> Iterator[Row]:
     """The costs of each stage and of all together."""
     for stage, spans in zip((*STAGES, "all"), [*spent_ms.T, spent_ms.sum(axis=1)], strict=True):
-        figures = {
-            "ms_median": float(np.median(spans)),
-            "ms_p99": float(np.quantile(spans, 0.99)),
-            "real_time_factor": 1e3 * step_s / max(float(np.mean(spans)), 1e-9),
-        }
-        for metric, value in figures.items():
-            yield tidy_row({**keys, "stage": stage}, metric, value, n=len(spans))
+        for metric, value in (
+            ("ms_median", np.median(spans)),
+            ("ms_p99", np.quantile(spans, 0.99)),
+            ("real_time_factor", 1e3 * step_s / max(np.mean(spans), 1e-9)),
+        ):
+            yield tidy_row({**keys, "stage": stage}, metric, float(value), n=len(spans))
 
 
 def _stock_rows(name: str, duration_s: float) -> list[Row]:

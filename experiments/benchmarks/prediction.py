@@ -82,7 +82,6 @@ encounter if it happens within this of the crossing, m (less than lies between t
 _Figures = Mapping[tuple[str, str], Errors]
 """Errors by predictor and beliefs."""
 
-
 BELIEFS: Final[Mapping[str, Callable[[Tracks, Posterior], Posterior]]] = {
     "classifier": lambda history, posterior: posterior,
     "truth": lambda history, posterior: Posterior(
@@ -172,8 +171,8 @@ def compare(episodes: Sequence[_Figures], scenario: str, split: str) -> list[Row
     """Ratios of our predictor's figures to others', with intervals over episodes."""
     rows: list[Row] = []
     ours = (OURS, "classifier")
-    for metric, *other in RATIOS:
-        theirs = (other[0], other[1])
+    for metric, name, kind in RATIOS:
+        theirs = name, kind
         if not episodes or not {ours, theirs} <= set(episodes[0]):
             continue
         at = MEASURES.index(metric)

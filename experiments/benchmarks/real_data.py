@@ -2,14 +2,12 @@
 
 TRAF is scored leaving one video out. Labels come from the annotators' traits, conflicts resolved
 the ``lenient`` way. For each held-out video the learner is chosen by leaving one of the *other*
-videos out, over the `SETTINGS`; the held-out labels take no part in anything. Features are
-standardised within each video (its labels are not needed for that), so neither pixels nor cameras
-are compared.
+videos out, over the `SETTINGS`. Features are standardised within each video, so neither pixels nor
+cameras are compared.
 
-Balanced accuracy and macro-F1 are of answers at even odds (posterior over the shares
-of the training classes); weighted accuracy is of the most likely class, for which it is meant. The
-AUC compares agents of the same video only. Intervals are by bootstrap over agents: five videos are
-too few to resample.
+Balanced accuracy and macro-F1 are of answers at even odds; weighted accuracy is of the most likely
+class, for which it is meant. The AUC compares agents of the same video only. Intervals are by
+bootstrap over agents: five videos are too few to resample.
 """
 
 from __future__ import annotations
@@ -80,8 +78,7 @@ def _identity(tracks: Tracks) -> FloatArray:
 
 def _observed(make: Callable[[str], Observer], tracks: Tracks) -> FloatArray:
     """What an observer, which expects metres, knows of each agent when it is last looked at."""
-    observer = make("graphrqi")
-    scale = _metres_per_pixel(tracks)
+    observer, scale = make("graphrqi"), _metres_per_pixel(tracks)
     out = np.zeros((tracks.ids.size, len(observer.feature_names)))
     for step, t in enumerate(range(0, tracks.time_s.size, EVERY_FRAMES)):
         rows = np.flatnonzero(tracks.valid[:, t])

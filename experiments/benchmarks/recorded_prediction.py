@@ -2,13 +2,10 @@
 
 The networks for recordings are trained on all others and on simulated traffic (``left-out``), and
 predict the one left out. The base, the Kalman filter, constant velocity and the weights that ship
-stand beside them. All predict with and without the map, as recorded and with noise added.
-Errors are means up to a horizon, over those of constant velocity with the same past. Standing,
-slow, free and following vehicles have rows of their own
-(`experiments.training.recordings.classes_of`). Intervals resample vehicles.
-
-Shipped weights were trained on some open recordings (their card says which); their rows for those
-datasets say nothing about new places.
+stand beside them; their card says on which recordings they were trained. All predict with and
+without the map, as recorded and with noise added. Errors are means up to a horizon, over those of
+constant velocity with the same past. Standing, slow, free and following vehicles have rows of their
+own. Intervals resample vehicles.
 """
 
 from __future__ import annotations

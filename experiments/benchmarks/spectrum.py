@@ -25,7 +25,7 @@ from behaviors.errors import lookup
 from experiments.score.rows import Cell, Row, tidy_row
 from graphrqi.graph import TrafficGraph
 from graphrqi.spectrum import SOLVERS, Spectrum
-from graphrqi.spectrum.contract import End, Pairs, Problem, Solver, check_arguments, eigensolver
+from graphrqi.spectrum.contract import End, Pairs, Problem, Solver, eigensolver
 from sim.frames import FloatArray
 
 LAYOUTS: Final = ("road", "crossing")
@@ -33,11 +33,9 @@ LAYOUTS: Final = ("road", "crossing")
 
 ENDS: Final[tuple[End, ...]] = ("largest", "smallest")
 
-STEP_S: Final = 0.1
-"""Time between observations, s."""
-
-PAIRS, TOLERANCE = 8, 1e-8
-"""Eigenpairs asked for, and their residual relative to max(1, lambda_max)."""
+STEP_S, PAIRS, TOLERANCE = 0.1, 8, 1e-8
+"""Time between observations, s; eigenpairs asked for, and their residual relative to max(1,
+lambda_max)."""
 
 DENSE: Final = (
     "graphrqi-paper", "graphrqi-exact", "eigh", "svd", "incremental-svd", "restart-svd",
@@ -116,8 +114,6 @@ def measure(
     everything: dict[str, Solver] = {**SOLVERS, "lapack-dsyevr": _dsyevr}
     chosen = {name: lookup(everything, name, "solver") for name in solvers or everything}
     layouts = [lookup({name: name for name in LAYOUTS}, name, "graph") for name in graphs]
-    for end in ENDS:
-        check_arguments(PAIRS, end, TOLERANCE)
     with threadpool_limits(1):
         _warm_up(chosen)
         for layout, kind, end in product(layouts, ("instantaneous", "accumulated"), ENDS):

@@ -79,7 +79,7 @@ BENCHES: Final = {
     ),
     "real-data": Bench(
         "Score methods or predictors on recordings, each left out of the training in turn.",
-        {"data": ..., "task": "behavior", "jobs": None},
+        {"data": Parameter.empty, "task": "behavior", "jobs": None},
         {"views": ("majority", "leak-probe", "nine-numbers"), "classes": (2,), "epochs": 1,
          "simulate": False},
     ),
@@ -131,12 +131,9 @@ def _add(name: str, one: Bench) -> None:
         parts = module.measure(**{**(one.quick if quick else {}), **chosen})
         show_parts(f"bench {name}", parts, json, getattr(module, "table", None))
 
-    defaults = {**one.options, "quick": False, "json": None}
     shown = [
         Parameter(option, Parameter.KEYWORD_ONLY, default=default, annotation=OPTIONS[option])
-        if default is not ...
-        else Parameter(option, Parameter.KEYWORD_ONLY, annotation=OPTIONS[option])
-        for option, default in defaults.items()
+        for option, default in {**one.options, "quick": False, "json": None}.items()
     ]
     needed = " --data FOLDER" if "data" in one.options else ""
     example = f"example: graphrqi bench {name}{needed} --quick --json rows.json"

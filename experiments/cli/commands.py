@@ -170,13 +170,11 @@ def road(
         refuse_to_overwrite([file], list(files))
         for path, content in files.items():
             write_whole(path, content)
-    lines = found.rows()
-    rows = [
-        tidy_row({"text": value}, str(what), None)
-        if isinstance(value, str)
-        else tidy_row({"text": None}, str(what), value)
-        for what, value in ((line["what"], line["value"]) for line in lines)
-    ]
+    lines, rows = found.rows(), []
+    for line in lines:
+        value = line["value"]
+        text, number = (value, None) if isinstance(value, str) else (None, value)
+        rows.append(tidy_row({"text": text}, str(line["what"]), number))
     _show("road", rows, json, lines=lines)
     if out is not None and str(json) != "-":
         say(f"{out}.net.xml, {out}.svg and {out}.toml: graphrqi run {out}.toml")
@@ -300,9 +298,9 @@ def train(
 
     if labels is not None and start is None:
         raise InputError("--labels: found no --from, expected the model that labels adapt")
+    if predictor and start is not None:
+        raise InputError("--predictor: found --from, too, expected one of them")
     if predictor:
-        if start is not None:
-            raise InputError("--predictor: found --from, too, expected one of them")
         from experiments.training.recorded import train_on_recordings
 
         scores = train_on_recordings(data, out, epochs=epochs, seed=seed, quiet=quiet)
@@ -523,8 +521,7 @@ def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | No
 
     task = Task(config, config.scenarios[0], episode)
     made = config.scenario(task.scenario, episode)
-    agents = sample_agents(made, task.seed)
-    lines = list(judge(made, agents, task.seed, config.engine))
+    lines = list(judge(made, sample_agents(made, task.seed), task.seed, config.engine))
     if lines or json is not None:
         keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
         _show("what-if --blame", melted(lines, keys), json, seed=seed, lines=lines)
@@ -661,32 +658,26 @@ app.add_typer(bench, name="bench", rich_help_panel=LOOK)
 def about(
     context: typer.Context,
     version: bool = option(
-        "Say the version, and those of the simulators.", "--version", default=False
-    ),
+        "Say the version, and those of the simulators.", "--version", default=False),
     verbose: bool = option(
-        "Say on stderr what is read and how long it took.", "--verbose", "-v", default=False
-    ),
+        "Say on stderr what is read and how long it took.", "--verbose", "-v", default=False),
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Label, classify and predict drivers in simulated and recorded traffic."""
     if version:
         from experiments.cli.names import version_line
 
         typer.echo(version_line())
-        raise typer.Exit
-    if context.invoked_subcommand is None:
+    elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
+    if version or context.invoked_subcommand is None:
         raise typer.Exit
     if quiet:
         context.default_map = {context.invoked_subcommand: {"quiet": True}}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and end the process.
-
-    Args:
-        arguments: the command's arguments; by default those of the process.
-    """
+    """Run the command line with arguments, or those of the process, and end the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     others = [word for word in given if word not in ("-v", "--verbose")]
     show_notices(quiet=bool({"-q", "--quiet"} & set(given)), verbose=len(others) < len(given))

@@ -39,20 +39,15 @@ def names_of(what: str) -> list[str]:
 
 def registered_names() -> list[Row]:
     """Every registered name: what it names, where it comes from, and one line on what it is."""
-    found: list[Row] = []
-    for what in REGISTRIES:
-        registry = _registry(what)
-        for name in registry:
-            about = _about(registry, name, what)
-            found.append(
-                {"what": what, "name": name, "from": registry.origin(name), "about": about}
-            )
+    found = [
+        (what, name, registry.origin(name), _about(registry, name, what))
+        for what, registry in ((what, _registry(what)) for what in REGISTRIES)
+        for name in registry
+    ]
     drawn = "A road, drivers and a sensor of each episode's own, drawn at random; for generate."
-    found.append({"what": "scenario", "name": RANDOM_WORLD, "from": "graphrqi", "about": drawn})
-    for name in POPULATIONS:
-        about = read_population(name).source
-        found.append({"what": "population", "name": name, "from": "graphrqi", "about": about})
-    return found
+    found.append(("scenario", RANDOM_WORLD, "graphrqi", drawn))
+    found += [("population", n, "graphrqi", read_population(n).source) for n in POPULATIONS]
+    return [dict(zip(("what", "name", "from", "about"), row, strict=True)) for row in found]
 
 
 def _registry(what: str) -> Registry[object]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -185,18 +185,12 @@ class Traffic:
         """
         from experiments.generate.configuration import read_config
 
-        others = read_options(self.option or [])
-        if self.kinds is not None:
-            others["kinds"] = self.kinds
-        own = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in ("kinds", "option")
-        }
-        chosen = list(scenarios) if scenarios else None
-        return read_config(
-            file, scenarios=chosen, scenario_options=others or None, **own, **more
-        )  # fmt: skip
+        own = {one.name: getattr(self, one.name) for one in fields(self)}
+        others, kinds = read_options(own.pop("option") or []), own.pop("kinds")
+        if kinds is not None:
+            others["kinds"] = kinds
+        own["scenarios"], own["scenario_options"] = list(scenarios or ()) or None, others or None
+        return read_config(file, **own, **more)
 
 
 def as_command(

@@ -61,9 +61,6 @@ def called(path: Path, name: Path) -> Iterator[None]:
     """Let messages and errors call a path by another name while the block lasts.
 
     Commands make a temporary dataset of recordings; users know it by the path that they gave.
-
-    Raises:
-        InputError: one of the block, with the path replaced.
     """
     from behaviors.errors import InputError
 
@@ -90,12 +87,8 @@ class Interrupted(Exception):
 def exit_on_user_error() -> Iterator[None]:
     """Turn errors that the user made into one line on stderr and exit code 2, Ctrl-C into 130.
 
-    SIGTERM and SIGHUP unwind the program, too, so that what it was writing is cleared away.
-
-    Raises:
-        SystemExit: instead of an `InputError`, an `OSError` with a reason given by the system, a
-            wrong command line, an `Interrupted`, a `KeyboardInterrupt` or a signal. Any other
-            exception is a defect of the program and keeps its traceback.
+    SIGTERM and SIGHUP unwind the program, too, so that what it was writing is cleared away. Any
+    other exception is a defect of the program and keeps its traceback.
     """
     from typer.exceptions import TyperException
 

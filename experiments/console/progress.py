@@ -18,10 +18,7 @@ LINE_EVERY_S: Final = 5.0
 class Progress:
     """Shows how far a piece of work has come, while the ``with`` block lasts.
 
-    Args:
-        what: the work and what is counted ("generating episodes").
-        total: how many there are to do; 0 where that is not known.
-        quiet: whether to show nothing.
+    What is counted ("generating episodes") has a total, 0 where that is not known.
     """
 
     def __init__(self, what: str, total: int, quiet: bool = False) -> None:
@@ -57,15 +54,11 @@ class Progress:
         elif not self._quiet and (
             now - self._last_line >= LINE_EVERY_S or self._done == self._total
         ):
-            self._last_line = now
-            self._line(max(now - self._started, 1e-9))
-
-    def _line(self, elapsed_s: float) -> None:
-        of = f" of {self._total}" if self._total else ""
-        words = [f"{self._what}: {self._done}{of}"]
-        if self._agent_steps:
-            rate = self._agent_steps / elapsed_s
-            words.append(f"{self._agents} agents, {rate:,.0f} agent-steps/s")
-        if self._done < self._total:
-            words.append(f"{elapsed_s / self._done * (self._total - self._done):.0f} s left")
-        print(", ".join(words), file=sys.stderr, flush=True)
+            self._last_line, elapsed_s = now, max(now - self._started, 1e-9)
+            words = [f"{self._what}: {self._done}" + (f" of {self._total}" if self._total else "")]
+            if self._agent_steps:
+                rate = self._agent_steps / elapsed_s
+                words.append(f"{self._agents} agents, {rate:,.0f} agent-steps/s")
+            if self._done < self._total:
+                words.append(f"{elapsed_s / self._done * (self._total - self._done):.0f} s left")
+            print(", ".join(words), file=sys.stderr, flush=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,6 +16,9 @@ from behaviors.elementwise import exponential
 from sim.frames import BoolArray, IntArray, Tracks
 
 Disturbance = Callable[[Tracks, float, np.random.Generator], Tracks]
+
+GAP_S: Final = 1.5
+"""Average time for which trackers lose an agent, s (our choice)."""
 
 
 def position_noise(tracks: Tracks, deviation_m: float, rng: np.random.Generator) -> Tracks:
@@ -44,42 +48,36 @@ def frame_rate(tracks: Tracks, rate_hz: float, rng: np.random.Generator) -> Trac
     """
     every = 1.0 / (rate_hz * tracks.step_s)
     if every >= 0.999 and abs(every - round(every)) < 1e-6:
-        columns = np.arange(0, tracks.time_s.size, round(every))
-        return dataclasses.replace(
-            tracks.part(np.arange(tracks.ids.size), columns), events=tracks.events
-        )
+        return _at_times(tracks, np.arange(0, tracks.time_s.size, round(every)))
     begin_s, end_s = tracks.time_s[[0, -1]]
     time_s = begin_s + np.arange(int((end_s - begin_s) * rate_hz + 1e-6) + 1) / rate_hz
-    n = tracks.ids.size
-    motion = np.full((n, time_s.size, 4), np.nan)  # x, y, heading, speed
-    for row in range(n):
-        seen = np.flatnonzero(tracks.valid[row])
-        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 1) + 1):
-            if run.size < 2:
-                continue
-            known_s = tracks.time_s[run]
-            inside = (time_s >= known_s[0] - 1e-9) & (time_s <= known_s[-1] + 1e-9)
-            heading = np.unwrap(tracks.heading[row, run])
-            known = np.column_stack([tracks.xy[row, run], heading, tracks.speed[row, run]])
-            motion[row, inside] = CubicSpline(known_s, known)(time_s[inside])
+    motion = np.full((tracks.ids.size, time_s.size, 4), np.nan)  # x, y, heading, speed
+    for run in tracks.index.runs(np.ones(tracks.row_speed.size, dtype=bool), 2):
+        known_s = tracks.time_s[tracks.index.step[run]]
+        inside = (time_s >= known_s[0] - 1e-9) & (time_s <= known_s[-1] + 1e-9)
+        heading = np.unwrap(tracks.row_heading[run])
+        known = np.column_stack([tracks.row_xy[run], heading, tracks.row_speed[run]])
+        agent = tracks.index.agent[run.start]
+        motion[agent, inside] = CubicSpline(known_s, known)(time_s[inside])
     before = np.searchsorted(tracks.time_s, time_s + 1e-9, side="right") - 1
     turned = np.pi - np.mod(np.pi - motion[..., 2], 2 * np.pi)
     return tracks.with_dense(
-        time_s=time_s,
-        xy=motion[..., :2],
-        heading=turned,
-        speed=motion[..., 3],
-        valid=np.isfinite(motion[..., 0]),
-        signals=tracks.signals[:, before],
-    )
+        time_s=time_s, xy=motion[..., :2], heading=turned, speed=motion[..., 3],
+        valid=np.isfinite(motion[..., 0]), signals=tracks.signals[:, before],
+    )  # fmt: skip
 
 
 def dropped_frames(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
     """A share of the frames is missing; the first and the last are kept."""
     keep = rng.random(tracks.time_s.size) >= share
     keep[[0, -1]] = True
-    kept = tracks.part(np.arange(tracks.ids.size), np.flatnonzero(keep))
-    return dataclasses.replace(kept, events=tracks.events)
+    return _at_times(tracks, np.flatnonzero(keep))
+
+
+def _at_times(tracks: Tracks, columns: IntArray) -> Tracks:
+    """All agents and events at some of the times."""
+    part = tracks.part(np.arange(tracks.ids.size), columns)
+    return dataclasses.replace(part, events=tracks.events)
 
 
 def lost_detections(tracks: Tracks, share: float, rng: np.random.Generator) -> Tracks:
@@ -87,21 +85,17 @@ def lost_detections(tracks: Tracks, share: float, rng: np.random.Generator) -> T
     return tracks.with_dense(valid=tracks.valid & (rng.random(tracks.valid.shape) >= share))
 
 
-def lost_tracks(
-    tracks: Tracks, per_minute: float, rng: np.random.Generator, gap_s: float = 1.5
-) -> Tracks:
+def lost_tracks(tracks: Tracks, per_minute: float, rng: np.random.Generator) -> Tracks:
     """Agents are lost ``per_minute`` times on average, and found again under the same id.
 
-    They are unseen for an exponential time of ``gap_s`` on average.
+    They are unseen for an exponential time of `GAP_S` on average.
     """
-    return tracks.with_dense(valid=tracks.valid & ~_gaps(tracks, per_minute, gap_s, rng))
+    return tracks.with_dense(valid=tracks.valid & ~_gaps(tracks, per_minute, rng))
 
 
-def renamed_tracks(
-    tracks: Tracks, per_minute: float, rng: np.random.Generator, gap_s: float = 1.5
-) -> Tracks:
+def renamed_tracks(tracks: Tracks, per_minute: float, rng: np.random.Generator) -> Tracks:
     """As `lost_tracks`, but an agent that is found again has a new id."""
-    gaps = _gaps(tracks, per_minute, gap_s, rng)
+    gaps = _gaps(tracks, per_minute, rng)
     begins = gaps & ~np.pad(gaps, ((0, 0), (1, 0)))[:, :-1]
     number = np.where(tracks.valid & ~gaps, np.cumsum(begins, axis=1), -1)
     found = [(row, i) for row, own in enumerate(number) for i in np.unique(own[own >= 0])]
@@ -114,18 +108,15 @@ def pieces(tracks: Tracks, rows: IntArray, valid: BoolArray) -> Tracks:
     names = ("kind", "length", "width", "xy", "heading", "speed")
     return tracks.with_dense(
         **{name: getattr(tracks, name)[rows] for name in names},
-        ids=np.arange(rows.size),
+        ids=np.arange(rows.size), valid=valid, events=(),
         names=tuple(f"{tracks.names[row]}/{i}" for i, row in enumerate(rows)),
-        valid=valid,
         behavior=None if tracks.behavior is None else tracks.behavior[rows],
-        events=(),
-    )
+    )  # fmt: skip
 
 
-def _gaps(tracks: Tracks, per_minute: float, gap_s: float, rng: np.random.Generator) -> BoolArray:
+def _gaps(tracks: Tracks, per_minute: float, rng: np.random.Generator) -> BoolArray:
     """(N, T) when each agent is lost."""
-    n, t = tracks.valid.shape
-    begins = rng.random((n, t)) < per_minute / 60.0 * tracks.step_s
-    length_s = rng.exponential(gap_s, (n, t))
+    begins = rng.random(tracks.valid.shape) < per_minute / 60.0 * tracks.step_s
+    length_s = rng.exponential(GAP_S, tracks.valid.shape)
     end_s = np.where(begins, tracks.time_s + length_s, -np.inf)
     return np.asarray(np.maximum.accumulate(end_s, axis=1) > tracks.time_s)

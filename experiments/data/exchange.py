@@ -21,7 +21,6 @@ from sim.files import Place, is_remote, new_folder, place_of, temporary_folder
 from sim.formats import (
     FORMATS,
     formats_in,
-    get_reader,
     get_writer,
     left_out_files,
     new_index,
@@ -30,9 +29,8 @@ from sim.formats import (
 from sim.formats.argoverse import NoWindowError
 from sim.formats.common.doubts import doubt_of_times
 from sim.formats.common.label_file import read_driver_labels
-from sim.formats.own_table import check_columns
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
+from sim.formats.recorded_tables import check_columns
+from sim.store.dataset import is_dataset, open_dataset
 from sim.store.schema import EpisodeMeta, Manifest, Split, split_of
 from sim.store.writing import made_with, new_dataset
 
@@ -72,7 +70,7 @@ def import_recordings(
         rate_hz: frames per second that the recordings really have; None for what they say. A
             recording whose times contradict its motion is then left out, or refused if it is alone.
         shift_m: how far maps are moved onto the positions, m; None not to move them.
-        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        columns: what the columns of a table of one's own are, as `check_columns` takes them.
         units: of these columns.
         scenario: what the episodes' scenario is called; None for the format's name.
 
@@ -89,19 +87,12 @@ def import_recordings(
     count = 0
     with _here(source) as source:
         names = [name] if name else formats_in(source)
-        for key in names:
-            get_reader(key)
-        if types is not None and "sumo-fcd" not in names:
-            raise InputError(
-                f"types: found format {names[0]}, expected sumo-fcd: only it needs them"
-            )
+        form = " or ".join(names)
         configuration = {"format": ", ".join(names), "source": source.name}
         if others := [file.name for file in left_out_files(source, names)]:
-            said = ", ".join(others[:LEFT_OUT_NAMED])
-            if len(others) > LEFT_OUT_NAMED:
-                said += f" and {len(others) - LEFT_OUT_NAMED} more"
+            more = len(others) - LEFT_OUT_NAMED
+            said = ", ".join(others[:LEFT_OUT_NAMED]) + (f" and {more} more" if more > 0 else "")
             configuration["left_out"] = said
-            form = " or ".join(names)
             LOGGER.warning(
                 "%s: left out, because they are not in the format %s: %s", source, form, said
             )
@@ -157,9 +148,6 @@ def as_dataset(source: Path, name: str | None = None, net: Path | None = None) -
     """A dataset as it is, or recordings as a temporary dataset that the block's end removes.
 
     Arguments are those of `import_recordings`; recordings are all in the test split.
-
-    Raises:
-        InputError: if a file is broken or of no known format.
     """
     if name is None and is_dataset(source):
         yield source
@@ -220,9 +208,7 @@ def export_dataset(dataset: Path, out: Path, name: str, quiet: bool = False) -> 
         quiet: whether to show no progress.
 
     Raises:
-        InputError: if the dataset is broken, a step does not fit, no episode is long enough, or
-            the folder holds anything.
-        OSError: if something cannot be written.
+        InputError: if a step does not fit, no episode is long enough, or the folder holds anything.
     """
     writer, opened = get_writer(name), open_dataset(dataset)
     index = new_index(name)

@@ -62,31 +62,23 @@ def in_parallel(
     One call or one job runs in this process. The progress that is shown says ``what`` is counted.
     """
     with Progress(what, len(arguments), quiet) as progress:
-        for answer in _answers(function, arguments, jobs):
+        if jobs == 1 or len(arguments) < 2:
+            answers = (function(*one) for one in arguments)
+        else:
+            from loky import get_reusable_executor
+
+            # a worker whose memory grows is replaced, which is no concern of the user's
+            warnings.filterwarnings("ignore", message="A worker was restarted while some jobs")
+            executor = get_reusable_executor(
+                max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},
+                initializer=start_worker, initargs=(os.getpid(),),
+            )  # fmt: skip
+            here = os.getcwd()  # workers that are used again may have begun in another folder
+            futures = [executor.submit(_called, here, function, *one) for one in arguments]
+            answers = (future.result() for future in futures)
+        for answer in answers:
             yield answer
             progress.advance()
-
-
-def _answers(
-    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int | None
-) -> Iterator[T]:
-    """The answers, in this process or of workers that are used again."""
-    if jobs == 1 or len(arguments) < 2:
-        for one in arguments:
-            yield function(*one)
-        return
-    from loky import get_reusable_executor
-
-    # a worker whose memory grows is replaced, which is no concern of the user's
-    warnings.filterwarnings("ignore", message="A worker was restarted while some jobs")
-    executor = get_reusable_executor(
-        max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},
-        initializer=start_worker, initargs=(os.getpid(),),
-    )  # fmt: skip
-    here = os.getcwd()  # workers that are used again may have begun in another folder
-    futures = [executor.submit(_called, here, function, *one) for one in arguments]
-    for future in futures:
-        yield future.result()
 
 
 def _called(folder: str, function: Callable[..., T], *arguments: Any) -> T:

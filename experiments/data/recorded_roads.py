@@ -19,7 +19,7 @@ from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.guard import guarded_call
 from sim.formats.common.recording import Recording
-from sim.frames import PEDESTRIAN, Tracks
+from sim.frames import Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
 from sim.road.net import net_offset
@@ -28,28 +28,19 @@ from sim.road.road_files import read_road_file
 MOVING_MPS: Final = 1.0
 """Slower agents do not count: parked cars stand beside lanes, m/s."""
 
-MOST_POINTS: Final = 3_000
-"""Positions that are looked at, evenly spread over all (1 % of standard error)."""
+LEAST_POINTS, MOST_POINTS = 20, 3_000
+"""Moving positions that are needed to judge a map, and how many are looked at, evenly spread over
+all (1 % of standard error)."""
 
-LEAST_POINTS: Final = 20
-"""Moving positions that are needed to judge a map."""
-
-LEAST: Final = 0.6
+LEAST, UNSURE_LEAST, SURE_VEHICLES = 0.6, 0.3, 8
 """Below this share inside a map is refused (of recordings on maps of other places, most have less
-than .3; on their own all have .7 and more)."""
+than .3; on their own all have .7 and more); the same where fewer vehicles than the last number
+move, because a few fit some lane anywhere, or stray."""
 
-UNSURE_LEAST: Final = 0.3
-"""The same where fewer than `SURE_VEHICLES` move: one may stray by itself."""
-
-SURE_VEHICLES: Final = 8
-"""Vehicles that must have moved to blame the map: a few fit some lane anywhere, or stray."""
-
-LIMIT_LOW, LIMIT_HIGH = 0.75, 1.35
+LIMIT_LOW, LIMIT_HIGH, LEAST_VEHICLES = 0.75, 1.35, 3
 """Limits rule where the fastest speeds of vehicles, over the limits there, have their median in
-this range (speeds in free traffic have .9 to 1.15 of the limit)."""
-
-LEAST_VEHICLES: Final = 3
-"""Vehicles that must have moved to compare speeds with limits."""
+this range (speeds in free traffic have .9 to 1.15 of the limit), and how many vehicles are needed
+to compare."""
 
 
 @dataclass(frozen=True)
@@ -68,14 +59,9 @@ class MapFit:
     vehicles: int = 0
 
     @property
-    def sure(self) -> bool:
-        """Whether enough vehicles move to blame the map where they are not inside."""
-        return self.vehicles >= SURE_VEHICLES
-
-    @property
     def fits(self) -> bool:
         """Whether the map may be used; true if too little moves to judge it."""
-        return not self.share < (LEAST if self.sure else UNSURE_LEAST)
+        return not self.share < (LEAST if self.vehicles >= SURE_VEHICLES else UNSURE_LEAST)
 
     @property
     def limits_rule(self) -> bool:
@@ -89,14 +75,15 @@ class MapFit:
         inside = f"{self.share:.0%} of moving positions are inside the map's lanes"
         if self.limits_rule:
             return (inside,)
-        over = f"{self.limit_ratio:.0%} of them"
-        return (inside, f"the map's limits do not rule: vehicles reach {over}")
+        return (
+            inside,
+            f"the map's limits do not rule: vehicles reach {self.limit_ratio:.0%} of them",
+        )
 
 
 def map_fit(road: Road, tracks: Tracks) -> MapFit:
     """How a map fits a recording: the share inside, and how speeds compare with limits."""
-    drives = (tracks.kind != PEDESTRIAN)[tracks.index.agent]
-    moving = np.flatnonzero(drives & (tracks.row_speed >= MOVING_MPS))
+    moving = np.flatnonzero(~tracks.walking & (tracks.row_speed >= MOVING_MPS))
     if moving.size > MOST_POINTS:
         moving = moving[np.linspace(0, moving.size - 1, MOST_POINTS).astype(np.int64)]
     if moving.size < LEAST_POINTS or all(lane.walking for lane in road.lanes):
@@ -126,7 +113,7 @@ class RecordedRoads:
     def __init__(self, net: Path | None = None, shift_m: tuple[float, float] | None = None) -> None:
         self._net = net
         self._shift_m = shift_m
-        self._fitted = 0
+        self._fitted = False
         self._refused: dict[str, str] = {}
         self._said: set[str] = set()
         if net is not None:
@@ -141,12 +128,11 @@ class RecordedRoads:
         Raises:
             InputError: if the map that a person gave is of another place.
         """
-        given: Path | Road | None = recording.road if self._net is None else self._net
+        given = recording.road if self._net is None else self._net
         if given is None:
             return None, ()
-        road = given
-        if isinstance(road, Path):  # readers of recordings, or this class, have read it before
-            road = read_road_file(road, origin=recording.origin)
+        # readers of recordings, or this class, have read the file before
+        road = given if isinstance(given, Road) else read_road_file(given, origin=recording.origin)
         notes: tuple[str, ...] = ()
         if self._shift_m is not None:
             road = _shifted(road, *self._shift_m)
@@ -157,13 +143,12 @@ class RecordedRoads:
         notes += road.doubts
         fit = map_fit(road, recording.tracks)
         if not fit.fits and self._shift_m is None and isinstance(given, Path):
-            offset = net_offset(given)
-            moved = _shifted(road, -offset[0], -offset[1])
+            x_m, y_m = (-one for one in net_offset(given))
+            moved = _shifted(road, x_m, y_m)
             there = map_fit(moved, recording.tracks)
-            if any(offset) and there.fits and not math.isnan(there.share):
+            if (x_m or y_m) and there.fits and not math.isnan(there.share):
                 road, fit = moved, there
-                by = f"({-offset[0]:g}, {-offset[1]:g})"
-                notes = (f"the map is shifted by {by} m, as its own offset says",)
+                notes = (f"the map is shifted by ({x_m:g}, {y_m:g}) m, as its own offset says",)
                 LOGGER.warning("%s: %s", road.source, notes[0])
         if recording.own_road and self._net is None:
             fit = dataclasses.replace(fit, vehicles=0)  # it belongs to it by its id
@@ -173,13 +158,12 @@ class RecordedRoads:
                 f"moving ones of {recording.name} inside its lanes, expected at least {LEAST:.0%}, "
                 "or import --shift X,Y"
             )
-            if self._net is not None and fit.sure:
+            if self._net is not None and fit.vehicles >= SURE_VEHICLES:
                 raise InputError(found)
-            if str(road.source) not in self._refused:
+            if self._refused.setdefault(str(road.source), found) is found:
                 LOGGER.warning("%s: left out", found)
-                self._refused[str(road.source)] = found
             return None, (f"{found}: left out",)
-        self._fitted += 1
+        self._fitted = True
         keeps = isinstance(given, Path) and given.name.endswith((".json", ".net.xml"))
         if fit.limits_rule and keeps and not notes:
             return given, fit.notes()

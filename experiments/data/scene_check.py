@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from experiments.data.units import image_scale, in_metres
 from sim.formats.common.doubts import doubt_of_times, size_doubt
 from sim.formats.common.recording import Recording
-from sim.frames import PEDESTRIAN, BoolArray, FloatArray, Tracks
+from sim.frames import PEDESTRIAN, FloatArray, Tracks
 from sim.store.schema import EpisodeEntry
 
 SCALED: Final = "scale_estimated"
@@ -52,29 +52,16 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> tuple[str, ...]:
     """Reasons not to believe that a recording, in metres, is a scene, a sentence each.
 
     Without ``outlines``, sizes are those of boxes in an image, which overlap without touching.
-
-    Examples:
-        Sixteen cars that drive on top of each other in pairs:
-
-        >>> time_s, n = 0.1 * np.arange(50), np.arange(16)
-        >>> x = 20.0 * (n % 8)[:, None] + 15.0 * time_s
-        >>> xy = np.stack([x, 0.0 * x + 0.5 * (n > 7)[:, None]], axis=2)
-        >>> ones = np.ones_like(x)
-        >>> tracks = Tracks.of_dense(
-        ...     ids=n, names=tuple(map(str, n)), kind=0 * n, length=4.5 * ones[:, 0],
-        ...     width=1.8 * ones[:, 0], time_s=time_s, xy=xy, heading=0 * ones, speed=15 * ones,
-        ...     valid=ones > 0, signals=np.empty((0, 50)))
-        >>> len(check_scene(tracks)), len(check_scene(tracks.part(n[:8], slice(None))))
-        (1, 0)
     """
     tracks = tracks.part(np.flatnonzero(tracks.kind != PEDESTRIAN), slice(None))
-    count = int((np.diff(tracks.index.first) > 0).sum())
+    index = tracks.index
+    count = np.unique(index.agent).size
     if not count:
         return ()
     looks = _looks(tracks.time_s)
     nearest_m, hits, overlapping = _overlaps(tracks, looks)
-    looked = max(int(np.isin(tracks.index.step, looks).sum()), 1)
-    share, jumps = hits / looked, int(_jumps(tracks).sum())
+    looked = max(int(np.isin(index.step, looks).sum()), 1)
+    share = hits / looked
     near = 2 * int((nearest_m < NEAREST_M).sum()) > max(looked, 2 * OVERLAPPING_IDS)
     most = OVERLAPPING if outlines else OVERLAPPING_BOXES
     doubts: list[str | None] = []
@@ -87,6 +74,10 @@ def check_scene(tracks: Tracks, outlines: bool = True) -> tuple[str, ...]:
     if len(looks) >= LOOKS:
         doubts.append(doubt_of_times(tracks))
         doubts.append(size_doubt(tracks) if outlines and count >= SIZED else None)
+    at = np.flatnonzero(~index.begins[1:])  # steps from one frame to the next
+    moved_m = np.hypot(*(tracks.row_xy[at + 1] - tracks.row_xy[at]).T)
+    far_m = FASTEST_MPS * np.diff(tracks.time_s)[index.step[at]] + JUMP_M
+    jumps = np.unique(index.agent[at[moved_m > far_m]]).size
     if jumps >= JUMPING_IDS and jumps > JUMPING * count:
         doubts.append(f"{jumps} of {count} ids jump from place to place")
     return tuple(doubt for doubt in doubts if doubt)
@@ -127,14 +118,14 @@ def _looks(time_s: FloatArray) -> list[int]:
 
 def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
     """Distances to the next centre, m, how often vehicles lie within others, and how many do."""
-    nearest: list[FloatArray] = []
-    hits, who = 0, np.zeros(tracks.ids.size, dtype=bool)
+    nearest: list[FloatArray] = [np.empty(0)]
+    hits, who = 0, set[int]()
     sides = np.stack([tracks.length, tracks.width], axis=1)
     for step in looks:
         here = tracks.index.at(step)
         if here.size < 2:
             continue
-        rows, xy = tracks.index.agent[here], tracks.row_xy[here]
+        agent, xy = tracks.index.agent[here], tracks.row_xy[here]
         tree = cKDTree(xy)
         nearest.append(np.asarray(tree.query(xy, k=2)[0])[:, 1])
         pairs = tree.query_pairs(LONGEST_CORE_M * math.sqrt(2.0), output_type="ndarray")
@@ -143,18 +134,9 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
         cos, sin = np.cos(heading), np.sin(heading)
         along = np.abs(cos * away[:, 0] + sin * away[:, 1])
         across = np.abs(cos * away[:, 1] - sin * away[:, 0])
-        core = 0.5 * CORE * (sides[rows[one]] + sides[rows[other]])
+        core = 0.5 * CORE * (sides[agent[one]] + sides[agent[other]])
         core = np.clip(core, LEAST_CORE_M, LONGEST_CORE_M)
         found = np.unique(one[(along < core[:, 0]) & (across < core[:, 1])])
         hits += found.size
-        who[rows[found]] = True
-    return np.concatenate([np.empty(0), *nearest]), hits, int(who.sum())
-
-
-def _jumps(tracks: Tracks) -> BoolArray:
-    """(N,) which agents go faster than any vehicle from one frame to the next."""
-    agent, step = tracks.index.agent, tracks.index.step
-    at = np.flatnonzero(~tracks.index.begins[1:])
-    moved = np.hypot(*(tracks.row_xy[at + 1] - tracks.row_xy[at]).T)
-    far = FASTEST_MPS * np.diff(tracks.time_s)[step[at]] + JUMP_M
-    return np.bincount(agent[at[moved > far]], minlength=tracks.ids.size) > 0
+        who.update(agent[found].tolist())
+    return np.concatenate(nearest), hits, len(who)

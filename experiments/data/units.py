@@ -17,22 +17,17 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from sim.formats.common.recording import with_motion
 from sim.frames import FloatArray, Tracks
 
-SIZE_M: Final = 2.2
+SIZE_M, SIZE_SPREAD = 2.2, 0.4
 """Typical root of width times height of a road agent's box in an image, m (chosen between a car
-from the side, a motorcycle and a pedestrian)."""
+from the side, a motorcycle and a pedestrian), and the standard deviation of the logarithm of a
+video's median size (from pedestrians and motorcycles to cars only)."""
 
-SIZE_SPREAD: Final = 0.4
-"""Standard deviation of the logarithm of a video's median size (from pedestrians and motorcycles to
-cars only)."""
-
-PACE_MPS: Final = 5.0
-"""Typical speed of those that move in a street that is filmed, m/s (18 km/h)."""
-
-PACE_SPREAD: Final = 0.8
-"""Standard deviation of the logarithm of a street's median speed (from a jam's 2 to a main road's
-11 m/s)."""
+PACE_MPS, PACE_SPREAD = 5.0, 0.8
+"""Typical speed of those that move in a street that is filmed, m/s (18 km/h), and the standard
+deviation of the logarithm of a street's median speed (from a jam's 2 to a main road's 11 m/s)."""
 
 FORESHORTENED: Final = 1.5
 """Foreshortening of displacements along the view in the middle of the image, for a camera that
@@ -42,21 +37,16 @@ SMALLEST: Final = 0.25
 """Agents farthest away look at least this large, over those in the middle (our choice): nearer to
 the horizon, a pixel is many metres."""
 
-FARTHEST_HORIZON, HORIZONS = 100.0, 60
-"""Farthest horizon that is tried, over the nearest one, and how many are tried in between."""
+FARTHEST_HORIZON, HORIZONS, SHOWN = 100.0, 60, 0.95
+"""Farthest horizon that is tried, over the nearest one; how many are tried in between; and the
+factor to which one must reduce the variation of sizes to be accepted (our choice)."""
 
-SHOWN: Final = 0.95
-"""A horizon is accepted where it reduces the variation of sizes to this factor (our choice)."""
-
-LENGTH_OF_SIZE: Final = 0.85
-WIDTH_OF_SIZE: Final = 0.35
+LENGTH_OF_SIZE, WIDTH_OF_SIZE = 0.85, 0.35
 """Length and width of an agent on the ground, over the root of its box's area in the image."""
 
-MOVING: Final = 0.5
-"""Agents that cover this many of their own sizes in a second move (a walking pace)."""
-
-SPAN_S: Final = 1.0
-"""Time over which speeds are taken, s: whole pixels need it."""
+MOVING, SPAN_S = 0.5, 1.0
+"""Agents that cover this many of their own sizes in a second move (a walking pace); time over which
+speeds are taken, s: whole pixels need it."""
 
 SMOOTH_FRAMES: Final = 15
 """Length of the centred mean over positions; half a second of video."""
@@ -103,19 +93,14 @@ class Scale:
         return f"1 pixel is {self.metres:.3g} m, give or take {math.expm1(self.spread):.0%}"
 
 
-def smoothed(xy: FloatArray, frames: int = SMOOTH_FRAMES) -> FloatArray:
-    """Centred mean of positions (N, T, 2) over an odd number of frames; NaN where unknown.
-
-    Examples:
-        >>> smoothed(np.array([[[0.0, 0.0], [3.0, 0.0], [3.0, 3.0]]]), 3)[0, 1].tolist()
-        [2.0, 1.0]
-    """
+def smoothed(xy: FloatArray) -> FloatArray:
+    """Centred mean of positions (N, T, 2) over `SMOOTH_FRAMES`; NaN where unknown."""
     known = ~np.isnan(xy[..., :1])
     mean, share = (
-        uniform_filter1d(part, frames, axis=1, mode="constant")
+        uniform_filter1d(part, SMOOTH_FRAMES, axis=1, mode="constant")
         for part in (np.where(known, xy, 0.0), known.astype(np.float64))
     )
-    return np.where(known, mean / np.maximum(share, 0.5 / frames), np.nan)
+    return np.where(known, mean / np.maximum(share, 0.5 / SMOOTH_FRAMES), np.nan)
 
 
 def image_scale(tracks: Tracks) -> Scale:
@@ -125,7 +110,7 @@ def image_scale(tracks: Tracks) -> Scale:
     """
     seen = tracks.valid.any(axis=1)
     size = np.sqrt(tracks.length * tracks.width)[seen]
-    xy = np.where(tracks.valid[..., None], tracks.xy, np.nan)[seen]
+    xy = tracks.xy[seen]
     height = np.nanmedian(xy[..., 1], axis=1)
     middle = float(np.median(height))
     horizon = _horizon(height - middle, size, float(np.nanmax(xy[..., 1])) - middle)
@@ -172,19 +157,11 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
 
     Whole pixels are smoothed before headings and speeds are taken from them.
     """
-    from sim.formats.common.motion import motion
-
     known = tracks.valid.any(axis=1)
     size = scale.metres * np.sqrt(tracks.length * tracks.width)
-    height = np.where(tracks.valid, tracks.xy[..., 1], np.nan)[known]
-    size[known] *= scale.at(np.nanmedian(height, axis=1)) / scale.metres
-    centre = 0.5 * (np.nanmin(tracks.xy[..., 0]) + np.nanmax(tracks.xy[..., 0]))
+    size[known] *= scale.at(np.nanmedian(tracks.xy[known, :, 1], axis=1)) / scale.metres
+    across = tracks.row_xy[:, 0]
+    centre = 0.5 * (across.min() + across.max())
     xy = scale.ground(tracks.xy - np.array([centre, 0.0]))
-    heading, speed = motion(smoothed(xy), tracks.time_s, 0.0)
-    return tracks.with_dense(
-        xy=xy,
-        heading=heading,
-        speed=speed,
-        length=LENGTH_OF_SIZE * size,
-        width=WIDTH_OF_SIZE * size,
-    )
+    moved = with_motion(tracks.with_dense(xy=smoothed(xy)))
+    return moved.with_dense(xy=xy, length=LENGTH_OF_SIZE * size, width=WIDTH_OF_SIZE * size)

@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 from experiments.data.data_card import DATA_CARD
 from sim.files import place_of
-from sim.store.catalogue import EPISODES
 from sim.store.dataset import open_dataset
+from sim.store.schema import EPISODES
 
 
 class Flaw(NamedTuple):

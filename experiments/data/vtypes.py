@@ -15,8 +15,7 @@ from behaviors.profiles import PROFILE_FIELDS, sample_profile
 from sim.files import new_folder
 from sim.frames import AgentKind
 from sim.scenario import DIMENSIONS_M, IMPERFECTION, AgentSpec
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
+from sim.store.dataset import is_dataset, open_dataset
 from sim.sumo.vehicle_types import type_element
 
 DRIVERS_OF_EACH: Final = 20

@@ -29,10 +29,9 @@ OBSERVED_S: Final = 10.0
 
 
 def traffic_of(entry: EpisodeEntry, said: str | None = None) -> Traffic:
-    """Where an episode's positions come from; what the user says instead counts more.
+    """Whether an episode is simulated by an engine, recorded, or other traffic.
 
-    The engines' episodes are simulated and imported ones recorded. Random worlds and what other
-    simulations wrote are other traffic.
+    Random worlds and what other simulations wrote are other traffic. ``said`` counts more.
     """
     if said is not None:
         return check_traffic(said)
@@ -73,8 +72,8 @@ def gather(
 
     Windows have the lengths ``windows_s`` and end ``every_s`` apart; of the lengths, ``per_moment``
     are drawn for each driver and moment, or all are taken. Episodes are numbered as in the
-    manifests, one after another; those without samples are left out, each in a line on stderr.
-    Codes stand for ``classes``, and drivers of other behaviours give no sample.
+    manifests; those without samples are left out, each in a line on stderr. Codes stand for
+    ``classes``, and drivers of other behaviours give no sample.
 
     Raises:
         InputError: if the split has no episode.

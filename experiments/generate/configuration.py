@@ -23,12 +23,9 @@ NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "durati
 """Fields that may be chosen for random worlds, too."""
 
 
-_Population = Annotated[
-    dict[str, Any], BeforeValidator(lambda given: read_population(given).table())
-]
-_Behaviors = Annotated[
-    dict[str, Any], BeforeValidator(lambda given: tables_of(read_behaviors(given)))
-]
+_Table = dict[str, Any]
+_Population = Annotated[_Table, BeforeValidator(lambda given: read_population(given).table())]
+_Behaviors = Annotated[_Table, BeforeValidator(lambda given: tables_of(read_behaviors(given)))]
 
 
 class GenerateConfig(BaseModel):
@@ -135,9 +132,6 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
 
     The file has fields of `GenerateConfig`, and its paths begin in its folder. Options are None
     where not given. In both, ``net`` stands for a map as the only scenario.
-
-    Raises:
-        InputError: if the file is broken, a field unknown or a value wrong.
     """
     fields: dict[str, object] = {} if path is None else read_toml(path)
     if path is not None:
@@ -161,12 +155,10 @@ def read_config(path: Path | None, **given: object) -> GenerateConfig:
             raise InputError(f"{option}: found none, expected one (or {where} in a file)") from None
         wrong = first_wrong_field(error, [*GenerateConfig.model_fields, "net"])
         raise InputError(f"{path or 'options'}: {wrong}") from None
-    for name in config.scenarios:
-        if is_path(name):
-            guarded_call(Path(name), _try_scenario, config, name)
+    for name in filter(is_path, config.scenarios):  # in a child process, before an engine reads it
+        guarded_call(Path(name), _try_scenario, config, name)
     return config
 
 
 def _try_scenario(config: GenerateConfig, name: str) -> None:
-    """Read a map, in a child process, before an engine gets it."""
     config.scenario(name)

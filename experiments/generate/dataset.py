@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
-from itertools import groupby, product
+from itertools import chain, groupby, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -27,10 +27,10 @@ from experiments.generate.episode import Task
 from experiments.generate.workers import in_workers
 from scenarios.own.scenario_file import is_path
 from sim.files import PARTIAL_PREFIX, Place, place_of, user_cache
-from sim.store.catalogue import EPISODES, catalogue_table, is_dataset, write_catalogue
-from sim.store.dataset import open_dataset
-from sim.store.parquet import metadata_of, opened
+from sim.store.dataset import is_dataset, open_dataset
+from sim.store.reading import metadata_of, opened
 from sim.store.schema import (
+    EPISODES,
     TABLES,
     EpisodeEntry,
     FileEntry,
@@ -41,7 +41,7 @@ from sim.store.schema import (
     shard_file,
     split_of,
 )
-from sim.store.writing import EpisodeWriter, checksum, made_with
+from sim.store.writing import EpisodeWriter, checksum, made_with, write_catalogue
 
 _OURS: Final = frozenset({EPISODES, DATA_CARD, "roads"})
 """Other content of a dataset's folder beside its tables."""
@@ -69,8 +69,8 @@ class _ShardTask(NamedTuple):
 class _Made(NamedTuple):
     """A shard that is there: its episodes, its tables, and what could not be made, in words."""
 
-    entries: tuple[EpisodeEntry, ...]
-    files: dict[str, FileEntry]
+    entries: tuple[EpisodeEntry, ...] = ()
+    files: Mapping[str, FileEntry] = {}
     failed: tuple[str, ...] = ()
 
 
@@ -110,12 +110,9 @@ def _configuration_of(config: GenerateConfig) -> dict[str, Any]:
 
 
 def generate(
-    config: GenerateConfig,
-    out: Path,
-    jobs: int | None = None,
-    quiet: bool = False,
+    config: GenerateConfig, out: Path, jobs: int | None = None, quiet: bool = False,
     cluster: str | None = None,
-) -> Manifest:
+) -> Manifest:  # fmt: skip
     """Make a dataset, or what is missing of it.
 
     Args:
@@ -123,8 +120,7 @@ def generate(
         out: where; a new folder, or one that the same configuration was writing to; or a URL.
         jobs: worker processes; None for one per processor.
         quiet: whether to show no progress.
-        cluster: address of a Dask scheduler whose workers make the episodes; None for processes
-            of this machine.
+        cluster: address of a Dask scheduler whose workers take the place of processes.
 
     Returns:
         Header of its catalogue.
@@ -132,8 +128,6 @@ def generate(
     Raises:
         InputError: if an option is wrong, the folder holds something else or is being written to,
             or an episode could not be made (all others are made first).
-        OSError: if something cannot be written.
-        Interrupted: if the user stopped it.
     """
     jobs = checked_jobs(jobs)
     config.check()
@@ -145,18 +139,13 @@ def generate(
     with sole_writer(place), Progress("generating episodes", wanted, quiet) as shown:
         there, missing = _there_and_missing(config, place, configuration)
         shards: list[_Made] = []
-
-        def take(made: _Made) -> None:
-            shards.append(made)
-            for entry in made.entries:
-                shown.advance(entry.agents, entry.agent_steps)
-
-        for made in there:
-            take(made)
+        make = partial(_make_shard, place.url, configuration)
+        made = in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster)
         try:
-            make = partial(_make_shard, place.url, configuration)
-            for task, answer in in_workers(make, missing, min(jobs, max(len(missing), 1)), cluster):
-                take(answer or _Made((), {}, (f"{task}: killed their worker twice",)))
+            for task, shard in chain(((None, one) for one in there), made):
+                shards.append(shard or _Made(failed=(f"{task}: killed their worker twice",)))
+                for entry in shards[-1].entries:
+                    shown.advance(entry.agents, entry.agent_steps)
         except KeyboardInterrupt:
             _remove_partial(place)
             count = sum(len(made.entries) for made in shards)
@@ -169,7 +158,7 @@ def generate(
         complete = is_dataset(out) and open_dataset(out).header.configuration == asked
         if entries and (missing or not complete):
             files = {name: file for made in shards for name, file in made.files.items()}
-            write_catalogue(place, asked, [catalogue_table(made.entries) for made in shards], files)
+            write_catalogue(place, asked, entries, files)
             write_data_card(out)
         elif not entries and not place.remote:
             for name in (*TABLES, "roads"):
@@ -238,10 +227,6 @@ def sole_writer(place: Place) -> Iterator[None]:
 
     The folder is created, and removed again if it stays empty. The lock of a URL lies in the user's
     cache: there it holds off this user's runs only.
-
-    Raises:
-        InputError: if another process holds it.
-        OSError: if the folder cannot be written.
     """
     from filelock import FileLock, Timeout
 

@@ -7,7 +7,7 @@ import hashlib
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from sim.files import temporary_folder
 from sim.frames import Frame, Tracks
 from sim.road.net import read_road
 from sim.scenario import AgentSpec, Scenario, sample_agents
+from sim.store.encoding import rounded
 from sim.store.schema import EpisodeEntry, EpisodeMeta, split_of
-from sim.store.tables import rounded
 from sim.store.writing import EpisodeWriter, made_with
 
 SENSOR_STREAM: Final = 9
@@ -53,23 +53,17 @@ class Task:
         """Metadata of the episode, given its scenario."""
         entry = get_scenario(self.scenario)
         given = {**entry.given, **self.config.options(self.scenario, self.index)}
+        options: dict[str, Any] = {
+            **(self.config.scenario_options or {}),
+            **{name: given[name] for name in ("flow", "limit_mps") if name in given},
+            "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
+            "spread": scenario.spread, **scenario.population_option,
+            "duration_s": scenario.duration_s, "step_s": scenario.step_s,
+        }  # fmt: skip
         return EpisodeMeta(
-            scenario=entry.name,
-            engine=self.config.engine,
-            seed=self.seed,
-            index=self.index,
-            split=split_of(self.index),
-            options={
-                **(self.config.scenario_options or {}),
-                **{name: given[name] for name in ("flow", "limit_mps") if name in given},
-                "mix": {str(behavior): share for behavior, share in scenario.mix.items()},
-                "spread": scenario.spread,
-                **scenario.population_option,
-                "duration_s": scenario.duration_s,
-                "step_s": scenario.step_s,
-            },
-            made_with=made_with(self.config.engine),
-        )
+            scenario=entry.name, engine=self.config.engine, seed=self.seed, index=self.index,
+            split=split_of(self.index), options=options, made_with=made_with(self.config.engine),
+        )  # fmt: skip
 
     def write(self, out: EpisodeWriter) -> EpisodeEntry:
         """Make the episode, and return its entry in the catalogue."""
@@ -101,14 +95,14 @@ def _write_world(out: EpisodeWriter, world: World, index: int) -> EpisodeEntry:
             mix=world.population.mix, spread=0.0, duration_s=WARM_UP_S + world.duration_s,
             step_s=world.sensor.step_s, kinds=world.population.kinds,
         )  # fmt: skip
-        agents = world.population.drivers(sample_agents(scenario, world.seed))
+        agents = tuple(map(world.population.driver, sample_agents(scenario, world.seed)))
         tracks = _recorded(world, scenario, agents)
         by_name = {str(agent.id): agent for agent in agents}
-        behind = [by_name[name.partition("/")[0]] for name in tracks.names]
-        sizes = zip(behind, tracks.ids, tracks.length, tracks.width, strict=True)
+        numbers = (each.tolist() for each in (tracks.ids, tracks.length, tracks.width))
+        columns = zip(tracks.names, *numbers, strict=True)
         seen = [
-            dataclasses.replace(a, id=int(i), length_m=float(long), width_m=float(wide))
-            for a, i, long, wide in sizes
+            dataclasses.replace(by_name[name.partition("/")[0]], id=i, length_m=long, width_m=wide)
+            for name, i, long, wide in columns
         ]
         road = net if world.sensor.has_map else None
         drawn = sorted(agents, key=lambda a: a.id)

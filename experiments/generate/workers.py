@@ -25,11 +25,8 @@ from sim.store.writing import made_with
 A = TypeVar("A")
 B = TypeVar("B")
 
-CONNECT_S: Final = 20.0
-"""Longest wait for the scheduler and its first worker, s."""
-
-TASKS_AT_ONCE: Final = 10_000
-"""Most tasks that a cluster is given at once."""
+CONNECT_S, TASKS_AT_ONCE = 20.0, 10_000
+"""Longest wait for a scheduler and its first worker, s, and most tasks that it is given at once."""
 
 SAFE: Final = re.compile(r"(tls|inproc)://.+|tcp://(127\.0\.0\.1|localhost|\[::1\]):\d+")
 """Addresses at which no other user can listen, or run code as this user."""

@@ -38,29 +38,19 @@ JUNCTIONS: Final[dict[str, dict[int, str]]] = {
 """The shipped net of each control of a junction, by lanes in each direction."""
 
 MOST_PRESENT: Final = 60.0
-"""Largest number of vehicles on the road at once, about, by which flows are bounded: more take time
-and show nothing new."""
+"""About the largest number of vehicles at once, which bounds flows: more show nothing new."""
 
-RAMP_SHARE: Final = (0.1, 0.35)
-"""Share of the traffic that uses each ramp."""
-
-RAMP_M: Final = 200.0
-"""Length of a ramp before or after its acceleration lane, m."""
+RAMP_SHARE, RAMP_M = (0.1, 0.35), 200.0
+"""Share of the traffic that uses each ramp, and a ramp's length beside its acceleration lane, m."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldRoad:
-    """A road and the demand on it.
+    """A road of one of the `FAMILIES` and the demand on it.
 
-    Attributes:
-        family: straight, junction, ramp or two-way.
-        control: priority at a junction; "" without one.
-        lanes: in each direction.
-        limit_mps: speed limit, m/s.
-        length_m: of the road, of a junction from end to end, m.
-        flow: vehicles per hour over all entries.
-        pedestrians_per_h: per hour.
-        ramp_share: share of the traffic that enters, and that leaves, by a ramp.
+    A junction's ``control`` is a key of `JUNCTIONS`. Lanes are those of each direction; a junction
+    is ``length_m`` long from end to end. The flow is over all entries, vehicles per hour; of it,
+    ``ramp_share`` enters and leaves by a ramp.
     """
 
     family: str
@@ -87,9 +77,8 @@ class WorldRoad:
         if self.family == "straight":
             return (RouteFlow(("road",), self.flow),)
         if self.family == "two-way":
-            return tuple(
-                RouteFlow((f"{way}_in", f"{way}_out"), self.flow / 2) for way in ("east", "west")
-            )
+            routes = ("east_in", "east_out"), ("west_in", "west_out")
+            return tuple(RouteFlow(route, self.flow / 2) for route in routes)
         if self.family == "ramp":
             aside = self.flow * self.ramp_share
             return (
@@ -203,12 +192,7 @@ def _net(edges: Sequence[_Edge], links: Sequence[tuple[str, int, str, int]], lim
 
 
 def straight_net(lanes: int, limit_mps: float, length_m: float) -> str:
-    """The text of a net of a one-way road without anything on it; its only edge is ``road``.
-
-    Examples:
-        >>> straight_net(2, 10.0, 300.0).count("<lane ")
-        2
-    """
+    """The text of a net of a one-way road without anything on it; its only edge is ``road``."""
     road = _Edge("road", "west", "east", lanes, (0.0, 0.0), (length_m, 0.0))
     return _net([road], [], limit_mps)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,17 +21,13 @@ from behaviors.profiles import FARTHEST_SPREADS
 from experiments.data import disturbances
 from experiments.generate.world_roads import WorldRoad, draw_road
 from graphrqi.posterior import AGGRESSIVE
-from sim.formats.common.motion import motion
-from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M
+from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, with_motion
 from sim.frames import AgentKind, FloatArray, Tracks
 from sim.scenario import KIND_LIMITS, AgentSpec
 from sim.sumo.vehicle_types import LAWS, SumoSettings
 
-DURATION_S: Final = 120.0
-"""Length of a world's episode, s."""
-
-WARM_UP_S: Final = 40.0
-"""Traffic drives this long before the sensor looks, s, so that the road is not empty."""
+DURATION_S, WARM_UP_S = 120.0, 40.0
+"""Length of a world's episode, s; before, traffic drives so long that the road is not empty, s."""
 
 # --- the law and the lane discipline -------------------------------------------------------------
 
@@ -43,20 +38,13 @@ highway-env takes long."""
 KEEP_RIGHT: Final = (0.0, 0.0, 0.2, 0.5, 1.0, 2.0, 5.0)
 """SUMO's lcKeepRight, drawn with equal chances: from never to strongly (1 is SUMO's default)."""
 
-LANE_CHANGES_S: Final = (0.0, 1.0, 2.5, 4.0)
-"""How long a lane change takes, drawn with equal chances, s."""
-
-SIMULATION_STEPS_S: Final = (0.1, 0.1, 0.2, 0.25)
-"""Longest steps of the simulation, drawn with equal chances, s."""
+LANE_CHANGES_S, SIMULATION_STEPS_S = (0.0, 1.0, 2.5, 4.0), (0.1, 0.1, 0.2, 0.25)
+"""How long a lane change takes, s, and the longest steps of the simulation, s: equal chances."""
 
 HIGHWAY_LAWS: Final = {"highway": "IDM", "highway-krauss": "Krauss"}
-"""The names of highway-env's engines, by what their drivers follow."""
-
-HIGHWAY_FAMILIES: Final = ("straight", "junction", "two-way")
-"""Families of roads that these engines drive on."""
-
-HIGHWAY_SHARE: Final = 0.12
-"""Chance of such an engine where it can drive (it takes ten times as long)."""
+HIGHWAY_FAMILIES, HIGHWAY_SHARE = ("straight", "junction", "two-way"), 0.12
+"""highway-env's engines with their laws, the families of roads that they drive on, and their chance
+there (they take ten times as long)."""
 
 # --- the drivers ---------------------------------------------------------------------------------
 
@@ -94,26 +82,20 @@ _STREAM: Final = 8
 STEPS_S: Final = (0.04, 0.05, 0.1, 0.1, 0.1, 0.2, 0.25, 0.3, 0.4)
 """Time between frames, drawn with equal chances, s: 25 to 2.5 Hz, mostly 10."""
 
-NOISE_M: Final = (0.01, 0.5)
-"""Smallest and largest standard deviation of positions, m, where there is noise."""
+NOISE_M, NOISE_CORRELATION_S = (0.01, 0.5), (0.0, 0.2, 0.5, 1.0)
+"""Smallest and largest standard deviation of positions, m, where there is noise, and the time in
+which an error falls to 1/e, s; 0: white."""
 
-NOISE_CORRELATION_S: Final = (0.0, 0.2, 0.5, 1.0)
-"""Time in which an error of position falls to 1/e, s; 0: white."""
-
-LOSSES: Final = (0.0, 0.0, 0.05, 0.15, 0.3)
-"""Shares of frames, and of single detections, that are missing, drawn with equal chances."""
-
-LOST_PER_MIN: Final = (0.0, 0.0, 0.5, 2.0)
-"""How often an agent is lost and found again, per minute, drawn with equal chances."""
+LOSSES, LOST_PER_MIN = (0.0, 0.0, 0.05, 0.15, 0.3), (0.0, 0.0, 0.5, 2.0)
+"""Shares of frames, and of single detections, that are missing, and how often an agent is lost and
+found again, per minute: equal chances."""
 
 MAP_SHARE, PIXEL_SHARE = 0.6, 0.35
 """Chance that the recording comes with the map, and of one without that it is in pixels."""
 
-PIXELS_PER_M: Final = (2.0, 30.0)
-"""Smallest and largest scale (TRAF's videos have some 6 to 30)."""
-
-PIXEL_STEP: Final = 0.5
-"""Positions in an image are multiples of this, pixels: centres of boxes with whole corners."""
+PIXELS_PER_M, PIXEL_STEP = (2.0, 30.0), 0.5
+"""Smallest and largest scale (TRAF's videos have some 6 to 30). Positions in an image are multiples
+of the second, pixels: centres of boxes with whole corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,11 +120,8 @@ class Population:
     shifts: dict[str, float]
     acts: float
 
-    def drivers(self, agents: Sequence[AgentSpec]) -> tuple[AgentSpec, ...]:
-        """The same agents with numbers of this world, on which each driver's own seed decides."""
-        return tuple(self._driver(agent) for agent in agents)
-
-    def _driver(self, agent: AgentSpec) -> AgentSpec:
+    def driver(self, agent: AgentSpec) -> AgentSpec:
+        """The same agent with numbers of this world, on which its own seed decides."""
         if agent.profile is None or agent.behavior is None:
             return agent
         rng = np.random.default_rng((agent.seed, _STREAM))
@@ -164,21 +143,11 @@ class Population:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Sensor that records the traffic.
+    """Sensor that records the traffic, with the numbers named above.
 
-    Attributes:
-        step_s: time between frames, s.
-        noise_m: standard deviation of positions in x and in y, m.
-        noise_correlation_s: time in which an error falls to 1/e, s; 0 for white noise.
-        lost_frames: share of whole frames that are missing.
-        lost_detections: share of single detections that are missing.
-        lost_per_min: how often an agent is lost for some 1.5 s, per minute.
-        found_as: ``same`` or ``new``: the id of an agent that is found again.
-        has_map: whether the recording comes with the map.
-        has_sizes: whether sizes are measured; otherwise all are cars of 4.5 m.
-        pixels_per_m: scale of an image, hidden from the reader; 0 for metres.
-        left_hand: whether the recording is mirrored and without a map.
-        turned_rad: by how much the axes are turned; 0 with a map.
+    ``lost_frames`` and ``lost_detections`` are shares; ``found_as`` is "same" or "new", the id of
+    an agent that is found again after some 1.5 s. Without ``has_sizes`` all are cars of 4.5 m. The
+    scale is 0 for metres. Recordings without a map may be mirrored and turned.
     """
 
     step_s: float
@@ -217,9 +186,8 @@ class Sensor:
         if not self.has_map:
             seen = self._in_its_axes(seen)
         seen = seen.part(np.flatnonzero(seen.valid.any(axis=1)), slice(None))
-        heading, speed = motion(seen.xy, seen.time_s, 0.0)
         signals = seen.signals if self.has_map else seen.signals[:0]
-        return seen.with_dense(heading=heading, speed=speed, signals=signals, events=())
+        return dataclasses.replace(with_motion(seen), signals=signals, events=())
 
     def _in_its_axes(self, tracks: Tracks) -> Tracks:
         """Positions and sizes in the sensor's axes and unit."""
@@ -239,17 +207,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """Everything that an episode of a world is made from.
-
-    Attributes:
-        seed: of the population, the engine and the sensor.
-        engine: registered name of the engine.
-        settings: the law, the lane discipline, and how long a lane change takes.
-        road: the road and the demand on it.
-        population: the drivers.
-        sensor: how they are seen.
-        duration_s: for how long, s.
-    """
+    """Everything that an episode of a world is made from; the seed is that of all its parts."""
 
     seed: int
     engine: str
@@ -268,27 +226,21 @@ class World:
         """All numbers, flat, as they are kept with the episode."""
         settings = dataclasses.asdict(self.settings)
         del settings["options"]  # worlds have none
-        simulation_step_s = settings.pop("longest_step_s")
-        drivers = self.population
+        step_s, drivers = settings.pop("longest_step_s"), self.population
         return {
-            **settings,
-            "law": self.law,
-            "simulation_step_s": simulation_step_s,
-            **dataclasses.asdict(self.road),
-            **dataclasses.asdict(drivers),
+            **settings, "law": self.law, "simulation_step_s": step_s,
+            **dataclasses.asdict(self.road), **dataclasses.asdict(drivers),
             "mix": {str(b): share for b, share in drivers.mix.items()},
             "kinds": {str(k): share for k, share in drivers.kinds.items()},
             **dataclasses.asdict(self.sensor),
-            "duration_s": self.duration_s,
-            "warm_up_s": WARM_UP_S,
-        }
+            "duration_s": self.duration_s, "warm_up_s": WARM_UP_S,
+        }  # fmt: skip
 
 
 def draw_world(seed: int, duration_s: float = DURATION_S) -> World:
-    """Draw a world with an episode of ``duration_s``; the same seed draws the same world.
+    """Draw a world; the same seed draws the same world.
 
-    Each part draws from a generator of its own, so that a change to one leaves the others as they
-    were.
+    Each part draws from a generator of its own, so that a change to one leaves the others alone.
 
     Examples:
         >>> draw_world(1) == draw_world(1)
@@ -372,27 +324,15 @@ def _draw_sensor(rng: np.random.Generator) -> Sensor:
     left, turned = bool(rng.random() < 0.3), float(rng.uniform(-np.pi, np.pi))
     sizes = bool(rng.random() < 0.6)
     return Sensor(
-        step_s=step_s,
-        noise_m=round(noise, 3),
-        noise_correlation_s=correlation if noise else 0.0,
-        lost_frames=lost_frames,
-        lost_detections=lost_detections,
-        lost_per_min=lost_per_min,
-        found_as=found_as,
-        has_map=has_map,
-        has_sizes=has_map or sizes,
+        step_s, round(noise, 3), correlation if noise else 0.0, lost_frames, lost_detections,
+        lost_per_min, found_as, has_map, has_sizes=has_map or sizes,
         pixels_per_m=round(scale, 2) if pixels and not has_map else 0.0,
-        left_hand=left and not has_map,
-        turned_rad=0.0 if has_map else round(turned, 4),
-    )
+        left_hand=left and not has_map, turned_rad=0.0 if has_map else round(turned, 4),
+    )  # fmt: skip
 
 
 def seen_badly(tracks: Tracks, rng: np.random.Generator) -> Tracks:
-    """Tracks at a steady frame rate as a sensor that is drawn at random sees them, in metres.
-
-    They have the sensor's frame rate or one near to it; frames between those of the tracks lie on
-    splines.
-    """
+    """Tracks as a sensor that is drawn at random sees them, in metres, at a steady frame rate."""
     sensor = dataclasses.replace(_draw_sensor(rng), pixels_per_m=0.0)
     every = round(sensor.step_s / tracks.step_s)
     step_s = every * tracks.step_s if every else sensor.step_s

@@ -23,7 +23,7 @@ from experiments.report.worst_cases import Excerpt, take_excerpts
 from experiments.score.rows import MADE, checked_rows, read_rows
 from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
-from sim.store.catalogue import is_dataset
+from sim.store.dataset import is_dataset
 
 MARK: Final = b"GraphRQI"
 """Mark in the head of every page that is written here; another page is not overwritten."""

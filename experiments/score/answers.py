@@ -207,19 +207,13 @@ def score_difference(
 
 
 SHOWN: Final = {
-    "drivers": "drivers",
-    "weighted_accuracy": "accuracy",
-    "majority_weighted_accuracy": "majority class",
-    "answered_accuracy": "of answers",
-    "balanced_accuracy": "balanced",
-    "macro_f1": "macro F1",
-    "ece": "ECE",
-    "style_balanced_accuracy": "style, balanced",
-    "style_auc": "style, AUC",
-    "answered_share": "answered",
-    "domain": "domain",
-}
-"""Metrics of the table for people, by column."""
+    "drivers": "drivers", "weighted_accuracy": "accuracy",
+    "majority_weighted_accuracy": "majority class", "answered_accuracy": "of answers",
+    "balanced_accuracy": "balanced", "macro_f1": "macro F1", "ece": "ECE",
+    "style_balanced_accuracy": "style, balanced", "style_auc": "style, AUC",
+    "answered_share": "answered", "domain": "domain",
+}  # fmt: skip
+"""Columns of the table for people, by metric."""
 
 LEGEND: Final = (
     "accuracy: share of drivers whose likeliest behaviour is right; majority class: that of always "
@@ -229,9 +223,6 @@ LEGEND: Final = (
 )
 """Text below that table: its columns."""
 
-WITH_INTERVAL: Final = frozenset({"weighted_accuracy", "style_auc"})
-"""Metrics that the table for people gives with their intervals (all would not fit)."""
-
 
 def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split")) -> list[Row]:
     """Rows of `score_answers` for people: a line for each combination of some keys."""
@@ -240,7 +231,7 @@ def scores_table(rows: Sequence[Row], down: Sequence[str] = ("scenario", "split"
         value, low = float(row["value"] or 0.0), row["low"]
         if row["metric"] == "drivers":
             return f"{value:.0f}"
-        if low is not None and row["metric"] in WITH_INTERVAL:
+        if low is not None and row["metric"] in ("weighted_accuracy", "style_auc"):
             return f"{value:.2f} [{low:.2f}, {row['high']:.2f}]"
         return f"{value:.2f}"
 

@@ -100,11 +100,10 @@ def _with_truth(
     table: pd.DataFrame, names: Sequence[str], entry: EpisodeEntry, labels: DriverLabels
 ) -> pd.DataFrame:
     """Answers about one episode with labels that are given now instead of what was known."""
-    found = zip(names, labels.of(names, entry.name, entry.file, entry.id), strict=True)
-    given = {name: label for name, label in found if label is not None}
+    found = dict(zip(names, labels.of(names, entry.name, entry.file, entry.id), strict=True))
     for column, attribute in (("truth", "behavior"), ("true_style", "style")):
-        rows = zip(table["name"], table[column], strict=True)
-        words = [getattr(given[n], attribute) if n in given else word for n, word in rows]
+        rows = zip(map(found.get, table["name"]), table[column], strict=True)
+        words = [word if label is None else getattr(label, attribute) for label, word in rows]
         table[column] = pd.Series(words, table.index, dtype=object)
     return table
 
@@ -130,9 +129,6 @@ def answer_episodes(
     Returns:
         The last answers about all drivers, in the datasets' order, with the columns ``LABELS`` and
         ``place``: the scenario, and where the data are of several engines, the engine.
-
-    Raises:
-        InputError: if a label belongs to no driver of the source.
     """
     given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
     every = [(d.path, e) for d in datasets for e in d.episodes()]

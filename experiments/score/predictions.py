@@ -103,8 +103,7 @@ def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iter
 def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> FloatArray:
     """(n, H, 2) where agents of some rows went, at times (H,) after an index one past the present.
 
-    Places are on the straight line between frames, m; NaN where either frame is missing or they are
-    more than `MOST_SPAN_S` apart.
+    Places are on the straight line between frames, m; NaN where one is missing or too far away.
     """
     at = tracks.time_s[stop - 1] + time_s
     after = np.clip(np.searchsorted(tracks.time_s, at - 1e-6), 1, tracks.time_s.size - 1)
@@ -220,9 +219,8 @@ def _membership(history: Tracks, scored: IntArray) -> FloatArray:
     member = np.zeros((scored.size, len(GROUPS)))
     member[:, 0], member[:, -1] = ~walks, walks
     if history.behavior is not None:
-        code = history.behavior[scored].astype(np.int64)
-        known = np.flatnonzero((code >= 0) & ~walks)
-        member[known, code[known] + 1] = 1.0
+        code = np.where(walks, -1, history.behavior[scored])
+        member[code >= 0, code[code >= 0] + 1] = 1.0
     return member
 
 

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -28,11 +28,8 @@ if TYPE_CHECKING:
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
 
-MADE: Final = ("command", "version", "seed", "dataset")
-"""Keys that say how a figure was made; tables for people leave them out."""
-
-FIGURE: Final = ("metric", "value", "low", "high", "n")
-"""Keys of the figure itself."""
+MADE, FIGURE = ("command", "version", "seed", "dataset"), ("metric", "value", "low", "high", "n")
+"""Keys that say how a figure was made, which tables for people leave out, and of itself."""
 
 _Number = Annotated[float, Field(ge=-1e300, le=1e300, allow_inf_nan=False)]
 

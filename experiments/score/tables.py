@@ -32,17 +32,16 @@ JOINED: Final = tuple(
 
 _AGENT: Final = [("agent", pa.int64()), ("name", pa.string()), ("time_s", pa.float64())]
 
+CHANCES: Final = [f"p_{b.value}" for b in BEHAVIORS]
+"""Columns of a labels file with the probability of each behaviour."""
+
 LABELS: Final = pa.schema(
     [
         *JOINED,
         *_AGENT,
-        ("behavior", pa.string()),
-        ("style", pa.string()),
-        *((f"p_{b.value}", pa.float32()) for b in BEHAVIORS),
-        ("domain", pa.float32()),
-        ("unknown", pa.float32()),
-        ("truth", pa.string()),
-        ("true_style", pa.string()),
+        *((name, pa.string()) for name in ("behavior", "style")),
+        *((name, pa.float32()) for name in (*CHANCES, "domain", "unknown")),
+        *((name, pa.string()) for name in ("truth", "true_style")),
     ]
 )
 """Columns of a labels file: one row per driver and frame from one second of observation on.
@@ -59,10 +58,8 @@ PREDICTIONS: Final = pa.schema(
         ("predictor", pa.string()),
         *_AGENT,
         ("mode", pa.int8()),
-        ("probability", pa.float32()),
-        ("ahead_s", pa.float32()),
-        ("x_m", pa.float64()),
-        ("y_m", pa.float64()),
+        *((name, pa.float32()) for name in ("probability", "ahead_s")),
+        *((name, pa.float64()) for name in ("x_m", "y_m")),
     ]
 )
 """Columns of a predictions file: one row per future and place, every half second.
@@ -71,16 +68,11 @@ PREDICTIONS: Final = pa.schema(
 probability is repeated in each of its rows."""
 
 
-CHANCES: Final = [f"p_{b.value}" for b in BEHAVIORS]
-"""Columns of a labels file with the probability of each behaviour."""
-
-
 def read_labels(path: Path, episode: str) -> pd.DataFrame:
     """The columns ``agent``, ``time_s`` and `CHANCES` of an episode's rows in a labels file."""
+    columns, own = ["agent", "time_s", *CHANCES], [("episode", "==", episode)]
     try:
-        table = pd.read_parquet(
-            path, columns=["agent", "time_s", *CHANCES], filters=[("episode", "==", episode)]
-        )
+        table = pd.read_parquet(path, columns=columns, filters=own)
     except (ValueError, OSError, KeyError) as error:
         said = " ".join(str(error).split())
         raise InputError(f"{path}: {said:.120}, expected a file of labels") from None

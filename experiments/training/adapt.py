@@ -54,35 +54,31 @@ def adapt(
             f"{labels}: found no label of a driver seen for 1 s, expected at least one"
         )
     adaptation = from_labels(probability, allowed)
-    rows: list[Row] = [
+    card = {**trained.card, "adapted": {"drivers": drivers, "labelled": len(allowed)}}
+    save_model(dataclasses.replace(trained, adaptation=adaptation, card=card), out)
+    return [
         tidy_row({}, "drivers", drivers),
         tidy_row({}, "labelled_drivers", len(allowed)),
         *_gains(probability, allowed),
         tidy_row({}, "scale", adaptation.scale),
+        *(
+            tidy_row({"behavior": str(behavior)}, "offset", float(offset))
+            for behavior, offset in zip(BEHAVIORS, adaptation.offset, strict=True)
+        ),
     ]
-    rows += [
-        tidy_row({"behavior": str(behavior)}, "offset", float(offset))
-        for behavior, offset in zip(BEHAVIORS, adaptation.offset, strict=True)
-    ]
-    card = {**trained.card, "adapted": {"drivers": drivers, "labelled": len(allowed)}}
-    save_model(dataclasses.replace(trained, adaptation=adaptation, card=card), out)
-    return rows
 
 
 def _labelled(
     entries: Sequence[EpisodeEntry], answered: pd.DataFrame, given: DriverLabels
 ) -> tuple[FloatArray, BoolArray]:
     """The last answers (n, 6) about labelled drivers, and the behaviours (n, 6) labels allow."""
-    answers, allowed = [], []
+    answers, allowed = [np.zeros((0, len(BEHAVIORS)))], list[tuple[bool, ...]]()
     for entry in entries:
         own = answered[answered["episode"] == entry.id]
         found = given.of(own["name"].tolist(), entry.name, entry.file, entry.id)
-        for label, answer in zip(found, own[CHANCES].to_numpy(), strict=True):
-            if label is not None:
-                answers.append(answer)
-                allowed.append(label.allowed)
-    shape = len(answers), len(BEHAVIORS)
-    return np.array(answers, dtype=np.float64).reshape(shape), np.array(allowed, dtype=bool)
+        answers.append(own[CHANCES].to_numpy(np.float64)[[one is not None for one in found]])
+        allowed += [one.allowed for one in found if one is not None]
+    return np.concatenate(answers), np.array(allowed, dtype=bool)
 
 
 def _gains(known: FloatArray, allowed: BoolArray) -> list[Row]:

@@ -49,9 +49,7 @@ def train_on_worlds(
     parts = [
         (part, _gathered(datasets, split, part, seed, jobs, quiet))
         for split in LEARNED
-        for part, datasets in zip(
-            (EXACT, NOISY, OTHER), (simulated, simulated, worlds), strict=True
-        )
+        for part, datasets in enumerate((simulated, simulated, worlds))  # EXACT, NOISY, OTHER
         if any(dataset.episodes(split) for dataset in datasets)
     ]
     training = Samples.join([samples for _, samples in parts])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -27,11 +27,12 @@ from graphrqi.predict.learned.inputs import predictor_inputs, unlabelled_inputs
 from graphrqi.predict.networks import KNOT_S, KNOTS, Futures, PredictorInputs
 from graphrqi.predict.rollout.driver_table import DriverTable, load_table, save_table
 from graphrqi.predict.rollout.following import shuffled_posterior
-from graphrqi.predict.scene.scene import LEARNED_S, make_scene
+from graphrqi.predict.scene.scene import LEARNED_S, Scene, make_scene
 from graphrqi.predict.training.calibrate import Sample, by_behavior, calibrate, without_behavior
 from graphrqi.predict.training.fit import Examples, train_lstm, train_perceptron
 from sim.frames import PEDESTRIAN, BoolArray, CodeArray, FloatArray, IntArray, Tracks
 from sim.geometry import to_own_frame
+from sim.road import Road
 from sim.store.dataset import open_dataset
 from sim.store.schema import EpisodeEntry, Split
 
@@ -46,30 +47,36 @@ UNKNOWN_SHARE, SHUFFLED_SHARE = 0.1, 0.2
 drivers."""
 
 
+def _cases(
+    tracks: Tracks, road: Road, stops: Iterable[int], ahead_s: float, time_s: FloatArray | None
+) -> Iterator[tuple[int, Scene, FloatArray, BoolArray]]:
+    """Instants with vehicles to learn from: index, scene, (n, H, 2) future, m, and (n,) who counts.
+
+    Vehicles count that are seen for `LEAST_SEEN_S` and have a known future.
+    """
+    for stop in stops:
+        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
+        scene = make_scene(history, road, ahead_s)
+        at_s = scene.time_s if time_s is None else time_s
+        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, at_s)
+        known = np.isfinite(truth).all(axis=(1, 2)) & (history.kind != PEDESTRIAN)
+        counts = known & (history.valid.sum(axis=1) * history.step_s > LEAST_SEEN_S - 1e-6)
+        if counts.any():
+            yield stop, scene, truth, counts
+
+
 def samples_of(folder: Path, entry: EpisodeEntry, every_s: float) -> list[Sample]:
     """Scenes of one episode with what happened next, for calibration and training."""
     dataset = open_dataset(folder)
     tracks, road = dataset.read(entry).tracks, dataset.road(entry)
     if road is None or tracks.behavior is None:
         raise InputError(f"{folder}: episode {entry.id}: found no road or no labels, expected both")
-    horizon_s = max(HORIZONS_S)
-    found = []
-    for stop in instants(tracks, horizon_s, every_s):
-        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
-        scene = make_scene(history, road, horizon_s)
-        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, scene.time_s)
-        counts = _learned(history, truth)
-        if counts.any():
-            behavior = cast("CodeArray", history.behavior).astype(np.int64)
-            found.append(Sample(scene, truth, counts, behavior))
-    return found
-
-
-def _learned(history: Tracks, truth: FloatArray) -> BoolArray:
-    """(n,) vehicles to learn from: seen for `LEAST_SEEN_S`, with a known future (n, H, 2), m."""
-    seen_s = history.valid.sum(axis=1) * history.step_s
-    known = np.isfinite(truth).all(axis=(1, 2)) & (history.kind != PEDESTRIAN)
-    return np.asarray(known & (seen_s > LEAST_SEEN_S - 1e-6))
+    ahead_s = max(HORIZONS_S)
+    found = _cases(tracks, road, instants(tracks, ahead_s, every_s), ahead_s, None)
+    return [
+        Sample(scene, truth, counts, cast("CodeArray", scene.history.behavior).astype(np.int64))
+        for _, scene, truth, counts in found
+    ]
 
 
 def calibrate_drivers(
@@ -149,20 +156,14 @@ def examples_of(
     if road is None:
         raise InputError(f"{folder}: episode {entry.id}: found no road, expected one to train on")
     table = load_table()
-    stops = list(instants(tracks, LEARNED_S, every_s))
+    believed = beliefs(tracks, load_model(model), list(instants(tracks, LEARNED_S, every_s)))
     by_belief: list[list[Examples]] = [[], [], []]
     label_free, sample = [], np.arange(1, KNOTS + 1, dtype=np.float64) * KNOT_S
-    for stop, posterior in beliefs(tracks, load_model(model), stops).items():
-        history = tracks.window(stop, round(HISTORY_S / tracks.step_s))
-        scene = make_scene(history, road, LEARNED_S)
-        truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, sample)
-        counts = _learned(history, truth)
-        if not counts.any():
-            continue
-        probability = posterior.of(history.ids)
+    for stop, scene, truth, counts in _cases(tracks, road, believed, LEARNED_S, sample):
+        probability = believed[stop].of(scene.history.ids)
         unknown = np.full_like(probability, 1.0 / probability.shape[1])
         own = to_own_frame(truth, scene.xy, scene.heading)
-        others = shuffled_posterior(history, posterior).probability
+        others = shuffled_posterior(scene.history, believed[stop]).probability
         for found, belief in zip(by_belief, (probability, unknown, others), strict=True):
             found.append(_examples(predictor_inputs(scene, belief, table), own, counts))
         label_free.append(_examples(unlabelled_inputs(scene), own, counts))

@@ -26,8 +26,7 @@ from sim.formats import get_reader, recognise, recording_files
 from sim.frames import PEDESTRIAN, BoolArray, FloatArray, IntArray, Tracks
 from sim.road import Road
 from sim.road.road_files import read_road_file
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
+from sim.store.dataset import is_dataset, open_dataset
 
 PAST_S, AHEAD_S, VELOCITY_S = 3.0, float(TIME_S[-1]), 0.5
 """Least past of a scored agent, how far ahead is predicted, and the past over which constant

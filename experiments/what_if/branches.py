@@ -21,8 +21,7 @@ from experiments.generate.configuration import GenerateConfig
 from experiments.generate.episode import Task
 from sim.frames import Frame
 from sim.scenario import Scenario, sample_agents
-from sim.store.catalogue import is_dataset
-from sim.store.dataset import open_dataset
+from sim.store.dataset import is_dataset, open_dataset
 from sim.store.schema import EpisodeMeta, Manifest
 from sim.store.writing import made_with, new_dataset
 from sim.sumo.branches import ENGINE_LAWS, Trunk, check_platform

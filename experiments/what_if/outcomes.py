@@ -12,6 +12,7 @@ from behaviors.errors import InputError
 from experiments.score.rows import Row
 from experiments.what_if.branches import branch_of, change_of
 from sim.frames import Event, EventKind, FloatArray, Tracks
+from sim.geometry import distances_along
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
@@ -64,10 +65,7 @@ def delays(factual: Tracks, other: Tracks, since_s: float) -> dict[int, float]:
             for tracks in (factual, other)
         )
         if len(one) and len(two):
-            ways = [
-                np.cumsum(np.hypot(*np.diff(p[:, 1:], axis=0, prepend=p[:1, 1:]).T))
-                for p in (one, two)
-            ]
+            ways = [distances_along(path[:, 1:]) for path in (one, two)]
             reached_m = min(ways[0][-1], ways[1][-1])
             when = [_first_s(p[:, 0], w, reached_m) for p, w in zip((one, two), ways, strict=True)]
             found[int(agent)] = when[1] - when[0]

@@ -36,11 +36,14 @@ def sum_of_leaves(
         for b in range(column.size):
             for j in range(WIDTH):
                 reachable[j] = ALL
-            for i in range(first[b], first[b + 1]):
-                values = features[k * width + feature[i]]
-                limit, kept = threshold[i], keep[i]
-                for j in range(WIDTH):
-                    reachable[j] &= kept if values[j] > limit else ALL
+            for i in range(first[b], first[b + 1], 2):  # two at once: half the memory traffic
+                j = min(i + 1, first[b + 1] - 1)
+                one, other = features[k * width + feature[i]], features[k * width + feature[j]]
+                limit, kept, other_limit, other_kept = threshold[i], keep[i], threshold[j], keep[j]
+                for sample in range(WIDTH):
+                    stays = kept if one[sample] > limit else ALL
+                    beside = other_kept if other[sample] > other_limit else ALL
+                    reachable[sample] &= stays & beside
             leaves, total = leaf[b], out[k, column[b]]
             for j in range(WIDTH):
                 lowest = reachable[j] & np.uint32(-np.int64(reachable[j]))

@@ -40,6 +40,10 @@ COLUMNS: Final = 11
 """Additive columns: products of regressors, their products with the gap, the squared gap, the
 time."""
 
+UPPER: Final = np.triu_indices(3)
+SYMMETRIC: Final = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+"""Where the six different entries of a symmetric matrix stand in it, and the reverse."""
+
 LAW_NAMES: Final[tuple[str, ...]] = (
     "standstill gap", "time headway", "inverse braking",
     "standstill gap sd", "time headway sd", "inverse braking sd", "residual",
@@ -87,13 +91,12 @@ def infer(sums: FloatArray) -> FloatArray:
     prior is left.
     """
     weight, prior = GAP_NOISE_M**-2, PRIOR_SD**-2
-    a, b, c, d, e, f = weight * sums[:, :6].T + np.diag(prior)[np.triu_indices(3)][:, None]
+    a, b, c, d, e, f = weight * sums[:, :6].T + np.diag(prior)[UPPER][:, None]
     minors = np.stack(
         [d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b]
     )
     minors /= a * minors[0] + b * minors[1] + c * minors[2]
-    symmetric = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
-    covariance, gram, target = minors[symmetric], sums.T[symmetric], sums[:, 6:9].T
+    covariance, gram, target = minors[SYMMETRIC], sums.T[SYMMETRIC], sums[:, 6:9].T
     mean = (covariance * (weight * target + (PRIOR_MEAN * prior)[:, None])).sum(axis=1)
     fitted = (mean[:, None] * gram * mean).sum(axis=(0, 1))
     error = sums[:, 9] - 2.0 * (mean * target).sum(axis=0) + fitted

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from graphrqi.arrays import BoolArray, FloatArray, IntArray
-from graphrqi.features.motion import Motion, along, leftward
+from graphrqi.features.motion import Motion, along
 from graphrqi.graph import TrafficGraph
 
 NOMINAL_LENGTH_M: Final = 4.6
@@ -68,21 +68,18 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
 
     The n vertices are in the order of the graph; those that do not drive are pedestrians.
     """
-    row, other = graph.pairs
-    n, facing = drives.size, motion.direction.take(row, axis=0)
-    away = motion.xy.take(other, axis=0) - motion.xy.take(row, axis=0)
-    ahead, aside = along(facing, away), np.abs(leftward(facing, away))
-    near = np.flatnonzero(drives[row] & (aside < BESIDE_M))
-    row, other, facing = row[near], other[near], facing.take(near, axis=0)
-    ahead, aside = ahead[near], aside[near]
-    walks = ~drives[other] & (ahead > 0.0) & (ahead < PEDESTRIAN_AHEAD_M)
-    same_way = drives[other] & (along(facing, motion.direction.take(other, axis=0)) > SAME_WAY)
-    on_path = same_way & (aside < SAME_PATH_M)
-    beside = same_way & ~on_path & (np.abs(ahead) < ABREAST_M)
-    found = []
-    for there in (on_path & (ahead > 0.0), on_path & (ahead < 0.0), walks):
-        found.append(_nearest(row[there], other[there], np.abs(ahead[there]), n))
-    (leader, gap), (follower, rear_gap), (_, pedestrian_m) = found
+    from graphrqi.features.kernels import find_around
+
+    n = drives.size
+    nearest, distance, beside = np.full((3, n), -1), np.full((3, n), np.inf), np.zeros(n)
+    bounds = SAME_PATH_M, BESIDE_M, ABREAST_M, SAME_WAY, PEDESTRIAN_AHEAD_M
+    # copies: kernels are compiled again for read-only arrays
+    find_around(
+        *graph.pairs, motion.xy.copy(), motion.direction, drives.copy(), bounds, nearest, distance,
+        beside,
+    )  # fmt: skip
+    leader, follower, _ = nearest
+    gap, rear_gap, pedestrian_m = np.where(nearest >= 0, distance, np.nan)
     leader_speed, rear_speed = (
         np.where(who >= 0, along(motion.direction, motion.velocity[who]), np.nan)
         for who in (leader, follower)
@@ -94,21 +91,9 @@ def interactions(motion: Motion, drives: BoolArray, graph: TrafficGraph) -> Inte
         follower=follower,
         rear_gap=np.maximum(rear_gap - NOMINAL_LENGTH_M, 0.0),
         rear_speed=rear_speed,
-        beside=np.bincount(row[beside], minlength=n).astype(np.float64),
+        beside=beside,
         pedestrian_m=pedestrian_m,
     )
-
-
-def _nearest(
-    row: IntArray, other: IntArray, distance: FloatArray, n: int
-) -> tuple[IntArray, FloatArray]:
-    """(n,) the nearest of each row's others, the first of equals, -1 for none; and how far."""
-    least = np.full(n, np.inf)
-    np.minimum.at(least, row, distance)
-    hits = np.flatnonzero(distance == least[row])[::-1]
-    nearest = np.full(n, -1)
-    nearest[row[hits]] = other[hits]
-    return nearest, np.where(nearest >= 0, least, np.nan)
 
 
 def differences(

@@ -12,6 +12,50 @@ from sim.compiled import in_place
 
 
 @in_place()
+def find_around(
+    row: IntArray,
+    other: IntArray,
+    xy: FloatArray,
+    direction: FloatArray,
+    drives: BoolArray,
+    bounds: tuple[float, float, float, float, float],
+    nearest: IntArray,
+    distance: FloatArray,
+    beside: FloatArray,
+) -> None:
+    """Find each driver's leader, follower and pedestrian ahead among its neighbours.
+
+    ``row`` and ``other`` (m,) are joined vertices. ``nearest`` (3, n), -1 before, receives the
+    nearest of each kind, and ``distance`` (3, n), infinite before, how far. ``beside`` (n,) counts
+    the drivers in the next lanes. ``bounds`` are those of `graphrqi.features.interaction`.
+    """
+    same_path_m, beside_m, abreast_m, same_way, pedestrian_m = bounds
+    for e in range(row.size):
+        i, j = row[e], other[e]
+        if not drives[i]:
+            continue
+        east, north = xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1]
+        ahead = east * direction[i, 0] + north * direction[i, 1]
+        aside = abs(direction[i, 0] * north - direction[i, 1] * east)
+        if not aside < beside_m:  # nor where a direction is unknown
+            continue
+        if drives[j]:
+            alike = direction[j, 0] * direction[i, 0] + direction[j, 1] * direction[i, 1]
+            if not alike > same_way:
+                continue
+            if aside >= same_path_m:
+                beside[i] += abs(ahead) < abreast_m
+                continue
+            kind = 0 if ahead > 0.0 else 1
+        else:
+            kind = 2
+            if ahead >= pedestrian_m:
+                continue
+        if ahead != 0.0 and (kind == 1 or ahead > 0.0) and abs(ahead) < distance[kind, i]:
+            nearest[kind, i], distance[kind, i] = j, abs(ahead)
+
+
+@in_place()
 def spread_on_nodes(
     values: FloatArray,
     counts: BoolArray,
@@ -81,3 +125,27 @@ def summarise(
                 share = (target - below[at]) / sums[i, first + at]
                 out[i, column + q] = low + share * (high - low)
             column += quantiles + 2
+
+
+@in_place()
+def change_within(
+    values: FloatArray,
+    rows: IntArray,
+    times: FloatArray,
+    first: int,
+    out: FloatArray,
+    elapsed: FloatArray,
+) -> None:
+    """Difference of each row's last values (m, T, 2) from its oldest known ones, and its time.
+
+    Times before ``first`` do not count. Where only the last time is left, nothing is known.
+    """
+    last = times.size - 1
+    for i in range(rows.size):
+        row, at = rows[i], first
+        while at < last and math.isnan(values[row, at, 0]):
+            at += 1
+        known = at < last
+        for axis in range(2):
+            out[i, axis] = values[row, last, axis] - values[row, at, axis] if known else math.nan
+        elapsed[i, 0] = times[last] - times[at] if known else 1.0

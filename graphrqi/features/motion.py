@@ -98,18 +98,17 @@ class RawMotion:
 
     def update(self, time_s: float, ids: IntArray, xy: FloatArray, drives: BoolArray) -> Motion:
         """Take the next positions (n, 2), m, of ascending ids; motion of exactly these agents."""
+        from graphrqi.features.kernels import change_within
+
         rows = self._remember(time_s, ids, xy)
         times = np.array(self._times)
 
         def change(values: FloatArray, span_s: float) -> tuple[FloatArray, FloatArray]:
             """Difference of values now from the oldest known ones within a span, and its time."""
-            first = min(int(np.searchsorted(times, time_s - span_s - 1e-6)), times.size - 1)
-            if first == times.size - 1:
-                return np.full((rows.size, 2), np.nan), np.ones((rows.size, 1))
-            at = np.full(rows.size, first)
-            late = np.flatnonzero(np.isnan(values[rows, first, 0]))
-            at[late] += (~np.isnan(values[rows[late], first:-1, 0])).argmax(axis=1)
-            return values[rows, -1] - values[rows, at], (time_s - times[at])[:, None]
+            first = int(np.searchsorted(times, time_s - span_s - 1e-6))
+            out, elapsed_s = np.empty((rows.size, 2)), np.empty((rows.size, 1))
+            change_within(values, rows, times, first, out, elapsed_s)
+            return out, elapsed_s
 
         difference, elapsed_s = change(self._trail, SPAN_S)
         velocity = difference / elapsed_s

@@ -28,7 +28,7 @@ from graphrqi.arrays import FloatArray, softmax
 from graphrqi.networks.weights import Arrays, restored, save_weights
 from graphrqi.predict.prediction import Prediction, coming_times
 from sim.frames import PEDESTRIAN, Tracks
-from sim.geometry import from_own_frame
+from sim.geometry import turned
 
 KNOT_S: Final = 0.5
 """Time between knots, s."""
@@ -110,12 +110,15 @@ def spread_out(history: Tracks, futures: Futures, steps: int) -> Prediction:
     n, modes, knots = futures.spread.shape
     speed, heading = history.speed[:, -1], history.heading[:, -1]
     time_s = coming_times(steps)
-    own = np.ascontiguousarray((futures.own.swapaxes(2, 3) @ matrix).swapaxes(2, 3))
-    own[..., 0] += (speed[:, None] * start)[:, None]
     walks = history.kind == PEDESTRIAN
-    own[walks] = 0.0
-    own[walks, ..., 0] = (speed[walks, None] * time_s)[:, None]
-    xy = from_own_frame(own, history.xy[:, -1], heading)
+    ahead = turned(futures.own, heading[:, None, None])
+    ahead[walks] = 0.0
+    facing = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    steadily = np.where(walks[:, None], time_s, start) * speed[:, None]
+    begin = history.xy[:, -1, :, None] + facing[:, :, None] * steadily[:, None]
+    on = (ahead.swapaxes(2, 3).reshape(-1, knots) @ matrix).reshape(n, modes, 2, steps)
+    on += begin[:, None]
+    xy = np.ascontiguousarray(on.swapaxes(2, 3))
     spread = (futures.spread.reshape(-1, knots) @ np.abs(matrix)).reshape(n, modes, steps)
     return Prediction(history.ids, time_s, xy, futures.probability, spread)
 
@@ -176,9 +179,13 @@ class Perceptron:
     def through(self, hidden: NDArray[np.float32]) -> NDArray[np.float32]:
         """(n, out) raw numbers of standardised features (n, F)."""
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = hidden @ weight + bias
+            hidden = hidden @ weight
+            hidden += bias
             if i < len(self.weights) - 1:  # SiLU; beyond 80 the exponential would overflow
-                hidden /= np.float32(1.0) + np.exp(np.minimum(-hidden, np.float32(80.0)))
+                growth = np.minimum(-hidden, np.float32(80.0))
+                np.exp(growth, out=growth)
+                growth += np.float32(1.0)
+                hidden /= growth
         return hidden
 
     def arrays(self, prefix: str = "") -> dict[str, NDArray[np.float32]]:

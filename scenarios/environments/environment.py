@@ -27,10 +27,9 @@ from sim.episode.live import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
 from sim.highway import ego as ego_vehicles
 from sim.highway.ego import EgoEnv, Observation, as_mapping
-from sim.highway.engine import Demand, network_of
 from sim.highway.lanes import LaneIndex
-from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import ProfileVehicle
+from sim.highway.run import Demand, network_of
+from sim.highway.traffic import ProfileVehicle, TrafficRoad
 from sim.safety import conflicts
 from sim.scenario import AgentSpec, Scenario, sample_agents
 
@@ -307,7 +306,7 @@ class TrafficEnv(EgoEnv):
         then = ego.route[1] if len(ego.route) > 1 else None
         for lane in self.road.network.lanes_towards(ego.route[0], then):
             room, speed = math.inf, math.inf
-            for s, length, there in zip(*self.road.on_lane(lane), strict=True):
+            for s, length, there in self.road.on_lane(lane):
                 if abs(s - BEGIN_M) < room:
                     room, speed = abs(s - BEGIN_M) - length / 2 - 2.5, there
             found.append((lane, room, speed))

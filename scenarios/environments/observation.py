@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from behaviors.labels import BEHAVIORS
 from sim.frames import FloatArray, Signal
 from sim.highway.ego import Observation
-from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import Walker
+from sim.highway.traffic import TrafficRoad, Walker
 
 RANGE_M: Final = 100.0
 """How far from the ego vehicle others are observed, m."""

@@ -22,12 +22,11 @@ from behaviors.errors import InputError
 from scenarios.networks.build import NET, cache_folder, find_program, program_path, run_program
 from scenarios.networks.plain_xml import plain_files
 from sim.files import temporary_folder, write_whole
-from sim.input_files import read_bytes
+from sim.input_files import read_bytes, read_tree, refuse_declarations
 from sim.road import Road
 from sim.road.maps.sources import Source, prepared
 from sim.road.net import MAX_NET_BYTES, read_road
 from sim.road.road_files import read_road_file
-from sim.xml_tree import read_tree, refuse_declarations
 
 KINDS: Final[dict[str, str]] = {
     "sumo": "SUMO net",

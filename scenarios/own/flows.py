@@ -24,9 +24,9 @@ import numpy as np
 
 from behaviors.errors import InputError, in_file
 from scenarios.demand import parse_flow
+from sim.input_files import read_tree
 from sim.road import Connection, Lane, Road
 from sim.scenario import MAX_DURATION_S, MAX_PER_HOUR, RouteFlow
-from sim.xml_tree import read_tree
 
 LEVELS: Final[dict[str, float]] = {"light": 0.15, "medium": 0.3, "dense": 0.5}
 """Share of its capacity that the busiest lane carries in each named flow (free, interacting, and as

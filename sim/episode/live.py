@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -113,6 +113,7 @@ class FrameBuffer:
 
     def __init__(self, steps: int) -> None:
         self._frames: deque[Frame] = deque(maxlen=steps)
+        self._moved: deque[FloatArray] = deque(maxlen=steps)  # x, y, heading, speed of each frame
 
     def push(self, frame: Frame) -> None:
         """Add the next frame.
@@ -143,6 +144,7 @@ class FrameBuffer:
             agent = ids[int(finite.argmin())]
             raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
         self._frames.append(frame)
+        self._moved.append(np.column_stack([frame.xy, frame.heading, frame.speed]))
 
     def __len__(self) -> int:
         """How many frames are kept now."""
@@ -158,22 +160,22 @@ class FrameBuffer:
         if not self._frames:
             return Tracks.from_frames(())
         frames, last = self._frames, self.last
+        agents, times = len(last), len(frames)
         agent, here = find_sorted(last.ids, np.concatenate([frame.ids for frame in frames]))
-        rows = np.flatnonzero(here)
-        rows = rows[np.argsort(agent[rows], kind="stable")]
-        step = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[rows]
-        index = RowIndex.of_rows(agent[rows], step, len(last), len(frames))
-        moved: dict[str, Any] = {
-            f"row_{name}": np.concatenate([getattr(f, name) for f in frames]).take(rows, axis=0)
-            for name in MOVING
-        }
+        step = np.repeat(np.arange(times), [len(frame) for frame in frames])
+        source = np.full(agents * times, -1)  # the row of each agent at each time
+        source[(agent * times + step)[here]] = np.flatnonzero(here)
+        rows = source[source >= 0]
+        moved = np.concatenate(self._moved).take(rows, axis=0)
         return Tracks(
             ids=last.ids,
             names=tuple(map(str, last.ids.tolist())),
             **{name: getattr(last, name) for name in OF_AGENTS},
             time_s=np.array([frame.time_s for frame in frames]),
-            index=index,
-            **moved,
-            signals=np.stack([frame.signals for frame in frames], axis=1),
+            index=RowIndex.of_rows(agent[rows], step[rows], agents, times),
+            row_xy=moved[:, :2].copy(),
+            row_heading=moved[:, 2].copy(),
+            row_speed=moved[:, 3].copy(),
+            signals=np.array([frame.signals for frame in frames]).T.copy(),
             events=tuple(event for frame in frames for event in frame.events),
         )

@@ -28,7 +28,7 @@ from sim.frames import (
     Tracks,
     says_stop,
 )
-from sim.road import Road, lane_coordinates, lane_search
+from sim.road import Road, lane_search
 from sim.road.lane_graph import LaneGraph
 
 CROSSING_MARGIN_M: Final = 2.0
@@ -134,7 +134,7 @@ def _crossing_people(
     occupied = np.zeros((len(road.crossings), instants), dtype=bool)
     waiting = np.zeros_like(occupied)
     for c, crossing in enumerate(road.crossings):
-        u, across, total = lane_coordinates.along(crossing.centerline, xy)
+        u, across, total = lane_search.along(crossing.centerline, xy)
         beside = np.abs(across) <= crossing.width_m / 2 + CROSSING_MARGIN_M
         on = beside & (u > 0) & (u < total)
         near = beside & ~on & (u > -CROSSING_MARGIN_M) & (u < total + CROSSING_MARGIN_M)
@@ -245,7 +245,7 @@ def _jaywalkers(tracks: Tracks, road: Road) -> tuple[BoolArray, BoolArray]:
     on_road = np.abs(place.offset) < graph.width[place.lane] / 2
     on_road &= ~graph.internal[place.lane]
     for crossing in road.crossings:
-        u, across, total = lane_coordinates.along(crossing.centerline, xy)
+        u, across, total = lane_search.along(crossing.centerline, xy)
         near = (np.abs(across) <= crossing.width_m / 2 + 1.0) & (u > -2.0) & (u < total + 2.0)
         on_road &= ~near
         if not 0 <= crossing.signal < tracks.signals.shape[0]:  # recordings show no signals

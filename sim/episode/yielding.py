@@ -16,7 +16,7 @@ import numpy as np
 from sim.episode.observables import Observables
 from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, Tracks, says_stop
 from sim.road import Crossing, Road
-from sim.road.lane_coordinates import along
+from sim.road.lane_search import along
 
 ROLLING_MPS: Final = 0.5
 """A vehicle below this speed has stopped (slower than walking)."""

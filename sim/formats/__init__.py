@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -75,12 +75,15 @@ class Format:
         return known or self.head.search(head.lower()) is not None
 
 
-LEVELX_BESIDE: Final = ("*_tracksmeta.csv", "*_recordingmeta.csv")
-"""Tables that accompany the tracks of inD, rounD and highD."""
+_LEVELX: Final[dict[str, Any]] = {
+    "own_names": True,
+    "beside": ("*_tracksmeta.csv", "*_recordingmeta.csv"),
+}
+"""The tracks of inD, rounD and highD, and the tables that accompany them."""
 
 IND: Final = Format(
-    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind", own_names=True,
-    beside=LEVELX_BESIDE, columns=(("trackid", "xcenter", "ycenter", "heading"),),
+    ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_ind",
+    columns=(("trackid", "xcenter", "ycenter", "heading"),), **_LEVELX,
 )  # fmt: skip
 """inD and rounD, which look the same."""
 
@@ -89,40 +92,37 @@ FORMATS: Final[Registry[Format]] = Registry(
     "graphrqi.formats",
     {
         "argoverse2": Format(
-            ("scenario_*.parquet",),
-            reader="sim.formats.argoverse:read_scenario",
-            writer="sim.formats.argoverse:write_scenarios",
-            own_names=True, beside=("log_map_archive_*.json", "behavior_*.parquet"),
+            ("scenario_*.parquet",), reader="sim.formats.argoverse:read_scenario",
+            writer="sim.formats.argoverse:write_scenarios", own_names=True,
+            beside=("log_map_archive_*.json", "behavior_*.parquet"),
             columns=(("track_id", "object_type", "timestep", "position_x"),),
         ),
         "argoverse2-log": Format(
             ("annotations.feather", "annotations_with_ego.feather"),
-            reader="sim.formats.argoverse:read_log",
-            clock=True, own_names=True, beside=("map/*.json", "log_map_archive_*.json"),
-            columns=(("timestamp_ns", "track_uuid", "category"),), one=True,
+            reader="sim.formats.sensor_logs:read_argoverse2", clock=True, own_names=True, one=True,
+            beside=("map/*.json", "log_map_archive_*.json"),
+            columns=(("timestamp_ns", "track_uuid", "category"),),
         ),
         "argoverse1": Format(
-            ("*.csv", "*.parquet"),
-            reader="sim.formats.argoverse:read_csv",
+            ("*.csv", "*.parquet"), reader="sim.formats.argoverse:read_csv",
             writer="sim.formats.argoverse:write_csv",
             columns=(("timestamp", "track_id", "object_type", "x", "y"),),
         ),
         "ngsim": Format(
             ("*.csv", "*.txt", "*.parquet"),
             re.compile(rb"^\s*(?:-?[\d.e+]+[ \t]+){17}-?[\d.e+]+[ \t]*\r?\n"),
-            "sim.formats.recorded_tables:read_ngsim",
-            clock=True, columns=(("vehicle_id", "local_x", "local_y"),),
+            "sim.formats.recorded_tables:read_ngsim", clock=True,
+            columns=(("vehicle_id", "local_x", "local_y"),),
         ),
         "ind": IND,
         "round": IND,
         "highd": Format(
-            ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_highd", own_names=True,
-            beside=LEVELX_BESIDE, columns=(("frame", "id", "width", "height", "xvelocity"),),
+            ("*_tracks.csv",), reader="sim.formats.recorded_tables:read_highd",
+            columns=(("frame", "id", "width", "height", "xvelocity"),), **_LEVELX,
         ),
         "interaction": Format(
             ("vehicle_tracks_*.csv", "*_train.csv", "*_val.csv", "*_obs.csv"),
-            reader="sim.formats.recorded_tables:read_interaction",
-            own_names=True,
+            reader="sim.formats.recorded_tables:read_interaction", own_names=True,
             beside=("pedestrian_tracks_*.csv", "map_*.xml", "meta_data.csv", "signal_phases_*.csv",
                     "log_map_archive_*.json"),
             columns=(("track_id", "timestamp_ms", "agent_type"),),
@@ -146,7 +146,7 @@ FORMATS: Final[Registry[Format]] = Registry(
                 rb"^\d+ (?:-1|\d+) "
                 rb"(?:car|van|truck|tram|cyclist|pedestrian|person|person_sitting|misc|dontcare) "
             ),
-            "sim.formats.kitti:read", beside=("oxts/*.txt", "calib/*.txt"),
+            "sim.formats.sensor_logs:read_kitti", beside=("oxts/*.txt", "calib/*.txt"),
         ),
         "argo": Format(
             ("*.csv",), re.compile(rb'^"?frame"?[,;\t]"?id"?[,;\t]"?x"?[,;\t]"?y"?\s*\n'),
@@ -172,7 +172,7 @@ FORMATS: Final[Registry[Format]] = Registry(
         ),
         "table": Format(
             ("*.csv", "*.txt", "*.tsv", "*.parquet", "*.feather"),
-            reader="sim.formats.own_table:read", columns=(("id", "t", "x", "y"),),
+            reader="sim.formats.recorded_tables:read_own", columns=(("id", "t", "x", "y"),),
             example=b"id,t,x,y\n1,0.0,0.0,0.0\n1,0.1,1.0,0.0\n2,0.0,9.0,4.0\n2,0.1,9.0,4.0\n",
         ),
         "openscenario": Format(("*.xosc",), writer="sim.formats.asam.openscenario:write"),
@@ -181,7 +181,7 @@ FORMATS: Final[Registry[Format]] = Registry(
 """Every format by name."""
 
 OTHERS: Final = (
-    (re.compile(rb"^par1|^arrow1|^fea1"), "a table of other columns"),
+    (re.compile(rb"^par1|^arrow1|^fea1"), "no known format in a table with the columns"),
     (re.compile(rb"^\s*<(?:!doctype )?html", re.DOTALL), "a web page, no download"),
     (re.compile(rb"^pk\x03\x04"), "a ZIP archive (to be unpacked)"),
     (re.compile(rb"^\x1f\x8b"), "a gzipped file whose name does not end in .gz"),
@@ -198,11 +198,7 @@ OTHERS: Final = (
 
 
 def get_reader(name: str) -> Reader:
-    """The reader of a format.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The reader of a format; one that is only written is refused."""
     source = FORMATS[name].reader
     if source is None:
         raise InputError(f"format {name}: found no reader, expected one that can be read")
@@ -216,11 +212,7 @@ def get_reader(name: str) -> Reader:
 
 
 def get_writer(name: str) -> Writer:
-    """The writer of a format.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """The writer of a format; one that is only read is refused."""
     source = FORMATS[name].writer
     if source is None:
         able = ", ".join(key for key, entry in FORMATS.items() if entry.writer)
@@ -234,7 +226,7 @@ def new_index(name: str) -> Any:
     return None if source is None else loaded(source)()
 
 
-def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
+def _files(path: Path, patterns: Sequence[str]) -> list[Path]:
     """The file itself, or a folder's files whose names match."""
     if path.is_file():
         return [path]
@@ -243,7 +235,7 @@ def _files(path: Path, patterns: tuple[str, ...]) -> list[Path]:
     return sorted(file for file in path.rglob("*") if _named(file, patterns) and file.is_file())
 
 
-def _named(file: Path, patterns: tuple[str, ...]) -> bool:
+def _named(file: Path, patterns: Sequence[str]) -> bool:
     """Whether a file's name matches a pattern; upper case and packed files count, too.
 
     A pattern with a slash is one of the file's folder and name.
@@ -251,6 +243,11 @@ def _named(file: Path, patterns: tuple[str, ...]) -> bool:
     name = plain_name(file).lower()
     within = f"{file.parent.name.lower()}/{name}"
     return any(fnmatchcase(within if "/" in pattern else name, pattern) for pattern in patterns)
+
+
+def _beside(names: Iterable[str]) -> list[str]:
+    """The patterns of files that accompany those of some formats."""
+    return [pattern for name in names for pattern in FORMATS[name].beside]
 
 
 def recognise(path: Path) -> str:
@@ -261,24 +258,17 @@ def recognise(path: Path) -> str:
 def formats_in(path: Path) -> list[str]:
     """Every format of a file or of the files in a folder, told from columns and beginnings.
 
-    Returns:
-        Keys of ``FORMATS`` in their order. A file that looks like several has the first of them:
-        ``ind`` for rounD too.
-
-    Raises:
-        InputError: if there is none; the message says what a file is instead.
+    They are keys of ``FORMATS`` in their order. A file that looks like several has the first of
+    them: ``ind`` for rounD too. If there is none, an error says what a file is instead.
     """
     found: list[str] = []
     known: set[Path] = set()
     for name, entry in FORMATS.items():
-        files = [file for file in _files(path, entry.files) if file not in known]
-        if path.is_dir():
-            accompanying = tuple(pattern for key in found for pattern in FORMATS[key].beside)
-            files = [file for file in files if not _named(file, accompanying)]
-        here = {file for file in files if entry.recognises(file)}
-        if here:
+        accompanying = _beside(found) if path.is_dir() else ()
+        files = (file for file in _files(path, entry.files) if not _named(file, accompanying))
+        if here := {file for file in files if file not in known and entry.recognises(file)}:
             found.append(name)
-            known.update(here)
+            known |= here
     if not found:
         raise InputError(
             f"{path}: found {_what_it_is(path)}, expected one of "
@@ -298,10 +288,8 @@ def _what_it_is(path: Path) -> str:
     if not head:
         return "nothing in it" if path.stat().st_size == 0 else "a file that gzip cannot unpack"
     other = next((text for look, text in OTHERS if look.search(head.lower())), None)
-    if other == OTHERS[0][1]:
-        return f"no known format in a table with the columns {', '.join(names):.{SHOWN}}"
     if other is not None:
-        return other
+        return f"{other} {', '.join(names):.{SHOWN}}" if other.endswith("columns") else other
     line = b"".join(head.splitlines()[:1]).decode("utf-8", "replace")
     if line and line.replace("\t", " ").isprintable():
         return f"no known format in its first line {line[:SHOWN]!r}"
@@ -309,38 +297,26 @@ def _what_it_is(path: Path) -> str:
 
 
 def left_out_files(path: Path, names: Sequence[str]) -> list[Path]:
-    """Files in a folder that look like recordings, and that reading some formats leaves out.
+    """Files in a folder that are named like recordings, but not read as formats of these names.
 
-    Args:
-        path: a file or a folder.
-        names: keys of ``FORMATS``, the formats that are read.
-
-    Returns:
-        Files that are named like a format and not read, in order of their names; files that
-        accompany recordings of these formats are not among them.
+    Files that accompany recordings of these formats are not among them.
     """
     if path.is_file():
         return []
-    beside = tuple(pattern for name in names for pattern in FORMATS[name].beside)
     read = {file for name in names for file in recording_files(path, name)}
-    patterns = tuple(pattern for entry in FORMATS.values() for pattern in entry.files)
-    return [
-        file for file in _files(path, patterns) if file not in read and not _named(file, beside)
-    ]
+    patterns = [pattern for entry in FORMATS.values() for pattern in entry.files]
+    others = (file for file in _files(path, patterns) if file not in read)
+    return [file for file in others if not _named(file, _beside(names))]
 
 
 def recording_files(path: Path, name: str) -> list[Path]:
-    """The files of a format in a folder, by name; a file is itself.
-
-    Raises:
-        InputError: if there is nothing to read.
-    """
+    """The files of a format in a folder, at least one, by name; a file is itself."""
     entry = FORMATS[name]
     files = _files(path, entry.files)
     if path.is_dir():
         files = [f for f in files if not _named(f, entry.beside) and _belongs(f, entry)]
-    if path.is_dir() and entry.one:
-        files = sorted({file.parent: file for file in reversed(files)}.values())
+        if entry.one:
+            files = sorted({file.parent: file for file in reversed(files)}.values())
     if not files:
         raise InputError(f"{path}: found no {name} file ({', '.join(entry.files)})")
     return files
@@ -371,9 +347,6 @@ def read_recordings(path: Path, name: str | None = None, **options: Any) -> Iter
         what is left out. Files of one name in several folders make recordings that are called by
         their folders, too: ``north/vehicle_tracks_000``. One that is called like its file's own
         folder keeps its name.
-
-    Raises:
-        InputError: if a file is broken, or there is none.
     """
     name = "table" if options.get("columns") else name or recognise(path)
     for item in read_formats(path, [name], **options):
@@ -389,39 +362,31 @@ def read_formats(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Iterator[tuple[str, Recording] | Path]:
-    """As `read_recordings`, of several formats.
+    """As `read_recordings`, of several formats; each file's path comes before its recordings.
 
     Args:
         path: a file or a folder.
         names: keys of ``FORMATS``.
         types: a SUMO file with the vTypes of ``sumo-fcd`` recordings, for kinds and sizes.
         rate_hz: frames per second that the recordings really have; None for what they say.
-        columns: what the columns of a table of one's own are, as `sim.formats.own_table` has it.
+        columns: what the columns of a table of one's own are, as `check_columns` takes them.
         units: of these columns.
-
-    Yields:
-        The path of every file before it is read, then its recordings with their format's name.
-
-    Raises:
-        InputError: if a file is broken, or there is none of a format.
     """
-    from sim.formats.common.motion import at_rate
+    from sim.formats.common.recording import at_rate
 
     if types is not None and "sumo-fcd" not in names:
         raise InputError(f"types: found format {names[0]}, expected sumo-fcd: only it needs them")
+    given: dict[str, dict[str, object]] = {
+        "sumo-fcd": {"types": types}, "table": {"columns": columns, "units": units},
+    }  # fmt: skip
     for name in names:
-        options: dict[str, object] = {}
-        if name == "sumo-fcd" and types is not None:
-            options = {"types": types}
-        if name == "table" and columns:
-            options = {"columns": columns, "units": units or {}}
         files = recording_files(path, name)
         alike = Counter(file.name for file in files)
         for file in files:
             yield file
             called = (file.relative_to(path) if path.is_dir() else Path(file.name)).as_posix()
             folder = called.removesuffix(file.name) if alike[file.name] > 1 else ""
-            for recording in get_reader(name)(file, **options):
+            for recording in get_reader(name)(file, **given.get(name, {})):
                 tracks = recording.tracks
                 if rate_hz is not None and tracks.time_s.size > 1:
                     tracks = at_rate(tracks, rate_hz)

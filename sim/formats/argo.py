@@ -18,8 +18,7 @@ import numpy as np
 from behaviors.errors import InputError
 from behaviors.labels import Behavior, Style
 from sim.formats.common.label_file import DriverLabel
-from sim.formats.common.motion import row_motion
-from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded
+from sim.formats.common.recording import CARS_ASSUMED, Recording, recorded, with_motion
 from sim.formats.common.tables import read_columns, read_table, rows_of, words_in
 from sim.frames import FloatArray, Tracks
 from sim.input_files import beside, plain_name, stem
@@ -34,7 +33,6 @@ CODES: Final[dict[int, DriverLabel]] = {
     5: DriverLabel(Style.CONSERVATIVE, Behavior.CAUTIOUS),
 }
 """The label of each code."""
-
 
 ROUNDS: Final = 10
 """Fits per pair of frames (the kept agents stop changing after a few)."""
@@ -55,14 +53,13 @@ def read(path: Path) -> Iterator[Recording]:
     recording = recorded(stem(path), rows, notes)
     recording = replace(recording, tracks=remove_ego_motion(recording.tracks))
     file = beside(path, plain_name(path).replace("_tracks", "_labels"))
-    if file is None:
-        yield recording
-        return
-    labels = read_labels(file)
-    known = [labels.get(name) for name in recording.tracks.names]
-    vague = sum(label is not None and label.behavior is None for label in known)
-    notes.append(f"{vague} agents are aggressive, but of which class is not known: a style alone")
-    yield replace(recording, notes=tuple(notes)).labelled(known)
+    if file is not None:
+        labels = read_labels(file)
+        known = [labels.get(name) for name in recording.tracks.names]
+        vague = sum(label is not None and label.behavior is None for label in known)
+        note = f"{vague} agents are aggressive, but of which class is not known: a style alone"
+        recording = replace(recording, notes=(*notes, note)).labelled(known)
+    yield recording
 
 
 def read_labels(path: Path) -> dict[str, DriverLabel]:
@@ -78,17 +75,10 @@ def read_labels(path: Path) -> dict[str, DriverLabel]:
     return found
 
 
-def rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rigid_motion(before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The rotation and shift that most of (n, 2) points follow from one frame to the next.
 
     ``after @ rotation.T + shift`` is near ``before`` for at least half of the points.
-
-    Examples:
-        >>> still = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 9.0], [7.0, 7.0]])
-        >>> seen = still - [1.0, 0.5]
-        >>> seen[3] += 5.0  # one drives off
-        >>> rigid_motion(still, seen)[1].round(6).tolist()
-        [1.0, 0.5]
     """
     rotation = np.eye(2)
     shift = np.median(before - after, axis=0)
@@ -109,16 +99,15 @@ def remove_ego_motion(tracks: Tracks) -> Tracks:
 
     Headings and speeds are computed from the motion.
     """
-    agent, xy = tracks.index.agent, tracks.row_xy.copy()
+    agent, seen, xy = tracks.index.agent, tracks.row_xy, tracks.row_xy.copy()
     rotation, shift = np.eye(2), np.zeros(2)
     turn, step = np.eye(2), np.zeros(2)
     for t in range(1, tracks.time_s.size):
         before, here = tracks.index.at(t - 1), tracks.index.at(t)
         _, one, other = np.intersect1d(agent[before], agent[here], return_indices=True)
         if one.size >= MIN_AGENTS:
-            turn, step = rigid_motion(tracks.row_xy[before[one]], tracks.row_xy[here[other]])
+            turn, step = _rigid_motion(seen[before[one]], seen[here[other]])
         shift = rotation @ step + shift
         rotation = rotation @ turn
-        xy[here] = tracks.row_xy[here] @ rotation.T + shift
-    heading, speed = row_motion(agent, xy, tracks.time_s[tracks.index.step], 0.0)
-    return replace(tracks, row_xy=xy, row_heading=heading, row_speed=speed)
+        xy[here] = seen[here] @ rotation.T + shift
+    return with_motion(replace(tracks, row_xy=xy))

@@ -23,9 +23,8 @@ import pandas
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording, left_out, recorded
 from sim.frames import AgentKind
-from sim.input_files import stem
+from sim.input_files import read_tree, stem, without_collection
 from sim.road.maps.commonroad_lanelets import road_of
-from sim.xml_tree import read_tree, without_collection
 
 VERSIONS: Final = {"2017a": True, "2018a": True, "2018b": False, "2020a": False}
 """Whether each version gives obstacles' times in seconds."""
@@ -88,6 +87,8 @@ def _rows(root: Element, unit_s: float) -> tuple[pandas.DataFrame, list[str]]:
         static = "static" in (element.findtext("role", "").strip(), element.tag[:6])
         facts = element.attrib["id"].strip(), TYPES[word].code, *_size(element)
         found += [(*state, *facts, static and len(states) == 1) for state in states]
+    if not found:
+        raise InputError("found no obstacle that is a road-agent, expected at least one")
     columns = [*STATE, "id", "kind", "length", "width", "stands"]
     rows = pandas.DataFrame(found, columns=columns)
     rows["t"] = np.round(rows["t"] * unit_s, DECIMALS)

@@ -1,4 +1,4 @@
-"""Tables of recorded traffic: NGSIM, inD, rounD, highD, INTERACTION, and pairs of cars.
+"""Tables of recorded traffic: NGSIM, inD, rounD, highD, INTERACTION, pairs of cars, and one's own.
 
 NGSIM has FEET, feet per second and milliseconds, and positions of the FRONT centre: as CSV with a
 header (upper and lower case vary), or as the highway text files, white space, no header, 18
@@ -22,6 +22,8 @@ where the leader's length is zero or missing, that of its rear. Lengths are metr
 the leaders are as long as cars are in feet: then everything is in feet, as in the recordings of
 NGSIM that such files are cut from. Each pair is a recording of two vehicles on a line.
 
+A table of one's own is any CSV, Parquet or Feather file whose columns the user names.
+
 References:
     U.S. Department of Transportation, Federal Highway Administration (2006), Next Generation
     Simulation (NGSIM) vehicle trajectories.
@@ -34,7 +36,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -44,12 +46,11 @@ import pandas
 from behaviors.errors import InputError
 from sim.formats.common.recording import CAR_LENGTH_M, CAR_WIDTH_M, Recording, recorded
 from sim.formats.common.tables import (
+    NEEDED,
     beginning_of,
     by_word,
-    codes_in,
     finite,
     kinds_in,
-    names_in,
     read_columns,
     read_table,
     read_text,
@@ -60,7 +61,7 @@ from sim.formats.common.tables import (
 from sim.frames import AgentKind
 from sim.input_files import beside, broken_as_one_line, plain_name, stem
 from sim.road.road_files import read_road_file
-from sim.units import in_si
+from sim.units import PARTS, in_si
 
 # --- NGSIM ----------------------------------------------------------------------------------------
 
@@ -125,25 +126,20 @@ def _agents(table: pandas.DataFrame) -> pandas.Categorical:
 
     Ids are used again for other vehicles: how long each is seen, and long breaks, tell them apart.
     """
-    ids, frames = whole(table, "vehicle_id"), whole(table, "total_frames")
-    time_ms = finite(table, "global_time")
-    order = np.lexsort((time_ms, frames, ids))
-    other = np.ones(order.size, dtype=bool)
-    other[1:] = (np.diff(ids[order]) != 0) | (np.diff(frames[order]) != 0)
-    begins = other | (np.diff(time_ms[order], prepend=np.inf) > BREAK_MS)
-    agent = np.empty_like(ids)
-    agent[order] = np.cumsum(begins) - 1
-
-    first, lasts = ids[order[begins]], frames[order[begins]]
-    place = np.arange(first.size)
-    turn = place - np.maximum.accumulate(np.where(other[begins], place, 0))
-    known, counts = np.unique(first[other[begins]], return_counts=True)
-    several = set(known[counts > 1].tolist())
+    rows = pandas.DataFrame(
+        {"id": whole(table, "vehicle_id"), "frames": whole(table, "total_frames"),
+         "time_ms": finite(table, "global_time")}
+    ).sort_values(["id", "frames", "time_ms"])  # fmt: skip
+    passed_ms = rows.groupby(["id", "frames"])["time_ms"].diff()
+    rows["turn"] = (passed_ms > BREAK_MS).groupby([rows["id"], rows["frames"]]).cumsum()
+    keys = ["id", "frames", "turn"]
+    agents = rows[keys].drop_duplicates()
+    several = agents.groupby("id")["frames"].transform("nunique") > 1
     names = [
-        (f"{i}-{n}" if i in several else str(i)) + (f"/{k + 1}" if k else "")
-        for i, n, k in zip(first.tolist(), lasts.tolist(), turn.tolist(), strict=True)
+        (f"{i}-{frames}" if again else str(i)) + (f"/{turn + 1}" if turn else "")
+        for (i, frames, turn), again in zip(agents.to_numpy().tolist(), several, strict=True)
     ]
-    return pandas.Categorical.from_codes(agent, names)
+    return pandas.Categorical.from_codes(rows.groupby(keys).ngroup().sort_index(), names)
 
 
 # --- inD, rounD and highD -------------------------------------------------------------------------
@@ -205,11 +201,11 @@ def _with_metadata(path: Path, rows: pandas.DataFrame, id_column: str) -> list[s
         return [f"{name} is not there: all are taken for cars"]
     with broken_as_one_line(facts, "a table of agents"):
         meta = read_table(facts, (), (id_column, "class"))
-        kinds = dict(zip(names_in(meta[id_column]), kinds_in(meta["class"]), strict=True))
-    missing = next((one for one in rows["id"].cat.categories if one not in kinds), None)
-    if missing is not None:
-        raise InputError(f"{facts}: found no row of agent {missing}, expected one")
-    rows["kind"] = np.array([kinds[one] for one in rows["id"].cat.categories])[rows["id"].cat.codes]
+        kinds = dict(zip(words_in(meta[id_column]), kinds_in(meta["class"]), strict=True))
+    rows["kind"] = rows["id"].astype(object).map(kinds)
+    if (missing := rows["kind"].isna()).any():
+        raise InputError(f"{facts}: found no row of agent {rows['id'][missing].iloc[0]}, "
+                         "expected one")  # fmt: skip
     return []
 
 
@@ -245,16 +241,11 @@ def read_interaction(path: Path) -> Iterator[Recording]:
         yield recorded(name, rows, notes, road, origin)
 
 
-def _told_apart(table: pandas.DataFrame) -> pandas.Categorical:
+def _told_apart(table: pandas.DataFrame) -> pandas.Series:
     """Names of agents; those of one id and two types are two agents."""
-    agent, ids = codes_in(table["track_id"])
-    kind, _ = codes_in(table["agent_type"])
-    several = pandas.Series(kind).groupby(agent).transform("nunique").to_numpy() > 1
-    if not several.any():
-        return pandas.Categorical.from_codes(agent, ids)
-    names = words_in(table["track_id"])
-    both = zip(names, words_in(table["agent_type"]), several, strict=True)
-    return pandas.Categorical([f"{name}-{word}" if two else name for name, word, two in both])
+    name, kind = table["track_id"].astype(str), table["agent_type"].astype(str)
+    several = kind.groupby(name).transform("nunique") > 1
+    return name.where(~several, name + "-" + kind)
 
 
 def map_beside(path: Path) -> Path | None:
@@ -323,7 +314,7 @@ def read_pairs(path: Path) -> Iterator[Recording]:
 
 def _of_pair(table: pandas.DataFrame, unit: str) -> pandas.DataFrame:
     """Rows of one pair: the follower's, then the leader's."""
-    names = []
+    names: list[str] = []
     for role in _ROLES[2:]:
         called = table[role].unique() if role in table else [role]
         if len(called) > 1 or str(called[0]) in names:
@@ -333,16 +324,81 @@ def _of_pair(table: pandas.DataFrame, unit: str) -> pandas.DataFrame:
                 "the follower"
             )
         names.append(str(called[0]))
-    length = in_si(finite(table, "leader_length"), unit)
+    t, *values = (finite(table, name) for name in _PAIR)
+    x, v, leader_x, leader_v, length = (in_si(each, unit) for each in values)
     leader_m = float(length[0]) if length[0] > 0.0 else CAR_LENGTH_M
-    x, v, leader_x, leader_v = (in_si(finite(table, name), unit) for name in _PAIR[1:5])
-    places = x - 0.5 * CAR_LENGTH_M, leader_x - length + 0.5 * leader_m
-    each = zip(names, places, (v, leader_v), (CAR_LENGTH_M, leader_m), strict=True)
     rows = [
         pandas.DataFrame(
-            {"id": name, "t": finite(table, "t"), "x": x, "y": 0.0, "heading": 0.0,
+            {"id": name, "t": t, "x": place, "y": 0.0, "heading": 0.0,
              "speed": np.maximum(speed, 0.0), "length": length_m, "width": CAR_WIDTH_M}
         )
-        for name, x, speed, length_m in each
+        for name, place, speed, length_m in (
+            (names[0], x - 0.5 * CAR_LENGTH_M, v, CAR_LENGTH_M),
+            (names[1], leader_x - length + 0.5 * leader_m, leader_v, leader_m),
+        )
     ]  # fmt: skip
     return pandas.concat(rows)
+
+
+# --- a table of one's own -------------------------------------------------------------------------
+
+WORDS: Final = ("id", "kind")
+NUMBERS: Final = ("t", "x", "y", "heading", "speed", "vx", "vy", "length", "width")
+"""What columns may be."""
+
+METRES: Final = {"m": "", "km": "km", "ft": "ft"}
+SPEEDS: Final = {"m/s": "", "km/h": "km/h", "mph": "mph", "ft/s": "ft/s"}
+UNITS: Final[dict[str, dict[str, str]]] = {
+    "t": {"s": "", **{unit: unit for unit in PARTS}},
+    "heading": {"rad": "", "deg": "deg"},
+    **dict.fromkeys(("x", "y", "length", "width"), METRES),
+    **dict.fromkeys(("speed", "vx", "vy"), SPEEDS),
+}
+"""The units that each column may have, as `sim.units.in_si` takes them; the first is its usual."""
+
+
+def check_columns(columns: Mapping[str, str], units: Mapping[str, str]) -> None:
+    """Refuse columns that are not known or missing, and units that a column cannot have.
+
+    Columns are the names in the file of some of ``WORDS`` and ``NUMBERS``.
+    """
+    for key in columns:
+        if key not in (*WORDS, *NUMBERS):
+            known = ", ".join((*WORDS, *NUMBERS))
+            raise InputError(f"columns: found {key[:60]!r}, expected one of {known}")
+    for key in NEEDED:
+        if key not in columns:
+            raise InputError(f"columns: found no {key}, expected {key}=NAME as in the file")
+    for key, unit in units.items():
+        if key not in columns or key in WORDS:
+            raise InputError(f"units: found {key[:60]!r}, expected one of the numbers in columns")
+        if unit not in UNITS[key]:
+            known = ", ".join(UNITS[key])
+            raise InputError(f"units: {key}: found {unit[:60]!r}, expected one of {known}")
+
+
+def read_own(
+    path: Path, columns: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
+) -> Iterator[Recording]:
+    """Read a table of one's own; headings, speeds and sizes that it lacks are computed or assumed.
+
+    Columns and units are as `check_columns` takes them; by default ``id``, ``t``, ``x`` and ``y``
+    in SI units, and radians from +x.
+    """
+    columns, units = columns or {key: key for key in NEEDED}, units or {}
+    check_columns(columns, units)
+    names = {key: name.strip().lower() for key, name in columns.items()}
+    if "speed" in names:
+        names = {key: name for key, name in names.items() if key not in ("vx", "vy")}
+    in_file = beginning_of(path)[1]
+    absent = next((name for name in names.values() if name not in in_file), None)
+    if absent is not None and in_file:
+        raise InputError(
+            f"{path}: found the columns {', '.join(in_file)!r:.160}, expected a column {absent}"
+        )
+    known = {key: UNITS[key][unit] for key, unit in units.items()}
+    optional = [name for key, name in names.items() if key not in NEEDED]
+    rows = rows_of(read_columns(path, names, (), optional), names, known, from_zero=True)
+    missing = [key for key in ("heading", "speed", "kind", "length") if key not in columns]
+    notes = [f"not in the table, taken from the motion or assumed: {', '.join(missing)}"]
+    yield recorded(stem(path), rows, notes if missing else ())

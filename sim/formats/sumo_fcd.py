@@ -25,10 +25,9 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import Recording, default_size, recorded
-from sim.formats.common.tables import beginning_of, codes_in, read_table, words_in
+from sim.formats.common.tables import beginning_of, read_table
 from sim.frames import PEDESTRIAN, AgentKind, Tracks
-from sim.input_files import opened, stem
-from sim.xml_tree import refuse_declarations
+from sim.input_files import opened, refuse_declarations, stem
 
 HEAD_BYTES: Final = 2**16
 """Beginning of a file in which declarations are looked for: they come before all elements."""
@@ -76,7 +75,7 @@ def read_types(path: Path) -> dict[str, Type]:
 
 
 NUMBERS: Final = ("x", "y", "angle", "speed")
-FACTS: Final = ("tag", "id", "type", "behavior")
+FACTS: Final = ("id", "type", "behavior")
 TAGS: Final = ("vehicle", "person", "container")
 CLOCK: Final = "timestep_time"
 """Attributes that are read of the elements, and the times of tables; containers are counted."""
@@ -85,11 +84,7 @@ CLOCK: Final = "timestep_time"
 def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     """The recording of one FCD file: XML, or SUMO's own CSV or Parquet.
 
-    Args:
-        path: the file; gzipped where its name ends in ``.gz``. Speeds and angles that it does not
-            have are taken from the motion.
-        types: a file with the vTypes; by default the one that ends in ``.types.xml`` beside it,
-            if there is one.
+    The vTypes are by default in the file that ends in ``.types.xml`` beside it, if there is one.
     """
     beside = path.with_name(stem(path) + TYPES_SUFFIX)
     types = types or (beside if beside.is_file() else None)
@@ -99,13 +94,8 @@ def read(path: Path, types: Path | None = None) -> Iterator[Recording]:
     yield _recording(stem(path), rows, times_s, known)
 
 
-def seconds_of(text: str) -> float:
-    """A time of SUMO's, s: a number, or ``[days:]hours:minutes:seconds``.
-
-    Examples:
-        >>> seconds_of("01:00:02.50"), seconds_of("1:00:00:00"), seconds_of("7")
-        (3602.5, 86400.0, 7.0)
-    """
+def _seconds_of(text: str) -> float:
+    """A time of SUMO's, s: a number, or ``[days:]hours:minutes:seconds``."""
     try:
         parts = [float(part) for part in text.split(":")]
     except ValueError:
@@ -116,13 +106,13 @@ def seconds_of(text: str) -> float:
 
 
 def _rows_of_xml(path: Path) -> tuple[pandas.DataFrame, list[float]]:
-    """The rows of the agents, with `FACTS` and `NUMBERS`, and the times of the steps, s."""
+    """The rows of the agents, with tag, `FACTS` and `NUMBERS`, and the times of the steps, s."""
     index: dict[tuple[str, str], int] = {}
     facts: list[tuple[str, ...]] = []
     times_s: list[float] = []
     agent, values = array("q"), array("d")
     for step in _elements(path, "timestep"):
-        now_s = seconds_of(step.get("time", ""))
+        now_s = _seconds_of(step.get("time", ""))
         if times_s and not now_s > times_s[-1]:
             raise InputError(f"timestep: found time {now_s:g}, expected one after {times_s[-1]:g}")
         times_s.append(now_s)
@@ -136,26 +126,23 @@ def _rows_of_xml(path: Path) -> tuple[pandas.DataFrame, list[float]]:
             agent.append(row)
             values.append(now_s)
             values.extend([float(get(name, math.nan)) for name in NUMBERS])
-    rows = pandas.DataFrame(facts, columns=FACTS, dtype="category").iloc[
-        np.asarray(agent, dtype=int)
-    ]
+    known = pandas.DataFrame(facts, columns=["tag", *FACTS], dtype="category")
+    rows = known.iloc[np.asarray(agent, dtype=int)]
     rows[["t", *NUMBERS]] = np.asarray(values).reshape(-1, 1 + len(NUMBERS))
-    return rows[rows["tag"].isin(TAGS)], times_s
+    return rows[rows["tag"].isin(TAGS)].reset_index(drop=True), times_s
 
 
 def _rows_of_table(path: Path) -> tuple[pandas.DataFrame, list[float]]:
     """The same of a CSV or Parquet file, whose columns are named ``vehicle_x`` and so on."""
     numbers = [f"{tag}_{name}" for tag in TAGS for name in NUMBERS]
-    words = [f"{tag}_{name}" for tag in TAGS for name in FACTS[1:]]
+    words = [f"{tag}_{name}" for tag in TAGS for name in FACTS]
     table = read_table(path, numbers, [CLOCK, *words], [*numbers, *words])
-    code, texts = codes_in(table[CLOCK])
-    table["t"] = np.array([seconds_of(text) for text in texts])[code]
+    table["t"] = table[CLOCK].map(_seconds_of).astype(float)
     parts = []
     for tag in TAGS:
         part = table.rename(columns={f"{tag}_{name}": name for name in (*FACTS, *NUMBERS)})
         part = part.reindex(columns=[*FACTS, "t", *NUMBERS])
-        for name in FACTS[1:]:
-            part[name] = [word or "" for word in words_in(part[name])]
+        part[[*FACTS]] = part[[*FACTS]].astype(object).fillna("")
         parts.append(part[part["id"] != ""].assign(tag=tag))
     rows = pandas.concat(parts, ignore_index=True)
     kind = rows["type"].str.lower()  # tables have containers and persons among vehicles
@@ -168,15 +155,20 @@ def _recording(
     name: str, rows: pandas.DataFrame, times_s: list[float], types: Mapping[str, Type]
 ) -> Recording:
     """The recording of a file's rows."""
+    shared = rows[rows.duplicated(["t", "x", "y"], keep=False)]
+    drives = (shared["tag"] == "vehicle").groupby([shared["t"], shared["x"], shared["y"]])
+    riding = shared.index[drives.transform("any") & (shared["tag"] == "person")]
+    riders = rows["id"][riding].nunique()
     containers = rows["id"][rows["tag"] == "container"].nunique()
+    rows = rows.drop(riding)
     rows = rows[rows["tag"] != "container"]
     if rows.empty:
         raise InputError("found no vehicle and no person in a timestep, expected some")
     agent = rows.groupby(["tag", "id"], sort=False, observed=True).ngroup().to_numpy()
-    facts = rows.iloc[np.unique(agent, return_index=True)[1]]
-    found: dict[str, tuple[AgentKind, tuple[float, float], int]] = {}
-    assumed = 0
-    for tag, own, word, behavior in facts[list(FACTS)].itertuples(index=False):
+    first = rows.iloc[np.unique(agent, return_index=True)[1]]
+    found: dict[str, tuple[AgentKind, tuple[float, float]]] = {}
+    codes: dict[str, int] = {}
+    for tag, own, word, behavior in first[["tag", *FACTS]].itertuples(index=False):
         while own in found:
             own = f"{tag}-{own}"
         if behavior and behavior not in BEHAVIORS:
@@ -185,25 +177,25 @@ def _recording(
                 f"{', '.join(BEHAVIORS)}"
             )
         kind = AgentKind.PEDESTRIAN if tag == "person" else _kind_in(word)
-        assumed += word not in types
-        code = BEHAVIORS.index(behavior) if behavior else -1
-        found[own] = (*types.get(word, (kind, default_size(kind))), code)
-    kinds, sizes, codes = zip(*found.values(), strict=True)
+        found[own] = types.get(word, (kind, default_size(kind)))
+        codes[own] = BEHAVIORS.index(behavior) if behavior else -1
     made = rows[["t", "x", "y", "speed"]].assign(
         id=pandas.Categorical.from_codes(agent, list(found)),
         heading=np.radians(90.0 - rows["angle"]),
-        kind=np.array([kind.code for kind in kinds])[agent],
-        length=np.array(sizes)[agent, 0],
-        width=np.array(sizes)[agent, 1],
+        kind=np.array([kind.code for kind, _ in found.values()])[agent],
     )
+    made[["length", "width"]] = np.array([sides for _, sides in found.values()])[agent]
+    assumed = int((~first["type"].isin(types)).sum())
     notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
     recording = recorded(
         name, made, notes if assumed else (), empty_s=times_s, ahead_lengths=0.5
-    ).with_codes(dict(zip(found, codes, strict=True)))
-    if not containers:
-        return recording
-    doubt = f"{containers} containers are left out: they are no road-agents"
-    return replace(recording, doubts=(doubt, *recording.doubts))
+    ).with_codes(codes)
+    doubts = list(recording.doubts)
+    if containers:
+        doubts.insert(0, f"{containers} containers are left out: they are no road-agents")
+    if riders:
+        doubts.append(f"{riders} riders are left out while they are inside a vehicle")
+    return replace(recording, doubts=tuple(doubts))
 
 
 def _kind_in(name: str) -> AgentKind:
@@ -213,46 +205,39 @@ def _kind_in(name: str) -> AgentKind:
 
 
 def write(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:
-    """Write an episode, with its behaviours, and its vTypes beside it; lanes are left out.
-
-    Raises:
-        InputError: if an agent has a name that XML cannot hold.
-    """
+    """Write an episode, with its behaviours, and its vTypes beside it; lanes are left out."""
     for label in tracks.names:
         if not label.isprintable():
             raise InputError(f"{name}: found agent {label!r}, expected a name that can be printed")
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<fcd-export>"]
+    head = '<?xml version="1.0" encoding="UTF-8"?>'
+    index, heading = tracks.index, tracks.row_heading
     codes = [-1] * len(tracks.names) if tracks.behavior is None else tracks.behavior
     labels = [f' behavior="{tracks.classes[code]}"' if code >= 0 else "" for code in codes]
     ids = [quoteattr(label) for label in tracks.names]
     types = [quoteattr(f"type-{label}") for label in tracks.names]
     element = ["person" if kind == PEDESTRIAN else "vehicle" for kind in tracks.kind]
-    front = tracks.row_xy + 0.5 * tracks.length[tracks.index.agent, None] * np.stack(
-        [np.cos(tracks.row_heading), np.sin(tracks.row_heading)], axis=1
-    )
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    front = tracks.row_xy + 0.5 * tracks.length[index.agent, None] * forward
+    lines = [head, "<fcd-export>"]
     for step, time_s in enumerate(tracks.time_s.tolist()):
         lines.append(f'    <timestep time="{time_s!r}">')
-        for at in tracks.index.at(step).tolist():
-            row = int(tracks.index.agent[at])
+        for at in index.at(step).tolist():
+            row = int(index.agent[at])
             x, y = front[at].tolist()
-            angle = (90.0 - math.degrees(tracks.row_heading[at])) % 360.0
+            angle = (90.0 - math.degrees(heading[at])) % 360.0
             lines.append(
                 f'        <{element[row]} id={ids[row]} x="{x!r}" y="{y!r}" '
                 f'angle="{angle!r}" type={types[row]} '
                 f'speed="{float(tracks.row_speed[at])!r}"{labels[row]}/>'
             )
         lines.append("    </timestep>")
-    lines.append("</fcd-export>\n")
     usual = {kind.code: name for name, kind in reversed(CLASSES.items())}
-    classes = [usual[code] for code in tracks.kind.tolist()]
-    known = ['<?xml version="1.0" encoding="UTF-8"?>', "<additional>"]
-    known += [
-        f'    <vType id={types[i]} vClass="{classes[i]}" '
+    known = [
+        f'    <vType id={types[i]} vClass="{usual[kind]}" '
         f'length="{float(tracks.length[i])!r}" width="{float(tracks.width[i])!r}"/>'
-        for i in range(len(tracks.names))
+        for i, kind in enumerate(tracks.kind.tolist())
     ]
-    known.append("</additional>\n")
     path, beside = folder / f"{name}.xml", folder / f"{name}{TYPES_SUFFIX}"
-    write_whole(path, "\n".join(lines).encode())
-    write_whole(beside, "\n".join(known).encode())
+    write_whole(path, "\n".join([*lines, "</fcd-export>\n"]).encode())
+    write_whole(beside, "\n".join([head, "<additional>", *known, "</additional>\n"]).encode())
     return [path, beside]

@@ -53,46 +53,42 @@ TRAIT_CODES: Final[dict[int, Trait]] = {
 """The sheets' codes; where the data do not identify one, it follows the paper's trait table."""
 
 
-def read(path: Path, frame_rate_hz: float = FRAME_RATE_HZ) -> Iterator[Recording]:
+def read(path: Path) -> Iterator[Recording]:
     """The recording of one ``..._gt.txt``, in pixels, y up.
 
     An agent's length and width are the median sides of its box in the image. Annotators who
     disagree are resolved the ``lenient`` way.
     """
     boxes = _boxes(path)
-    names, tracks = list[str](), list[IntArray]()
-    for identity in np.unique(boxes[:, 5]).tolist():
-        own = _tracks_of(boxes[boxes[:, 5] == identity])
-        names += [f"{identity}-{k}" if k > 1 else str(identity) for k in range(1, len(own) + 1)]
-        tracks += own
-    table = np.concatenate(tracks)
-    rows = pandas.DataFrame(_centres(table), columns=["x", "y"])
-    counts = [len(track) for track in tracks]
-    rows["id"] = np.repeat(np.array(names, dtype=object), counts)
-    rows["t"] = table[:, 0] / frame_rate_hz
-    sides = [np.median(track[:, 3:5], axis=0) for track in tracks]
-    rows[["length", "width"]] = np.repeat(sides, counts, axis=0)
+    parts = []
+    ids = np.unique(boxes[:, 5]).tolist()
+    for identity in ids:
+        for k, own in enumerate(_tracks_of(boxes[boxes[:, 5] == identity])):
+            rows = pandas.DataFrame(_centres(own), columns=["x", "y"])
+            rows["id"] = f"{identity}-{k + 1}" if k else str(identity)
+            rows["t"] = own[:, 0] / FRAME_RATE_HZ
+            rows["length"], rows["width"] = np.median(own[:, 3:5], axis=0)
+            parts.append(rows)
     notes = [
         "lengths are pixels and speeds pixels per second: the format has no scale",
-        f"{frame_rate_hz:g} frames per second are assumed; kinds are not in this format",
+        f"{FRAME_RATE_HZ:g} frames per second are assumed; kinds are not in this format",
     ]
-    twins = len(names) - np.unique(boxes[:, 5]).size
-    if twins:
+    if twins := len(parts) - len(ids):
         notes.append(f"{twins} boxes had an id that was in use at the time: they got their own")
-    recording = recorded(stem(path), rows, in_metres=False)
-    sheets = sheets_beside(path)
-    if sheets:
+    recording = recorded(stem(path), pandas.concat(parts), in_metres=False)
+    if sheets := sheets_beside(path):
         codes = labels(recording.tracks, sheets, "lenient")
         files = ", ".join(f"{sheet.annotator}{sheet.video}.xlsx" for sheet in sheets)
         known = int((codes >= 0).sum())
         notes.append(f"{known} labels are resolved from the traits in {files}")
-        recording = replace(recording, tracks=recording.tracks.with_behavior(codes))
+        recording = replace(recording, tracks=replace(recording.tracks, behavior=codes))
     yield replace(recording, notes=tuple(notes))
 
 
 def _boxes(path: Path) -> IntArray:
     """(k, 6) frame, x, y, width, height and id of every box, in order of the frames."""
     parts: list[IntArray] = []
+    last = -math.inf
     with opened(path) as file:
         for number, line in enumerate(file, 1):
             if not line.strip():
@@ -100,19 +96,18 @@ def _boxes(path: Path) -> IntArray:
             try:
                 frame, count, *fields = map(int, line.split(b","))
                 found = np.array(fields, dtype=np.int64).reshape(count, 5)
+                parts.append(np.insert(found, 0, frame, axis=1))
             except (ValueError, OverflowError):
                 raise InputError(
                     f"{path}: line {number}: found {line[:40]!r}, expected whole numbers: a frame, "
                     "a count, and five for each box"
                 ) from None
-            if parts and frame <= parts[-1][0, 0]:
+            if frame <= last:
                 raise InputError(
-                    f"{path}: line {number}: found frame {frame}, expected one after "
-                    f"{parts[-1][0, 0]}"
+                    f"{path}: line {number}: found frame {frame}, expected one after {last}"
                 )
-            if count:
-                parts.append(np.insert(found, 0, frame, axis=1))
-    if not parts:
+            last = frame
+    if not any(map(len, parts)):
         raise InputError(f"{path}: found no boxes, expected some")
     return np.concatenate(parts)
 
@@ -158,12 +153,9 @@ def _tracks_of(boxes: IntArray) -> list[IntArray]:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """What one annotator noted on one video.
+    """What one annotator noted on one video: traits by agent id, of annotated agents only.
 
-    Attributes:
-        annotator: the letter of the sheet's name.
-        video: the number of the sheet's name.
-        traits: by agent id, in the annotator's order; annotated agents only.
+    The letter and the number of the sheet's name are ``annotator`` and ``video``.
     """
 
     annotator: str
@@ -172,11 +164,7 @@ class Sheet:
 
 
 def read_sheet(path: Path) -> Sheet:
-    """One annotator's sheet, ``<letter><video>.xlsx``.
-
-    Raises:
-        InputError: naming file and row, if the sheet is broken.
-    """
+    """One annotator's sheet, ``<letter><video>.xlsx``."""
     name = re.fullmatch(r"([a-z])(\d+)", path.stem)
     if name is None or not path.is_file():
         raise InputError(f"{path}: found no sheet, expected <letter><video>.xlsx")
@@ -205,12 +193,7 @@ def sheets_of(folder: Path, video: int | None) -> tuple[Sheet, ...]:
 
 
 def video_number(path: Path) -> int | None:
-    """The number by which sheets name a video: the last one in the file's name.
-
-    Examples:
-        >>> video_number(Path("TRAF53_8_gt.txt"))
-        8
-    """
+    """The number by which sheets name a video: the last one in the name, ``TRAF53_8_gt.txt``."""
     found = re.search(r"(\d+)_gt$", stem(path))
     return int(found[1]) if found else None
 
@@ -224,13 +207,7 @@ def sheets_beside(path: Path) -> tuple[Sheet, ...]:
 
 
 def labels(tracks: Tracks, sheets: tuple[Sheet, ...], rule: Resolution) -> NDArray[np.int8]:
-    """(N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the conflict stays.
-
-    Args:
-        tracks: of the video; agents are found by their names.
-        sheets: of the same video.
-        rule: how conflicts are resolved.
-    """
+    """(N,) codes into ``BEHAVIORS``, -1 where nobody annotated or the rule leaves a conflict."""
     out = np.full(tracks.ids.size, -1, dtype=np.int8)
     for row, name in enumerate(tracks.names):
         noted = [s.traits[int(name)] for s in sheets if name.isdecimal() and int(name) in s.traits]

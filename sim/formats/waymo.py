@@ -247,7 +247,6 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     name = str(found.get("scenario_id") or found.get("name") or stem(path))[:100]
     time_s = np.arange(steps, dtype=np.float64) * PERIOD_S
     scene = DrivingScene(path, name.removesuffix(".json"), time_s)
-    courses = [np.empty(0)]
     for index, one in enumerate(found["objects"]):
         kind = WORDS.get(one["type"].lower().removeprefix("type_"))
         if kind is None:
@@ -259,12 +258,10 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
         table = np.column_stack([xy, one["heading"], speed, *sides]).astype(np.float64)
         seen = np.flatnonzero(one["valid"])
         scene.agents.append((str(one.get("id", index)), kind, seen, table[seen]))
-        course = np.arctan2(velocity[:, 1], velocity[:, 0])
-        courses.append(np.where((speed > 1.0) & (speed < 1e9), course, np.nan)[seen])
-    heading = np.concatenate([np.empty(0), *(values[:, 2] for *_, values in scene.agents)])
-    if _in_degrees(heading, np.concatenate(courses)):
-        for *_, values in scene.agents:
-            values[:, 2] = np.radians(values[:, 2])
+    headings = [values[:, 2] for *_, values in scene.agents]
+    if max((np.abs(one).max(initial=0.0) for one in headings), default=0.0) > 2 * math.pi + 0.01:
+        for one in headings:  # Nocturne's degrees
+            one[:] = np.radians(one)
     for index, road in enumerate(found.get("roads") or []):
         identity, line = road.get("id", index), road.get("geometry")
         if isinstance(line, list) and road["type"] == "lane":
@@ -279,14 +276,3 @@ def _from_nocturne(path: Path, found: Mapping[str, Any]) -> DrivingScene:
             if int(lane) in known and 0 <= t < steps:
                 scene.lights[t][int(lane)] = STATES.get(word, Signal.OFF)
     return scene
-
-
-def _in_degrees(heading: FloatArray, course: FloatArray) -> bool:
-    """Whether headings are degrees: whichever unit agrees better with where agents go."""
-    if heading.size and np.abs(heading).max() > 2 * math.pi + 0.01:
-        return True
-    known = np.isfinite(course) & (np.abs(heading) < 1e6)
-    as_radians, as_degrees = (
-        np.cos(angle[known] - course[known]).sum() for angle in (heading, np.radians(heading))
-    )
-    return bool(as_degrees > as_radians)

@@ -22,9 +22,10 @@ import numpy as np
 from behaviors.profiles import CLOSING_ERROR_PER_S, ERROR_TIME_S
 from sim.compiled import in_place
 from sim.highway import driving, junctions, pedestrians, places
-from sim.highway.driving import chance, desired_speed, follow, idm, wait_s
-from sim.highway.places import beside, heading_at, onward, path_to, project
+from sim.highway.driving import desired_speed, draw, follow, idm, plan_next
+from sim.highway.places import along_lane, beside, heading_at, onward, path_to, project
 from sim.highway.state import LATE_S, MOST_LATE, Scene
+from sim.scenario import IMPERFECTION
 
 STOP_LASTS_S, GIVE_UP_S = (3.0, 6.0), 20.0
 """Least and longest duration of an unprovoked stop, and for how long a driver looks for somebody to
@@ -52,10 +53,10 @@ of at least this much in front and behind."""
 
 
 @in_place()
-def act(scene: Scene) -> int:
+def act(scene: Scene) -> None:
     """Work out what the rules demand of every driver, and decide for all unless somebody is astray.
 
-    Returns how many drivers need another route; `decide` has to be called once they have it.
+    ``now.astray`` then says how many drivers need another route; `decide` comes after they have it.
     """
     scene.now[0].astray = 0
     junctions.look_ahead(scene)
@@ -67,13 +68,12 @@ def act(scene: Scene) -> int:
         me.astray = False
         if not me.profiled:
             continue
-        if scene.net.has_wrong and (me.wrong_way or me.clock >= me.wrong_way_at):
-            me.forced = _wrong_way_lane(i, scene)
+        if scene.net.has_wrong and (me.wrong_way or me.clock >= me.due[driving.WRONG_WAY]):
+            me.forced = _wrong_way_lane(me, scene)
         if me.path < 0 and me.then >= 0 and me.forced < 0:
-            me.forced = _lane_to_get_over_to(i, scene)
+            me.forced = _lane_to_get_over_to(me, scene)
     if scene.now[0].astray == 0:
         decide(scene)
-    return int(scene.now[0].astray)
 
 
 @in_place()
@@ -86,7 +86,7 @@ def decide(scene: Scene) -> None:
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         if me.profiled and not me.crashed:
-            _choose_lane(i, scene)
+            _choose_lane(me, scene)
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         if not me.profiled:
@@ -96,25 +96,25 @@ def decide(scene: Scene) -> None:
         if me.crashed:
             me.steering, me.accel = 0.0, -me.comfort_decel_mps2
         else:
-            _accelerate(i, scene)
-            _steer(i, scene)
+            _accelerate(me, scene)
+            _steer(me, scene)
 
 
 @in_place(inner=True)
-def _steer(i: int, scene: Scene) -> None:
+def _steer(me: Any, scene: Scene) -> None:
     """Steer along the wanted lane; from the line of a junction until the rear has left it, turn."""
-    net, me = scene.net, scene.vehicles[i]
+    net = scene.net
     if me.wanted == me.lane and (me.last_path >= 0 or (me.path >= 0 and me.to_line < 0.0)):
         tight = net.lanes[me.last_path if me.last_path >= 0 else me.path].tight
         guided, k = 1.0 if tight else driving.GUIDED, me.lane
         ahead = guided * me.length / 2
         x, y = me.x + ahead * math.cos(me.heading), me.y + ahead * math.sin(me.heading)
         s, lateral, _ = project(x, y, k, net)
-        then = onward(i, k, scene)
+        then = onward(me, k, scene)
         while s > net.lanes[k].length and then >= 0:
             k = then
             s, lateral, _ = project(x, y, k, net)
-            then = onward(i, k, scene) if net.lanes[k].connector else -1
+            then = onward(me, k, scene) if net.lanes[k].connector else -1
         me.steering = driving.turning_angle(me, guided, lateral, heading_at(s, k, net))
         return
     s, lateral, _ = project(me.x, me.y, me.wanted, net)
@@ -123,92 +123,77 @@ def _steer(i: int, scene: Scene) -> None:
 
 
 @in_place(inner=True)
-def _choose_lane(i: int, scene: Scene) -> None:
-    me = scene.vehicles[i]
+def _choose_lane(me: Any, scene: Scene) -> None:
     me.wanted = me.lane
     if me.clock < me.lapse_until:
         me.wanted = me.target
     elif me.forced >= 0:
         me.wanted = me.forced
     elif me.lane != me.target:
-        if me.wrong_way or scene.net.lanes[me.target].wrong or not _is_behind_a_change(i, scene):
+        if me.wrong_way or scene.net.lanes[me.target].wrong or not _is_behind_a_change(me, scene):
             me.wanted = me.target
     elif me.timer > CHANGE_DELAY_S:
         me.timer = 0.0
         if me.changes and me.speed >= CHANGE_LEAST_SPEED_MPS:
-            _weigh_lanes(i, scene)
+            _weigh_lanes(me, scene)
 
 
 @in_place(inner=True)
-def _is_behind_a_change(i: int, scene: Scene) -> bool:
+def _is_behind_a_change(me: Any, scene: Scene) -> bool:
     """Whether a vehicle just ahead changes to the same lane."""
-    me = scene.vehicles[i]
-    here = places.along_lane(i, me.lane, scene)
-    j = scene.lane_head[me.target]
+    here, j = along_lane(me, me.lane, scene.net), scene.lane_head[me.target]
     while j >= 0:
         other = scene.vehicles[j]
-        if j != i:
-            ahead = places.along_lane(j, me.lane, scene) - here
-            gap = ahead - (me.length + other.length) / 2
-            if ahead > 0.0 and gap < me.change_gap + me.speed * 0.5:
-                return True
+        ahead = along_lane(other, me.lane, scene.net) - here
+        gap = ahead - (me.length + other.length) / 2
+        if ahead > 0.0 and gap < me.change_gap + me.speed * 0.5:
+            return True
         j = scene.lane_link[j]
     return False
 
 
 @in_place(inner=True)
-def _weigh_lanes(i: int, scene: Scene) -> None:
+def _weigh_lanes(me: Any, scene: Scene) -> None:
     """Choose between the present lane and those beside it."""
-    net, me = scene.net, scene.vehicles[i]
-    limit, here = net.lanes[me.lane].limit, beside(i, me.lane, scene)
-    if me.clock > me.cut_in_at + GIVE_UP_S:
-        _schedule_cut_in(me)
-    cutting_in, most = me.clock >= me.cut_in_at, 0.0
-    for side in (net.lanes[me.lane].left, net.lanes[me.lane].right):
-        if side < 0 or (me.then >= 0 and path_to(side, me.then, net) < 0):
+    lane, here, most = scene.net.lanes[me.lane], beside(me, me.lane, scene), 0.0
+    if me.clock > me.due[driving.CUTS_IN] + GIVE_UP_S:
+        plan_next(me, driving.CUTS_IN, me.clock)
+    for side in (lane.left, lane.right):
+        if side < 0 or (me.then >= 0 and path_to(side, me.then, scene.net) < 0):
             continue
-        there = beside(i, side, scene)
-        if cutting_in and driving.may_cut_in(me, there):
+        there = beside(me, side, scene)
+        if me.clock >= me.due[driving.CUTS_IN] and driving.may_cut_in(me, there):
             me.wanted = side
-            _schedule_cut_in(me)
+            plan_next(me, driving.CUTS_IN, me.clock)
             return
         old, new = scene.vehicles[max(here.rear, 0)], scene.vehicles[max(there.rear, 0)]
-        gain = driving.change_incentive(me, limit, here, there, old, new)
+        gain = driving.change_incentive(me, lane.limit, here, there, old, new)
         if gain > most:
             me.wanted, most = side, gain
 
 
 @in_place(inner=True)
-def _schedule_cut_in(me: Any) -> None:
-    """Draw when a driver next begins to look for a vehicle to cut in front of."""
-    me.cut_in_at = me.clock + wait_s(me.key, driving.CUTS_IN, me.cut_ins, me.cut_in_rate_per_min)
-    me.cut_ins += 1
-
-
-@in_place(inner=True)
-def _lane_to_get_over_to(i: int, scene: Scene) -> int:
+def _lane_to_get_over_to(me: Any, scene: Scene) -> int:
     """The lane beside its own that a driver on a wrong lane changes to now, or -1.
 
     A driver that stands at the end of its lane goes on where the lane leads, and needs another
     route from there; one whose lane leads nowhere waits for a gap.
     """
-    net, me = scene.net, scene.vehicles[i]
-    lane = net.lanes[me.lane]
+    lane = scene.net.lanes[me.lane]
     if lane.connector or lane.wrong or me.crashed:
         return -1
     side = _towards(me.lane, me.then, scene)
     leads_on = lane.way < lane.way_end
     stands = leads_on and me.to_line < AT_END_M and me.stood_s > GIVES_UP_S
-    if side < 0 or (stands and beside(i, me.lane, scene).front_gap > me.to_line):
+    if side < 0 or (stands and beside(me, me.lane, scene).front_gap > me.to_line):
         me.target = me.wanted = me.lane
         me.astray = True
         scene.now[0].astray += 1
         return -1
-    if me.target != me.lane:
-        return -1  # it is getting over
-    if me.speed < CHANGE_LEAST_SPEED_MPS and leads_on and me.to_line < STANDING_ROOM_M:
+    slow_at_end = me.speed < CHANGE_LEAST_SPEED_MPS and leads_on and me.to_line < STANDING_ROOM_M
+    if me.target != me.lane or slow_at_end:
         return -1
-    return side if _fits(i, side, scene) else -1
+    return side if _fits(me, side, scene) else -1
 
 
 @in_place(inner=True)
@@ -229,9 +214,9 @@ def _towards(lane: int, then: int, scene: Scene) -> int:
 
 
 @in_place(inner=True)
-def _fits(i: int, side: int, scene: Scene) -> bool:
+def _fits(me: Any, side: int, scene: Scene) -> bool:
     """Whether a lane has a gap for which nobody has to brake too hard, whatever law it follows."""
-    me, there = scene.vehicles[i], beside(i, side, scene)
+    there = beside(me, side, scene)
     if there.front_gap < driving.LEAST_CHANGE_GAP_M or there.rear_gap < driving.LEAST_CHANGE_GAP_M:
         return False
     urgency = 1.0 - min(max(me.to_line, 0.0) / driving.RANGE_M, 1.0)
@@ -247,39 +232,36 @@ def _fits(i: int, side: int, scene: Scene) -> bool:
 
 
 @in_place(inner=True)
-def _wrong_way_lane(i: int, scene: Scene) -> int:
+def _wrong_way_lane(me: Any, scene: Scene) -> int:
     """The lane to head for, of a driver that is on the wrong side or about to be; or -1."""
-    net, me = scene.net, scene.vehicles[i]
+    net = scene.net
+    lane = net.lanes[me.lane]
     if me.crashed:
         return -1
-    lane = net.lanes[me.lane]
     if lane.wrong:
-        return _lane_to_go_back(i, scene)
+        return _lane_to_go_back(me, scene)
     if net.lanes[me.target].wrong:
         return int(me.target)
-    if lane.opposite < 0 or me.clock < me.wrong_way_at:
+    if lane.opposite < 0 or me.clock < me.due[driving.WRONG_WAY]:
         return -1
-    here = beside(i, me.lane, scene)
-    desired = desired_speed(me, lane.limit)
+    here = beside(me, me.lane, scene)
+    desired, left = desired_speed(me, lane.limit), lane.length - me.s
     slow = here.front_gap < SLOW_LEADER_M and here.front_speed < 0.8 * desired
-    left = lane.length - me.s
     if not slow or left < JUNCTION_M or me.speed < 2.0 or not me.changes:
         return -1
-    oncoming = beside(i, lane.opposite, scene)
+    oncoming = beside(me, lane.opposite, scene)
     needed = PASSING_S * (desired + net.lanes[lane.opposite].limit)
     if oncoming.front_gap < min(needed, left) or oncoming.rear_gap < BACK_ROOM_M:
         return -1
-    wait = wait_s(me.key, driving.WRONG_WAY, me.wrong_ways, me.wrong_way_rate_per_min)
-    me.wrong_way_at, me.wrong_ways = me.clock + wait, me.wrong_ways + 1
+    plan_next(me, driving.WRONG_WAY, me.clock)
     return int(lane.opposite)
 
 
 @in_place(inner=True)
-def _lane_to_go_back(i: int, scene: Scene) -> int:
+def _lane_to_go_back(me: Any, scene: Scene) -> int:
     """The own side's lane if it is time to go back and there is room, or else the present one."""
-    me = scene.vehicles[i]
     lane = scene.net.lanes[me.lane]
-    here, there = beside(i, me.lane, scene), beside(i, lane.own, scene)
+    here, there = beside(me, me.lane, scene), beside(me, lane.own, scene)
     room = there.front_gap > BACK_ROOM_M and there.rear_gap > BACK_ROOM_M
     soon = here.front_gap < BACK_S * max(me.speed - here.front_speed, 1.0)
     ends = lane.length - me.s < JUNCTION_M
@@ -288,10 +270,9 @@ def _lane_to_go_back(i: int, scene: Scene) -> int:
 
 
 @in_place(inner=True)
-def _accelerate(i: int, scene: Scene) -> None:
-    me = scene.vehicles[i]
+def _accelerate(me: Any, scene: Scene) -> None:
     speed, desired = me.speed, desired_speed(me, scene.net.lanes[me.lane].limit)
-    here = beside(i, me.lane, scene)
+    here = beside(me, me.lane, scene)
     gap, front_speed = here.front_gap, here.front_speed
     if me.perception_noise > 0.0 and gap < np.inf:
         error = me.perception_noise * _error(me)
@@ -299,7 +280,7 @@ def _accelerate(i: int, scene: Scene) -> None:
         gap *= math.exp(error)
     accel = follow(me, speed, desired, gap, front_speed)
     if me.wanted != me.lane:
-        there = beside(i, me.wanted, scene)
+        there = beside(me, me.wanted, scene)
         accel = min(accel, follow(me, speed, desired, there.front_gap, there.front_speed))
     if me.stop_gap < np.inf:
         accel = min(accel, driving.approach(me, speed, me.stop_gap))
@@ -308,9 +289,9 @@ def _accelerate(i: int, scene: Scene) -> None:
     if me.reaction_time_s > 0.0:
         accel = _late(me, accel)
     me.accel = driving.start_up(me, accel)
-    if me.krauss:
-        me.accel -= driving.dawdling(me, chance(me.key, driving.DAWDLES, me.dawdled))
-        me.dawdled += 1
+    if me.krauss:  # which dawdles at random, as in SUMO
+        most = min(me.max_accel_mps2, speed / driving.KRAUSS_STEP_S)
+        me.accel -= IMPERFECTION * draw(me, driving.DAWDLES) * most
     if _looks_away(me):
         me.accel = 0.0
 
@@ -318,11 +299,11 @@ def _accelerate(i: int, scene: Scene) -> None:
 @in_place(inner=True)
 def _error(me: Any) -> float:
     """The driver's present error of perception, an Ornstein-Uhlenbeck process of deviation 1."""
-    radius = math.sqrt(-2.0 * math.log1p(-chance(me.key, driving.ERRS, 2 * me.erred)))
-    drawn = radius * math.cos(2.0 * math.pi * chance(me.key, driving.ERRS, 2 * me.erred + 1))
-    keeps = math.exp((me.seen_at - me.clock) / ERROR_TIME_S) if me.erred > 0 else 0.0
+    keeps = math.exp((me.seen_at - me.clock) / ERROR_TIME_S) if me.drawn[driving.ERRS] > 0 else 0.0
+    radius = math.sqrt(-2.0 * math.log1p(-draw(me, driving.ERRS)))
+    drawn = radius * math.cos(2.0 * math.pi * draw(me, driving.ERRS))
     me.error = keeps * me.error + math.sqrt(1.0 - keeps * keeps) * drawn
-    me.seen_at, me.erred = me.clock, me.erred + 1
+    me.seen_at = me.clock
     return float(me.error)
 
 
@@ -340,23 +321,17 @@ def _late(me: Any, accel: float) -> float:
 @in_place(inner=True)
 def _looks_away(me: Any) -> bool:
     """Whether a driver's attention lapses now; schedules such lapses."""
-    if me.clock >= me.lapse_at:
-        lasts_s = -me.lapse_s * math.log1p(-chance(me.key, driving.LAPSE_LASTS, me.lapses - 1))
-        me.lapse_until = me.clock + lasts_s
-        me.lapse_at = me.lapse_until + wait_s(
-            me.key, driving.LAPSES, me.lapses, me.lapse_rate_per_min
-        )
-        me.lapses += 1
+    if me.clock >= me.due[driving.LAPSES]:
+        me.lapse_until = me.clock - me.lapse_s * math.log1p(-draw(me, driving.LAPSE_LASTS))
+        plan_next(me, driving.LAPSES, me.lapse_until)
     return bool(me.clock < me.lapse_until)
 
 
 @in_place(inner=True)
 def _stops_for_no_reason(me: Any) -> bool:
     """Whether a driver stops for no reason now; schedules such stops."""
-    if me.clock >= me.stop_at:
+    if me.clock >= me.due[driving.STOPS]:
         least, most = STOP_LASTS_S
-        lasts_s = least + (most - least) * chance(me.key, driving.STOP_LASTS, me.stops - 1)
-        me.stop_until = me.clock + lasts_s
-        me.stop_at = me.stop_until + wait_s(me.key, driving.STOPS, me.stops, me.stop_rate_per_min)
-        me.stops += 1
+        me.stop_until = me.clock + (least + (most - least) * draw(me, driving.STOP_LASTS))
+        plan_next(me, driving.STOPS, me.stop_until)
     return bool(me.clock < me.stop_until)

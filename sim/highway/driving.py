@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -25,8 +26,8 @@ from behaviors import driver_models
 from behaviors.profiles import Profile
 from sim.compiled import in_place, shared
 from sim.frames import AgentKind
-from sim.highway.state import VEHICLE
-from sim.scenario import IMPERFECTION, KIND_LIMITS, CarFollowing
+from sim.highway.state import KINDS_DRAWN, VEHICLE, Records, blank_vehicles
+from sim.scenario import KIND_LIMITS, AgentSpec, CarFollowing
 
 _free_acceleration = shared(driver_models.idm_free_acceleration)
 _desired_gap = shared(driver_models.idm_desired_gap)
@@ -79,15 +80,18 @@ TAKEN: Final = [f.name for f in dataclasses.fields(Profile) if f.name in (VEHICL
 (
     RUNS_RED, ROLLS, YIELDS, CUTS_IN, STOPS, STOP_LASTS, WRONG_WAY, DAWDLES, LAPSES, LAPSE_LASTS,
     ERRS, OVERLOOKS, OVERLOOKS_LIGHT,
-) = range(13)  # fmt: skip
+) = range(KINDS_DRAWN)  # fmt: skip
 """What is drawn."""
+
+RATES: Final = {
+    CUTS_IN: "cut_in_rate_per_min", STOPS: "stop_rate_per_min", LAPSES: "lapse_rate_per_min",
+    WRONG_WAY: "wrong_way_rate_per_min",
+}  # fmt: skip
+"""What happens by itself, and the field of a profile that says how often."""
 
 
 class Beside(NamedTuple):
-    """The vehicles ahead and behind on a lane.
-
-    Of each: row (-1 for none), bumper gap (infinite for none), m, and speed along the lane, m/s.
-    """
+    """Vehicles ahead and behind on a lane: row or -1, bumper gap, m, speed along the lane, m/s."""
 
     front: int
     front_gap: float
@@ -109,6 +113,9 @@ def profile_fields(profile: Profile, kind: AgentKind, law: CarFollowing = "IDM")
         "emergency_decel": max(limits.emergency_decel_mps2, profile.comfort_decel_mps2),
         "top_speed": min(limits.max_speed_mps, limits.cruise_mps * profile.speed_factor),
         "krauss": law == "Krauss",
+        "rate_per_min": [
+            getattr(profile, RATES[kind]) if kind in RATES else 0.0 for kind in range(KINDS_DRAWN)
+        ],
     }
 
 
@@ -123,13 +130,30 @@ STOCK_DRIVER: Final = Profile(
 """What others assume of a vehicle without a profile: highway-env's own driver."""
 
 
+def driver_rows(agents: Sequence[AgentSpec], seed: int, law: CarFollowing = "IDM") -> Records:
+    """(n,) rows of `VEHICLE` of drivers that are on no road yet."""
+    rows = blank_vehicles(len(agents))
+    rows["profiled"] = True
+    drivers = [
+        {
+            "agent": one.id, "kind": one.kind.code, "length": one.length_m, "width": one.width_m,
+            "key": driver_key((seed, one.seed)), **profile_fields(one.profile, one.kind, law),
+        }
+        for one in agents
+        if one.profile is not None
+    ]  # fmt: skip
+    for name in drivers[0] if drivers else ():
+        rows[name] = [driver[name] for driver in drivers]
+    for kind in RATES:
+        rates = zip(rows["key"], rows["rate_per_min"][:, kind].tolist(), strict=True)
+        rows["due"][:, kind] = [wait_s(key, kind, 0, rate) for key, rate in rates]
+        rows["drawn"][:, kind] = 1
+    return rows
+
+
 @in_place()
 def idm(me: Any, speed: float, desired: float, gap: float, leader_speed: float) -> float:
-    """IDM's acceleration, m/s2, not bounded below, at speeds in m/s.
-
-    ``desired`` is the speed on a free road, ``gap`` from bumper to bumper, m, infinite without a
-    leader, and ``leader_speed`` along the own lane.
-    """
+    """IDM's acceleration, m/s2, not bounded below; the bumper gap is infinite without a leader."""
     accel = me.max_accel_mps2
     free = _free_acceleration(speed, desired, accel)
     if gap == np.inf:
@@ -142,21 +166,12 @@ def idm(me: Any, speed: float, desired: float, gap: float, leader_speed: float) 
 
 @in_place()
 def krauss(me: Any, speed: float, desired: float, room: float, leader_speed: float) -> float:
-    """Krauss's acceleration, m/s2, not bounded below and before dawdling.
-
-    ``room`` is the bumper gap beyond the one at a standstill, m; the others are as for `idm`.
-    """
+    """Krauss's acceleration before dawdling, m/s2; ``room`` is the gap beyond the least one, m."""
     goal = desired
     if room < np.inf:
         safe = safe_speed(room, leader_speed, me.time_headway_s, me.comfort_decel_mps2)
         goal = min(goal, safe)
     return float(min(me.max_accel_mps2, (goal - speed) / KRAUSS_STEP_S))
-
-
-@in_place(inner=True)
-def dawdling(me: Any, chance: float) -> float:
-    """The acceleration that a driver with Krauss's law loses at random, m/s2 (as in SUMO)."""
-    return float(IMPERFECTION * chance * min(me.max_accel_mps2, me.speed / KRAUSS_STEP_S))
 
 
 @in_place(inner=True)
@@ -180,15 +195,12 @@ def follow(me: Any, speed: float, desired: float, gap: float, leader_speed: floa
 
 @in_place(inner=True)
 def approach(me: Any, speed: float, gap: float) -> float:
-    """The acceleration by the driver's law towards a line ``gap`` m ahead at which to stop, m/s2.
-
-    The line is a standing obstacle, with `STOP_MARGIN_M` as the gap at a standstill.
-    """
+    """The acceleration by the driver's law towards a line at which to stop, m/s2."""
     if me.krauss:
         raw = krauss(me, speed, np.inf, gap - STOP_MARGIN_M, 0.0)
     else:
         accel = me.max_accel_mps2
-        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, me.comfort_decel_mps2)  # its last term
+        braking = _desired_gap(speed, 0.0, 0.0, 0.0, accel, me.comfort_decel_mps2)
         wanted = STOP_MARGIN_M + speed * min(me.time_headway_s, 1.5) + braking
         raw = accel * (1.0 - _interaction(gap, wanted))
     return bounded(me, raw, gap - 0.5 * STOP_MARGIN_M, speed)
@@ -211,14 +223,12 @@ def change_incentive(
 ) -> float:
     """MOBIL's incentive for a lane change beyond the driver's threshold, m/s2.
 
-    It is minus infinity if the change is not safe, or not worth while because the new leader will
-    soon be reached. All accelerations in it are IDM's, whatever law the drivers follow by. ``old``
-    and ``new`` are the rows of the followers on the lanes, any row if there is none.
+    It is minus infinity if the change is not safe, or if the new leader will soon be reached. All
+    accelerations are IDM's. ``old`` and ``new`` are the followers' rows, any if there is none.
     """
-    speed, desired = me.speed, desired_speed(me, limit)
-    if me.change_threshold == np.inf:
-        return -np.inf
-    if there.front_gap < me.change_gap or there.rear_gap < me.change_gap:
+    speed, desired, least_gap = me.speed, desired_speed(me, limit), me.change_gap
+    never = me.change_threshold == np.inf
+    if never or there.front_gap < least_gap or there.rear_gap < least_gap:
         return -np.inf
     if there.front_gap < np.inf and there.front_speed < desired:
         lasts = there.front_gap / (desired - there.front_speed)
@@ -232,30 +242,33 @@ def change_incentive(
     own_gain = after - idm(me, speed, desired, here.front_gap, here.front_speed)
     new_gain = old_gain = 0.0
     if there.rear_gap < np.inf:
-        wanted, rear_speed = on_free_road(new, limit), there.rear_speed
-        imposed = idm(new, rear_speed, wanted, there.rear_gap, speed)
+        imposed, free = _behind(new, me, limit, there)
         if not _safe(imposed, me.imposed_braking):
             return -np.inf
-        gap = there.rear_gap + me.length + there.front_gap
-        new_gain = imposed - idm(new, rear_speed, wanted, gap, there.front_speed)
+        new_gain = imposed - free
     if here.rear_gap < np.inf:
-        wanted, rear_speed = on_free_road(old, limit), here.rear_speed
-        gap = here.rear_gap + me.length + here.front_gap
-        freed = idm(old, rear_speed, wanted, gap, here.front_speed)
-        old_gain = freed - idm(old, rear_speed, wanted, here.rear_gap, speed)
+        behind, free = _behind(old, me, limit, here)
+        old_gain = free - behind
     incentive = _incentive(own_gain, new_gain, old_gain, me.politeness)
     return float(incentive - me.change_threshold)
 
 
 @in_place(inner=True)
+def _behind(rear: Any, me: Any, limit: float, there: Beside) -> tuple[float, float]:
+    """IDM's accelerations of a lane's follower, m/s2: behind a driver, and without it there."""
+    wanted, gap = on_free_road(rear, limit), there.rear_gap + me.length + there.front_gap
+    behind = idm(rear, there.rear_speed, wanted, there.rear_gap, me.speed)
+    return behind, idm(rear, there.rear_speed, wanted, gap, there.front_speed)
+
+
+@in_place(inner=True)
 def may_cut_in(me: Any, there: Beside) -> bool:
     """Whether there is a vehicle to cut in front of on another lane, and enough room to do so."""
-    if there.rear_gap < CUT_IN_REAR_M[0] or there.rear_gap > CUT_IN_REAR_M[1]:
+    least, most = CUT_IN_REAR_M
+    if not least <= there.rear_gap <= most or there.front_gap < max(2.0 * me.change_gap, least):
         return False
-    if there.front_gap < max(2.0 * me.change_gap, CUT_IN_REAR_M[0]):
-        return False
-    behind = max(there.rear_speed - me.speed, 0.0)
-    ahead = max(me.speed - there.front_speed, 0.0) if there.front_gap < np.inf else 0.0
+    behind, ahead = max(there.rear_speed - me.speed, 0.0), max(me.speed - there.front_speed, 0.0)
+    ahead = ahead if there.front_gap < np.inf else 0.0
     left, left_ahead = there.rear_gap - UNSEEN_S * behind, there.front_gap - UNSEEN_S * ahead
     if left < 0.0 or behind * behind > 2.0 * CUT_IN_BRAKING_MPS2 * left:
         return False
@@ -264,14 +277,12 @@ def may_cut_in(me: Any, there: Beside) -> bool:
 
 @in_place(inner=True)
 def steering_angle(me: Any, lateral: float, lane_heading: float, curvature: float) -> float:
-    """The steering angle that keeps to a lane, rad.
+    """The steering angle that keeps to a lane, rad: highway-env's cascade from place to angle.
 
-    highway-env's cascade: lateral position to heading, heading to heading rate, heading rate to
-    angle. Differs from it: in a bend the body's middle moves at a slip angle to the body, which is
+    Differs from it: in a bend the body's middle moves at a slip angle to the body, which is
     corrected for; without that, vehicles cut tight turns by most of a metre.
     """
-    speed, half = me.speed, me.length / 2.0
-    nonzero = speed if abs(speed) > 1e-2 else (1e-2 if speed >= 0.0 else -1e-2)
+    nonzero, half = max(me.speed, 1e-2), me.length / 2.0
     aside = min(max(-LATERAL_GAIN_PER_S * lateral, -LATERAL_SPEED_MPS), LATERAL_SPEED_MPS)
     turn = math.asin(min(max(aside / nonzero, -1.0), 1.0))
     slip = math.asin(min(max(half * curvature, -0.9), 0.9))
@@ -284,10 +295,7 @@ def steering_angle(me: Any, lateral: float, lane_heading: float, curvature: floa
 
 @in_place(inner=True)
 def turning_angle(me: Any, guided: float, lateral: float, lane_heading: float) -> float:
-    """The steering angle that keeps a point ahead of a vehicle's middle on its way, rad.
-
-    The point is ``guided`` times half the length ahead and ``lateral`` m to the right of the way.
-    """
+    """The steering angle that keeps a point, ``guided`` half lengths ahead, on its way, rad."""
     aside = min(max(-LATERAL_GAIN_PER_S * lateral, -LATERAL_SPEED_MPS), LATERAL_SPEED_MPS)
     turn = math.atan2(aside, max(me.speed, LATERAL_SPEED_MPS))
     course = (lane_heading + turn - me.heading + math.pi) % (2.0 * math.pi) - math.pi
@@ -346,3 +354,17 @@ def wait_s(key: np.uint64, kind: int, number: int, per_minute: float) -> float:
     if per_minute <= 0.0:
         return np.inf
     return -60.0 / per_minute * math.log1p(-chance(key, kind, number))
+
+
+@in_place()
+def draw(me: Any, kind: int) -> float:
+    """A driver's next draw of a kind, from 0 to 1."""
+    me.drawn[kind] += 1
+    return chance(me.key, kind, me.drawn[kind] - 1)
+
+
+@in_place(inner=True)
+def plan_next(me: Any, kind: int, after_s: float) -> None:
+    """Draw when something that a driver does by itself happens next, after a time, s."""
+    me.due[kind] = after_s + wait_s(me.key, kind, me.drawn[kind], me.rate_per_min[kind])
+    me.drawn[kind] += 1

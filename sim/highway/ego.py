@@ -110,11 +110,9 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         """
         if not self._made:
             return {}, {}
-        if seed is not None:
-            if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-                raise InputError(f"seed: found {seed!r:.60}, expected a whole number of at least 0")
-            seed = int(seed)
-        gymnasium.Env.reset(self, seed=seed)
+        if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
+            raise InputError(f"seed: found {seed!r:.60}, expected a whole number of at least 0")
+        gymnasium.Env.reset(self, seed=None if seed is None else int(seed))
         given = as_mapping("options", options)
         for key in given:
             lookup({"config": None}, str(key), "reset option")
@@ -133,12 +131,10 @@ class EgoEnv(AbstractEnv):  # type: ignore[misc]
         """Make the configured spaces; those that did not change are kept, with their seeds."""
         options = self.config["action"]
         self.action_type = ACTIONS[options["type"]](self, **options)
-        action_space = self.action_type.space()
-        if action_space != self.action_space:
-            self.action_space = action_space
-        observation_space = self._make_observation_space()
-        if observation_space != self.observation_space:
-            self.observation_space = observation_space
+        made = self.action_type.space(), self._make_observation_space()
+        for name, space in zip(("action_space", "observation_space"), made, strict=True):
+            if space != getattr(self, name):
+                setattr(self, name, space)
 
     def update_metadata(self, video_real_time_ratio: float = 1.0) -> None:
         """Note how many images are drawn per second, so that videos run in real time."""
@@ -190,14 +186,11 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
     try:
         kind(None, **action).space()
         for key in ("acceleration_range", "steering_range", "speed_range", "target_speeds"):
-            if action.get(key) is None:
-                continue
-            numbers, speeds = np.array(action[key], dtype=np.float64), key == "target_speeds"
-            fits = numbers.size > 1 if speeds else numbers.size == 2
-            ascends = not speeds or bool((np.diff(numbers) > 0.0).all())
-            if numbers.ndim != 1 or not fits or not ascends or not np.isfinite(numbers).all():
-                wanted = "two or more ascending speeds" if speeds else "a pair of numbers"
-                raise ValueError(f"{key} are not {wanted}")
+            if action.get(key) is not None:
+                numbers = np.array(action[key], dtype=np.float64)
+                several = numbers.ndim == 1 and numbers.size > 1 and np.isfinite(numbers).all()
+                if not several or not (np.diff(numbers) > 0.0).all():
+                    raise ValueError(f"{key} are not two or more ascending numbers")
     except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
         raise InputError(
             f"action: found {dict(action)!r}, expected options that {action['type']} can take"

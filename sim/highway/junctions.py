@@ -17,18 +17,16 @@ import numpy as np
 
 from behaviors import driver_models
 from sim.compiled import in_place, shared
-from sim.frames import EventKind, Signal
+from sim.frames import Signal
 from sim.highway import driving
 from sim.highway.driving import STANDING_MPS, attention_m, can_stop, chance, desired_speed
 from sim.highway.places import along_lane, beside, next_stretch, path_to, record
-from sim.highway.state import EVENT_KINDS, Scene
+from sim.highway.state import RED_RUN, STOP_ROLLED, Scene
 
 _gap_accepted = shared(driver_models.gap_accepted)
 braking_speed = shared(driver_models.braking_speed)
 
 RED, YELLOW = Signal.RED.code, Signal.YELLOW.code
-RED_RUN = EVENT_KINDS.index(EventKind.RED_RUN)
-STOP_ROLLED = EVENT_KINDS.index(EventKind.STOP_ROLLED)
 
 ENTERED_M, BLOCKED_MPS = 0.5, 2.0
 """A vehicle whose front is this far over the stop line has entered the junction. A leader slower
@@ -69,9 +67,9 @@ def look_ahead(scene: Scene) -> None:
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         lane = lanes[me.lane]
-        me.s = along_lane(i, me.lane, scene)
+        me.s = along_lane(me, me.lane, scene.net)
         front = me.s + me.length / 2
-        me.then = next_stretch(i, me.lane, scene)
+        me.then = next_stretch(me, me.lane, scene)
         time_s = me.clock if me.profiled else now_s
         me.stood_s = 0.0 if me.standing_since == np.inf else time_s - me.standing_since
         if lane.connector:
@@ -92,7 +90,7 @@ def look_ahead(scene: Scene) -> None:
         me.was_held, me.held, me.stop_gap, me.forced = me.held, False, np.inf, -1
         obeys = me.profiled and me.path >= 0 and not lane.wrong
         if obeys and -ENTERED_M < me.to_line < attention_m(me):
-            me.held = _stops_at_light(i, scene) or _stops_at_sign(i, scene)
+            me.held = _stops_at_light(me, scene) or _stops_at_sign(me, scene)
 
 
 @in_place(inner=True)
@@ -103,10 +101,9 @@ def _shows(path: int, state: int, scene: Scene) -> bool:
 
 
 @in_place(inner=True)
-def _stops_at_light(i: int, scene: Scene) -> bool:
-    me = scene.vehicles[i]
+def _stops_at_light(me: Any, scene: Scene) -> bool:
     if _shows(me.path, RED, scene):
-        first = beside(i, me.lane, scene).front_gap > me.to_line
+        first = beside(me, me.lane, scene).front_gap > me.to_line
         if first and chance(me.key, driving.RUNS_RED, me.path) < me.red_run_probability:
             return False
         if chance(me.key, driving.OVERLOOKS_LIGHT, me.path) < me.overlook_probability:
@@ -120,8 +117,7 @@ def _stops_at_light(i: int, scene: Scene) -> bool:
 
 
 @in_place(inner=True)
-def _stops_at_sign(i: int, scene: Scene) -> bool:
-    me = scene.vehicles[i]
+def _stops_at_sign(me: Any, scene: Scene) -> bool:
     if not scene.net.lanes[me.path].must_stop:
         return False
     if me.to_line < STOPPED_M and me.speed < STANDING_MPS and me.stood_at != me.path:
@@ -133,29 +129,25 @@ def _stops_at_sign(i: int, scene: Scene) -> bool:
 @in_place(inner=True)
 def obey_junctions(scene: Scene) -> None:
     """Fill in what junctions demand of every driver, after lights, signs and crossings did."""
-    n = scene.vehicles.size
+    n, heads, links = scene.vehicles.size, scene.lane_head, scene.lane_link
     for i in range(n):  # who is on its way over each junction path
         me = scene.vehicles[i]
         if me.path >= 0 and me.to_line < attention_m(me):
-            scene.lane_link[i], scene.lane_head[me.path] = scene.lane_head[me.path], i
+            links[i], heads[me.path] = heads[me.path], i
         if me.last_path >= 0 and me.last_path != me.path:
-            last = me.last_path
-            scene.lane_link[n + i], scene.lane_head[last] = scene.lane_head[last], n + i
+            links[n + i], heads[me.last_path] = heads[me.last_path], n + i
     for i in range(n):
         if scene.vehicles[i].profiled:
-            _obey_junction(i, scene)
+            _obey_junction(scene.vehicles[i], scene)
     for i in range(n):
-        me = scene.vehicles[i]
-        if me.path >= 0:
-            scene.lane_head[me.path] = -1
-        if me.last_path >= 0:
-            scene.lane_head[me.last_path] = -1
+        for path in (scene.vehicles[i].path, scene.vehicles[i].last_path):
+            if path >= 0:
+                heads[path] = -1
 
 
 @in_place(inner=True)
-def _obey_junction(i: int, scene: Scene) -> None:
-    net, me = scene.net, scene.vehicles[i]
-    lane, to_line = net.lanes[me.lane], me.to_line
+def _obey_junction(me: Any, scene: Scene) -> None:
+    net, lane, to_line = scene.net, scene.net.lanes[me.lane], me.to_line
     factor = min(me.speed_factor, BEND_FACTOR)
     near = to_line < attention_m(me)
     gap, cap, changes = me.stop_gap, np.inf, True
@@ -167,66 +159,63 @@ def _obey_junction(i: int, scene: Scene) -> None:
         leads_on = me.path >= 0 or me.then < 0 or gets_over
         if near and not lane.wrong and not leads_on:
             gap, me.held, changes = min(gap, to_line), True, True
-    me.changes = changes
     if lane.wrong:
-        me.stop_gap = to_line - LINE_M if near else np.inf
-        me.speed_cap = cap
-        return
-    if me.path >= 0 and near:
+        gap = to_line - LINE_M if near else np.inf
+    elif me.path >= 0 and near:
         if not lane.connector:
             bend, braking = factor * net.lanes[me.path].limit, BEND_BRAKING * me.comfort_decel_mps2
             cap = braking_speed(max(to_line, 0.0), bend, braking)
-        if me.held or (to_line > -ENTERED_M and _exit_blocked(i, scene)):
+        if me.held or (to_line > -ENTERED_M and _exit_blocked(me, scene)):
             gap = min(gap, to_line)
         if not me.held:
-            gap = _conflicts_gap(i, gap, scene)
+            gap = _conflicts_gap(me, gap, scene)
         if not net.lanes[me.path].must_yield and -ENTERED_M < to_line < gap < np.inf:
             gap = to_line  # a driver with priority does not stop inside
-    me.stop_gap, me.speed_cap = gap, cap
+    me.stop_gap, me.speed_cap, me.changes = gap, cap, changes
 
 
 @in_place(inner=True)
-def _exit_blocked(i: int, scene: Scene) -> bool:
+def _exit_blocked(me: Any, scene: Scene) -> bool:
     """Whether a driver would have to stop inside the junction, behind a standing leader."""
-    me = scene.vehicles[i]
-    lead = beside(i, me.lane, scene)
+    lead = beside(me, me.lane, scene)
     if lead.front < 0 or lead.front_speed > BLOCKED_MPS or lead.front_gap < me.to_line:
         return False
-    inside = scene.net.lanes[me.path].length
-    needed = me.to_line + inside + me.length + me.min_gap_m
+    needed = me.to_line + scene.net.lanes[me.path].length + me.length + me.min_gap_m
     return bool(lead.front_gap < needed)
 
 
 @in_place(inner=True)
-def _rank(i: int, path: int, entered: bool, scene: Scene) -> int:
-    if scene.vehicles[i].ran_red or (_shows(path, RED, scene) and not entered):
+def _rank(me: Any, path: int, entered: bool, scene: Scene) -> int:
+    """0 with priority, 1 without, 2 after running a red light."""
+    if me.ran_red or (_shows(path, RED, scene) and not entered):
         return 2
     return 1 if scene.net.lanes[path].must_yield else 0
 
 
 @in_place(inner=True)
-def _conflicts_gap(i: int, gap: float, scene: Scene) -> float:
+def _conflicts_gap(me: Any, gap: float, scene: Scene) -> float:
     """The nearest place at which a driver waits for others, or ``gap`` if that is nearer, m."""
-    net, n, me = scene.net, scene.vehicles.size, scene.vehicles[i]
-    path, to_line, speed, accel = me.path, me.to_line, me.speed, me.max_accel_mps2
-    rank = _rank(i, path, to_line < -ENTERED_M, scene)
+    net, n, to_line, speed = scene.net, scene.vehicles.size, me.to_line, me.speed
+    rank = _rank(me, me.path, to_line < -ENTERED_M, scene)
     top = desired_speed(me, net.lanes[me.lane].limit)
     delay = me.startup_delay_s if speed < STANDING_MPS else 0.0
-    for c in range(net.lanes[path].conflict, net.lanes[path].conflict_end):
+    for c in range(net.lanes[me.path].conflict, net.lanes[me.path].conflict_end):
         conflict = net.conflicts[c]
         entry = scene.lane_head[conflict.other]
         begin, end = to_line + conflict.begin, to_line + conflict.end + me.length
         if entry < 0 or begin <= 0.0 or end < 0.0:
             continue  # nobody comes, or it is in the conflict or past it already
-        enter_s = delay + reach_s(speed, begin, accel, top)
-        leave_s = delay + reach_s(speed, end, accel, top)
+        enter_s = delay + reach_s(speed, begin, me.max_accel_mps2, top)
+        leave_s = delay + reach_s(speed, end, me.max_accel_mps2, top)
         while entry >= 0:
-            j, leaving = entry % n, entry >= n
+            foe, leaving = scene.vehicles[entry % n], entry >= n
             entry = scene.lane_link[entry]
-            if j == i or not _must_wait(i, j, leaving, rank, conflict, enter_s, leave_s, scene):
+            if foe.row == me.row:
+                continue
+            if not _must_wait(me, foe, leaving, rank, conflict, enter_s, leave_s, scene):
                 continue
             at_line = to_line >= -ENTERED_M and (conflict.begin < AT_LINE_M or rank == 2)
-            in_the_way = leaving or scene.vehicles[j].to_line + conflict.other_begin <= 0.0
+            in_the_way = leaving or foe.to_line + conflict.other_begin <= 0.0
             stop = begin - CONFLICT_MARGIN_M
             if at_line and can_stop(speed, to_line, me.emergency_decel):
                 gap = min(gap, to_line)
@@ -249,10 +238,9 @@ def reach_s(speed: float, distance: float, accel: float, top: float) -> float:
 
 @in_place(inner=True)
 def _goes_first(
-    i: int, j: int, rank: int, foe_rank: int, foe_line: float, conflict: Any, scene: Scene
+    me: Any, foe: Any, rank: int, foe_rank: int, foe_line: float, conflict: Any
 ) -> bool:
     """Whether a driver has the right of way: by rule, then by who is in, came first, is nearer."""
-    me, foe = scene.vehicles[i], scene.vehicles[j]
     if conflict.yields != 0 and max(rank, foe_rank) < 2:
         return bool(conflict.yields < 0)
     if rank != foe_rank:
@@ -270,19 +258,16 @@ def _goes_first(
 
 @in_place(inner=True)
 def _must_wait(
-    i: int, j: int, leaving: bool, rank: int, conflict: Any, enter_s: float, leave_s: float,
+    me: Any, foe: Any, leaving: bool, rank: int, conflict: Any, enter_s: float, leave_s: float,
     scene: Scene,
 ) -> bool:  # fmt: skip
     """Whether a driver that is in a conflict from ``enter_s`` to ``leave_s`` waits for another one.
 
-    ``rank`` is its own: 0 with priority, 1 without, 2 after running a red light; ``leaving`` says
-    whether the other one is on its way out of the junction.
+    ``rank`` is its own; ``leaving`` says whether the other one is on its way out of the junction.
     """
-    me, foe = scene.vehicles[i], scene.vehicles[j]
-    overlooks = me.overlook_probability
+    overlooks, foe_line, held = me.overlook_probability, foe.to_line, foe.was_held
     if overlooks > 0.0 and chance(me.key, driving.OVERLOOKS, foe.agent) < overlooks:
         return False
-    foe_line, held = foe.to_line, foe.was_held
     if leaving:
         front = foe.s + foe.length / 2
         foe_line, held = -(scene.net.lanes[conflict.other].length + front), False
@@ -291,16 +276,15 @@ def _must_wait(
     if end < 0.0:
         return False
     if begin <= 0.0:  # it is in the conflict
-        if me.stood_s > 2.0 * PATIENCE_S and foe.stood_s > PATIENCE_S:
-            return False
-        return bool(enter_s < end / max(speed, 0.5) + CLEARANCE_S)
+        both_stand = me.stood_s > 2.0 * PATIENCE_S and foe.stood_s > PATIENCE_S
+        return bool(not both_stand and enter_s < end / max(speed, 0.5) + CLEARANCE_S)
     if held or (me.stood_s > PATIENCE_S and foe.stood_s > 1.0):
         return False
     entered, foe_entered = me.to_line < -ENTERED_M, foe_line < -ENTERED_M
-    foe_rank = _rank(j, conflict.other, foe_entered, scene)
-    after_green = entered and me.lane == me.path and _shows(me.path, RED, scene)
-    goes_first = _goes_first(i, j, rank, foe_rank, foe_line, conflict, scene)
+    foe_rank = _rank(foe, conflict.other, foe_entered, scene)
+    goes_first = _goes_first(me, foe, rank, foe_rank, foe_line, conflict)
     if foe.stood_s > WAITING_S:
+        after_green = entered and me.lane == me.path and _shows(me.path, RED, scene)
         unruled = conflict.yields == 0 and not scene.net.lanes[conflict.other].must_stop
         lets_go = goes_first or me.stood_s > foe.stood_s or unruled
         if foe_entered or after_green or (foe_rank >= rank and lets_go):
@@ -308,14 +292,12 @@ def _must_wait(
     foe_enters_s = reach_s(speed, begin, FOE_ACCEL_MPS2, max(speed, 8.0))
     foe_leaves_s = end / max(speed, 2.0)
     if goes_first:
-        if not foe_entered or speed < STANDING_MPS:
-            return False
-        return bool(foe_enters_s < enter_s and enter_s < foe_leaves_s + CLEARANCE_S)
+        drives_in = foe_entered and speed >= STANDING_MPS
+        return bool(drives_in and foe_enters_s < enter_s < foe_leaves_s + CLEARANCE_S)
     if _gap_accepted(
         enter_s, leave_s, foe_enters_s, foe_leaves_s, me.gap_acceptance_s, CLEARANCE_S
     ):
         return False
-    braking = speed * speed / (2.0 * begin)
-    insists = me.insistence * INSISTED_BRAKING_MPS2
+    insists, braking = me.insistence * INSISTED_BRAKING_MPS2, speed * speed / (2.0 * begin)
     lets_in = insists > 0.0 and braking <= insists and speed > 1.0
     return not (lets_in and leave_s < foe_leaves_s)

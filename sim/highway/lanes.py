@@ -9,7 +9,7 @@ from highway_env.road.lane import AbstractLane
 
 from sim.frames import FloatArray
 from sim.highway.places import BLEND_M, project_on
-from sim.highway.state import PIECE, TURN
+from sim.highway.state import PIECE, TURN, Records
 
 LaneIndex: TypeAlias = tuple[str, str, int]
 """A lane in highway-env: the nodes that it leads from and to, and its place from the left."""
@@ -49,17 +49,12 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         forbidden: bool = False,
     ) -> None:
         self.points = _simplest(np.asarray(points, dtype=np.float64))
-        step = np.diff(self.points, axis=0)
-        size = np.hypot(step[:, 0], step[:, 1])
-        ahead = step / size[:, None]
-        begin = np.cumsum(size) - size
+        pieces = self.pieces = straight_pieces(self.points)
+        size, begin, step = pieces["size"], pieces["begin"], np.diff(self.points, axis=0)
+        ahead = np.stack([pieces["dx"], pieces["dy"]], axis=1)
         before, after = ahead[:-1], ahead[1:]
         turn = before[:, 1] * after[:, 0] - before[:, 0] * after[:, 1]
         sharp = (before * after).sum(axis=1) < 0.0
-        pieces = self.pieces = np.zeros(len(size), PIECE)
-        pieces["x"], pieces["y"] = self.points[:-1].T
-        pieces["dx"], pieces["dy"] = ahead.T
-        pieces["size"], pieces["begin"] = size, begin
         pieces["outside"][1:] = np.where(sharp, np.copysign(1.0, turn), 0.0)
         pieces["outside_end"][:-1] = pieces["outside"][1:]
         self.length = float(size.sum())
@@ -68,7 +63,7 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         blend = np.minimum(np.minimum(size[:-1], size[1:]) / 2, BLEND_M)
         inside = np.column_stack([begin[1:] - blend, begin[1:] + blend]).ravel()
         self.turns = np.zeros(2 * len(size), TURN)
-        self.turns["at"] = np.concatenate([[0.0], inside, [self.length]])
+        self.turns["begin"] = np.concatenate([[0.0], inside, [self.length]])
         self.turns["heading"] = np.repeat(heading, 2)
 
     def local_coordinates(self, position: FloatArray) -> tuple[float, float]:
@@ -90,11 +85,21 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
 
     def heading_at(self, longitudinal: float) -> float:
         """The lane's heading, rad, clockwise from +x as seen from above."""
-        return float(np.interp(longitudinal, self.turns["at"], self.turns["heading"]))
+        return float(np.interp(longitudinal, self.turns["begin"], self.turns["heading"]))
 
     def width_at(self, longitudinal: float) -> float:
         """The lane's width, m."""
         return self.width
+
+
+def straight_pieces(points: FloatArray) -> Records:
+    """(P - 1,) rows of `PIECE` along a line (P, 2), m, without sharp corners."""
+    step = np.diff(points, axis=0)
+    pieces, size = np.zeros(len(step), PIECE), np.hypot(step[:, 0], step[:, 1])
+    pieces["x"], pieces["y"] = points[:-1].T
+    pieces["dx"], pieces["dy"] = (step / size[:, None]).T
+    pieces["size"], pieces["begin"] = size, np.cumsum(size) - size
+    return pieces
 
 
 def _simplest(points: FloatArray) -> FloatArray:

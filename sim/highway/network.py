@@ -12,24 +12,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from highway_env.road.road import RoadNetwork
-from scipy.sparse import coo_array
+from scipy.sparse import lil_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.distance import cdist
 
 from behaviors.errors import InputError
-from sim.compiled import in_place
 from sim.frames import FloatArray, IntArray
 from sim.highway import state
 from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.places import closest_lane
 from sim.highway.state import Net, Records, listed
+from sim.input_files import without_collection
 from sim.road import Connection, Lane, Road
 from sim.road.cells import Cells, boxes_of, cells_of, near_pairs
 from sim.road.lane_graph import LaneGraph
-from sim.xml_tree import without_collection
 
 STUB_M, TIGHT_M = 0.1, 5.0
 """A junction path between lanes that touch is this long. A path of a smaller mean radius is tight
@@ -57,11 +57,15 @@ class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
     """A `Road` in highway-env's terms; `build_network` makes it, and nothing changes it then."""
 
     road: Road
-    graph: dict[str, dict[str, list[PolylineLane]]]  # the lanes as highway-env keeps them
-    lanes: dict[LaneIndex, PolylineLane]
-    onward: dict[tuple[LaneIndex, Stretch], LaneIndex]  # the path from a lane to each next stretch
-    exit_of: dict[LaneIndex, LaneIndex]  # the lane on which each junction path ends
-    edges: dict[str, tuple[Stretch, float]]  # the stretch of each edge, and where it begins
+    graph: dict[str, dict[str, list[PolylineLane]]] = field(default_factory=dict)  # highway-env's
+    lanes: dict[LaneIndex, PolylineLane] = field(default_factory=dict)
+    # the path from a lane to each next stretch; each path's connection, and the lane where it ends
+    onward: dict[tuple[LaneIndex, Stretch], LaneIndex] = field(default_factory=dict)
+    links: dict[LaneIndex, Connection] = field(default_factory=dict)
+    exit_of: dict[LaneIndex, LaneIndex] = field(default_factory=dict)
+    # the stretch of each edge, and the lanes over each lane of the road; where they begin on it, m
+    edges: dict[str, tuple[Stretch, float]] = field(default_factory=dict)
+    placed: dict[str, list[tuple[LaneIndex, float]]] = field(default_factory=dict)
     arrays: Net = field(init=False)
 
     @cached_property
@@ -131,24 +135,23 @@ class HighwayNetwork(RoadNetwork):  # type: ignore[misc]
         It has the stretches after the lane's own, which it does not use again, nor the lanes beside
         it; None if the lane leads nowhere. On a road that never ends it is the way to the farthest.
         """
-        names, lanes, ways = list(self.stretch_number), self.arrays.lanes, self.arrays.ways
-        n, here = len(names), int(lanes["stretch"][lane])
+        lanes, then = self.arrays.lanes, self.arrays.ways["stretch"]
+        stretch, names = lanes["stretch"], list(self.stretch_number)
+        n, here = len(names), int(stretch[lane])
         begin = np.repeat(np.arange(lanes.size), lanes["way_end"] - lanes["way"])
-        one, other = lanes["stretch"][begin], ways["stretch"]
         length = np.ones(n)
-        length[lanes["stretch"][::-1]] = lanes["length"][::-1]  # of each one's first lane
-        used = (other != here) & ((one != here) | (begin == lane))
-        pairs = np.unique(np.stack([one[used], other[used]], axis=1), axis=0)
-        graph = coo_array((length[pairs[:, 1]], (pairs[:, 0], pairs[:, 1])), shape=(n, n)).tocsr()
-        away, before = dijkstra(graph, indices=[here], return_predecessors=True)
-        away, before = away[0], before[0]
+        length[stretch[::-1]] = lanes["length"][::-1]  # of each one's first lane
+        used = (then != here) & ((stretch[begin] != here) | (begin == lane))
+        graph = lil_array((n, n))
+        graph[stretch[begin[used]], then[used]] = length[then[used]]
+        found, ways = dijkstra(graph.tocsr(), indices=[here], return_predecessors=True)
+        away, before = found[0], ways[0]
         away[here] = np.inf
-        reached = np.isfinite(away)
+        reached, end = np.isfinite(away), self.stretch_number[goal]
         if not reached.any():
             return None
-        end = self.stretch_number[goal]
         if not reached[end]:
-            ends = reached & ~np.isin(np.arange(n), one)
+            ends = reached & ~np.isin(np.arange(n), stretch[begin])
             away[~(ends if ends.any() else reached)] = np.nan
             end = int(np.nanargmin(away) if ends.any() else np.nanargmax(away))
         way = []
@@ -185,31 +188,22 @@ def build_network(road: Road) -> HighwayNetwork:
     joins = [
         c for c in connections if follows.get(by_id[c.from_lane].edge) != by_id[c.to_lane].edge
     ]
-    net = RoadNetwork()
-    placed, edges = _add_stretches(net, driving, connections, follows, by_id)
-    made = HighwayNetwork(road, net.graph, {}, {}, {}, edges)
-    links = _add_junction_paths(made, joins, by_id, placed)
+    made = HighwayNetwork(road)
+    _add_stretches(made, driving, connections, follows, by_id)
+    _add_junction_paths(made, joins, by_id)
     made.lanes.update(made.lanes_dict())
-    wrong_side = _add_wrong_side_lanes(made)
-    made.arrays = _arrays(made, links, wrong_side, placed)
+    made.arrays = _arrays(made, _add_wrong_side_lanes(made))
     return made
 
 
-Placed: TypeAlias = dict[str, list[tuple[LaneIndex, float]]]
-"""The lanes of the network that run over each lane of the road, by its id, with the distance at
-which they begin to, m."""
-
-
 def _add_stretches(
-    net: RoadNetwork,
+    made: HighwayNetwork,
     driving: dict[str, list[Lane]],
     connections: list[Connection],
     follows: dict[str, str],
     by_id: dict[str, Lane],
-) -> tuple[Placed, dict[str, tuple[Stretch, float]]]:
+) -> None:
     """Add the lanes of every chain of edges that follow one another."""
-    placed: Placed = {}
-    edges: dict[str, tuple[Stretch, float]] = {}
     link_of = {(link.from_lane, by_id[link.to_lane].edge): link for link in connections[::-1]}
     begun = set(follows.values())
     for edge in [edge for edge in driving if edge not in begun]:
@@ -223,20 +217,19 @@ def _add_stretches(
                 link = link_of[pieces[-1].id, after]
                 pieces += [by_id[via] for via in (*link.via, link.to_lane)]
             for piece in pieces:
-                placed.setdefault(piece.id, []).append(((*key, k), at))
+                made.placed.setdefault(piece.id, []).append(((*key, k), at))
                 if k == 0 and not piece.internal:
-                    edges[piece.edge] = key, at
+                    made.edges[piece.edge] = key, at
                 at += piece.length_m
             points = np.concatenate([_points(piece) for piece in pieces])
-            net.add_lane(*key, PolylineLane(points, lane.width_m, lane.speed_limit_mps))
-    return placed, edges
+            made.add_lane(*key, PolylineLane(points, lane.width_m, lane.speed_limit_mps))
 
 
 def _add_junction_paths(
-    made: HighwayNetwork, connections: list[Connection], by_id: dict[str, Lane], placed: Placed
-) -> dict[LaneIndex, Connection]:
-    """Add a lane for every connection of lanes that cars may use, and return these by the lanes."""
-    links = {}
+    made: HighwayNetwork, connections: list[Connection], by_id: dict[str, Lane]
+) -> None:
+    """Add a lane for every connection of lanes that cars may use."""
+    placed = made.placed
     for link in connections:
         if link.from_lane not in placed or link.to_lane not in placed:
             continue
@@ -257,8 +250,8 @@ def _add_junction_paths(
         for piece in inner:
             placed.setdefault(piece.id, []).append((path, at))
             at += piece.length_m
-        made.onward[before, after[:2]], made.exit_of[path], links[path] = path, after, link
-    return links
+        made.onward[before, after[:2]] = path
+        made.exit_of[path], made.links[path] = after, link
 
 
 def _stub(at: FloatArray, before: FloatArray) -> FloatArray:
@@ -311,9 +304,9 @@ def _add_wrong_side_lanes(made: HighwayNetwork) -> dict[LaneIndex, LaneIndex]:
     leftmost = [made.lanes[(*stretch, 0)] for stretch in ordered]
     middles = [lane.position(lane.length / 2, 0.0) for lane in leftmost]
     reach_m = OPPOSITE_M * max(lane.width for lane in leftmost)
-    lines = [lane.points for lane in leftmost]
     near = boxes_of([middle[None] for middle in middles], reach_m)
-    for one, other in near_pairs(near, boxes_of(lines, 0.0), CELL_M).tolist():
+    boxes = boxes_of([lane.points for lane in leftmost], 0.0)
+    for one, other in near_pairs(near, boxes, CELL_M).tolist():
         stretch, lane, opposite = ordered[one], leftmost[one], leftmost[other]
         left = (*stretch, 0)
         if left in found or other == one or abs(opposite.length - lane.length) > 1.0:
@@ -322,20 +315,15 @@ def _add_wrong_side_lanes(made: HighwayNetwork) -> dict[LaneIndex, LaneIndex]:
         facing = np.cos(opposite.heading_at(s) - lane.heading_at(lane.length / 2))
         inside = 0.0 < s < opposite.length
         if facing < -0.99 and inside and abs(across) < OPPOSITE_M * lane.width:
-            key = (f"~{stretch[0]}", f"~{stretch[1]}")
-            points, limit = opposite.points[::-1], opposite.speed_limit
-            over = PolylineLane(points, opposite.width, limit, forbidden=True)
-            made.add_lane(*key, over)
-            made.lanes[(*key, 0)], found[left] = over, (*key, 0)
+            key, points = (f"~{stretch[0]}", f"~{stretch[1]}", 0), opposite.points[::-1]
+            made.lanes[key] = PolylineLane(points, opposite.width, opposite.speed_limit, True)
+            made.add_lane(*key[:2], made.lanes[key])
+            found[left] = key
     return found
 
 
-def _arrays(
-    made: HighwayNetwork,
-    links: dict[LaneIndex, Connection],
-    wrong_side: dict[LaneIndex, LaneIndex],
-    placed: Placed,
-) -> Net:
+def _arrays(made: HighwayNetwork, wrong_side: dict[LaneIndex, LaneIndex]) -> Net:
+    """The arrays of a network; ``wrong_side`` has the lanes over opposite ones."""
     keys, number, objects = made.keys, made.number, list(made.lanes.values())
     lanes = np.zeros(len(keys), state.LANE)
     for name, of in (("length", "length"), ("limit", "speed_limit"), ("width", "width")):
@@ -344,7 +332,7 @@ def _arrays(
         lanes[name] = -1
     ways: list[list[tuple[int, int]]] = [[] for _ in keys]
     for (lane, then), path in made.onward.items():
-        row, link = lanes[number[path]], links[path]
+        row, link = lanes[number[path]], made.links[path]
         row.connector, row.signal = True, link.signal
         row.must_yield, row.must_stop = link.must_yield, link.must_stop
         row.entry, row.exit = number[lane], number[made.exit_of[path]]
@@ -361,60 +349,55 @@ def _arrays(
         beside = [number.get((*key[:2], key[2] + step), -1) for key in keys]
         lanes[name] = np.where(lanes["connector"] | lanes["wrong"], -1, beside)
     lanes["stretch"] = [made.stretch_number[key[:2]] for key in keys]
-    crossings, spots, strips = _crossings(made, placed)
+    crossings, spots, strips = _crossings(made)
     return Net(
         lanes=lanes,
         pieces=listed(lanes, "piece", [lane.pieces for lane in objects], state.PIECE),
         turns=listed(lanes, "turn", [lane.turns for lane in objects], state.TURN),
         ways=listed(lanes, "way", ways, state.WAY),
-        conflicts=listed(
-            lanes, "conflict", _conflicts(made, links, lanes["entry"]), state.CONFLICT
-        ),
+        conflicts=listed(lanes, "conflict", _conflicts(made, lanes["entry"]), state.CONFLICT),
         strips=listed(lanes, "strip", strips, state.STRIP),
         crossings=crossings,
         spots=spots,
         cells=_cells([lane.points for lane in objects], lanes),
-        has_paths=bool(links),
+        has_paths=bool(made.links),
         has_wrong=bool(wrong_side),
     )
 
 
-def _conflicts(
-    made: HighwayNetwork, links: dict[LaneIndex, Connection], entry: IntArray
-) -> list[list[tuple[Any, ...]]]:
+def _conflicts(made: HighwayNetwork, entry: IntArray) -> list[list[tuple[Any, ...]]]:
     """The rows of `CONFLICT` of each lane; paths that begin on the same lane have none."""
     rows: list[list[tuple[Any, ...]]] = [[] for _ in made.lanes]
     place = {id(way): i for i, way in enumerate(made.road.connections)}
-    ways, numbers = list(links.values()), np.array([made.number[key] for key in links], np.int64)
-    paths = [made.lanes[key] for key in links]
+    ways, numbers = list(made.links.values()), [made.number[key] for key in made.links]
+    paths = [made.lanes[key] for key in made.links]
     at = [np.linspace(0.0, p.length, max(int(p.length / SAMPLE_M), 1) + 1) for p in paths]
     xy = [path.positions(s) for path, s in zip(paths, at, strict=True)]
-    boxes = boxes_of(xy, WIDEST_M / 2)
-    pairs = near_pairs(boxes, boxes, CELL_M)
-    pairs = pairs[entry[numbers[pairs[:, 0]]] != entry[numbers[pairs[:, 1]]]]
-    if not len(pairs):
-        return rows
-    first = np.cumsum([0, *map(len, xy)], dtype=np.int64)
-    ends = np.full((len(pairs), 2), -1, np.int64)
-    swing = np.concatenate([*map(_swing, xy)])
-    _first_and_last_close(np.concatenate(xy), swing, first, pairs, ends)
-    meet = ends[:, 0] >= 0
-    spans = dict(zip(map(tuple, pairs[meet].tolist()), ends[meet].tolist(), strict=True))
-    for (a, b), span in spans.items():
-        yields = place[id(ways[b])] in ways[a].yields_to
-        yielded = place[id(ways[a])] in ways[b].yields_to
-        both = *at[a][span].tolist(), *at[b][spans[b, a]].tolist()
-        rows[numbers[a]].append((numbers[b], yields - yielded, *both))
+    boxes, swing = boxes_of(xy, WIDEST_M / 2), [_swing(each) for each in xy]
+    for a, b in near_pairs(boxes, boxes, CELL_M).tolist():
+        if a >= b or entry[numbers[a]] == entry[numbers[b]]:
+            continue
+        reach = np.minimum(CONFLICT_M + swing[a][:, None] + swing[b], WIDEST_M)
+        close = cdist(xy[a], xy[b]) < reach
+        if close.any():
+            yields = place[id(ways[b])] in ways[a].yields_to
+            yielded = place[id(ways[a])] in ways[b].yields_to
+            span, other = (
+                s[np.flatnonzero(close.any(axis=1 - k))[[0, -1]]].tolist()
+                for k, s in enumerate((at[a], at[b]))
+            )
+            rows[numbers[a]].append((numbers[b], yields - yielded, *span, *other))
+            rows[numbers[b]].append((numbers[a], yielded - yields, *other, *span))
     return [sorted(each, key=lambda row: row[2]) for each in rows]
 
 
-def _crossings(made: HighwayNetwork, placed: Placed) -> tuple[Records, Records, list[list[Any]]]:
+def _crossings(made: HighwayNetwork) -> tuple[Records, Records, list[list[Any]]]:
     """The crossings, their spots, and the rows of `STRIP` of each lane, by their beginning."""
     strips: list[list[Any]] = [[] for _ in made.lanes]
     graph = LaneGraph.of(made.road)
     spans = (graph.cross_lane, graph.cross_id, graph.cross_s, graph.cross_exit_s, graph.cross_u)
     for lane, crossing, near, far, u in zip(*(each.tolist() for each in spans), strict=True):
-        for key, at in placed.get(made.road.lanes[lane].id, ()):
+        for key, at in made.placed.get(made.road.lanes[lane].id, ()):
             strips[made.number[key]].append((crossing, -1, at + near, at + far, u))
     found: list[list[tuple[float, float]]] = [[] for _ in made.road.crossings]
     for rows, lane in zip(strips, made.lanes.values(), strict=True):
@@ -454,20 +437,3 @@ def _swing(xy: FloatArray) -> FloatArray:
     turn = np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))
     per_m = np.concatenate([[0.0], turn / np.maximum(np.hypot(*step[1:].T), 1e-9), [0.0]])
     return HALF_CAR_M**2 * per_m
-
-
-@in_place()
-def _first_and_last_close(
-    xy: FloatArray, swing: FloatArray, first: IntArray, pairs: IntArray, ends: IntArray
-) -> None:
-    """Find the first and the last point, of ``ends``, of each path that is too close to another."""
-    for i in range(len(pairs)):
-        one, other = pairs[i]
-        for p in range(first[one], first[one + 1]):
-            for q in range(first[other], first[other + 1]):
-                dx, dy = xy[p, 0] - xy[q, 0], xy[p, 1] - xy[q, 1]
-                if math.sqrt(dx * dx + dy * dy) < min(CONFLICT_M + swing[p] + swing[q], WIDEST_M):
-                    if ends[i, 0] < 0:
-                        ends[i, 0] = p - first[one]
-                    ends[i, 1] = p - first[one]
-                    break

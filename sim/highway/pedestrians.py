@@ -22,21 +22,14 @@ from scipy.spatial import KDTree
 
 from behaviors.errors import InputError
 from sim.compiled import in_place
-from sim.frames import EventKind, FloatArray, Signal
+from sim.frames import FloatArray, Signal
+from sim.geometry import distances_along
+from sim.highway import state
 from sim.highway.driving import OVERLOOKS, YIELDS, attention_m, can_stop, chance
 from sim.highway.junctions import ENTERED_M
-from sim.highway.places import record
-from sim.highway.state import (
-    CROSSOVER,
-    EVENT_KINDS,
-    FOOTWAY,
-    MOST_MET,
-    STEP,
-    WALKER,
-    Footways,
-    Scene,
-    listed,
-)
+from sim.highway.lanes import straight_pieces
+from sim.highway.places import last_begun, record
+from sim.highway.state import CROSSOVER, FOOTWAY, MOST_MET, PIECE, WALKER, Footways, Scene, listed
 from sim.road import Road
 from sim.road.cells import boxes_of, near_pairs
 from sim.scenario import WALK_START_M, AgentSpec
@@ -50,9 +43,6 @@ SETBACK_M, OFFSET_M = 1.6, 0.6
 begins and ends there. They keep up to this far to either side of the path's middle."""
 
 GREEN, OFF = Signal.GREEN.code, Signal.OFF.code
-YIELDED, NOT_YIELDED = (
-    EVENT_KINDS.index(EventKind.YIELDED), EVENT_KINDS.index(EventKind.NOT_YIELDED)
-)  # fmt: skip
 
 KERB_SOON_S, KERB_M = 4.0, 0.4
 """Drivers that demand at least this gap see that a pedestrian this near the kerb wants to cross, s.
@@ -78,36 +68,30 @@ side of a crossing's middle line, m (`OFFSET_M`, half a pedestrian and a little)
 
 
 class Footway(NamedTuple):
-    """A pedestrian's whole way: its length, m, and rows of `STEP` and of `CROSSOVER`."""
+    """A pedestrian's whole way."""
 
-    length: float
-    steps: list[tuple[float, ...]]
-    crossovers: list[tuple[Any, ...]]
+    points: FloatArray  # (P, 2) m, in highway-env's axes
+    at: FloatArray  # (P,) how far along each is, m
+    crossed: list[tuple[int, int, int, bool]]  # crossing, its first and last point, forward or not
 
 
 @functools.lru_cache(maxsize=256)
 def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
     """The way on foot along a route of edges: its sidewalks and the shortest way between them.
 
-    It is found once for each road and route, and kept.
-
     Raises:
         InputError: if an edge has no sidewalk or two cannot be joined by crossings.
     """
     sidewalks = {lane.edge: lane for lane in road.lanes if lane.walking and not lane.internal}
-    lines = []
     for edge in route:
         if edge not in sidewalks:
             raise InputError(f"route: found edge {edge!r} without sidewalk, expected one with")
-        lines.append(sidewalks[edge].centerline)
-    ends = _orient(lines)
+    ends = _orient([sidewalks[edge].centerline for edge in route])
     begin, leave = ends[0]
     share = min(1.0, WALK_START_M / max(float(np.hypot(*(begin - leave))), 1e-9))
-    way = [(leave, -1, True)]
+    points, way, crossed = [leave + share * (begin - leave)], [(leave, -1, True)], []
     for (_, leave), (enter, onward) in itertools.pairwise(ends):
         way += [*_walk(road, leave, enter), (onward, -1, True)]
-    points = [ends[0][1] + share * (begin - ends[0][1])]
-    crossed: list[tuple[int, int, int, bool]] = []  # with its first and its last point
     for xy, crossing, forward in way:
         before = len(points) - 1
         if np.hypot(*(xy - points[-1])) > 1e-6:
@@ -115,17 +99,7 @@ def find_footway(road: Road, route: tuple[str, ...]) -> Footway:
         if crossing >= 0:
             crossed.append((crossing, before, len(points) - 1, forward))
     line = np.array(points) * np.array([1.0, -1.0])
-    size = np.hypot(*np.diff(line, axis=0).T)
-    at = np.concatenate([[0.0], np.cumsum(size)]).tolist()
-    ahead = (np.diff(line, axis=0) / size[:, None]).tolist()
-    return Footway(
-        at[-1],
-        [
-            (*xy, *along, math.atan2(along[1], along[0]), begins)
-            for xy, along, begins in zip(line[:-1].tolist(), ahead, at, strict=False)
-        ],
-        [(crossing, at[i], at[j], forward) for crossing, i, j, forward in crossed],
-    )
+    return Footway(line, distances_along(line), crossed)
 
 
 def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
@@ -195,22 +169,24 @@ def _runs_over_a_lane(road: Road, links: FloatArray) -> NDArray[np.bool_]:
 
 def footways_of(footways: Sequence[Footway]) -> Footways:
     """Ways on foot as arrays."""
-    ways = np.zeros(len(footways), FOOTWAY)
-    ways["length"] = [way.length for way in footways]
-    steps = listed(ways, "step", [way.steps for way in footways], STEP)
-    crossovers = listed(ways, "crossover", [way.crossovers for way in footways], CROSSOVER)
-    return Footways(ways, steps, crossovers)
+    ways, steps, crossovers = np.zeros(len(footways), FOOTWAY), [], []
+    for i, (points, at, crossed) in enumerate(footways):
+        steps.append(straight_pieces(points))
+        steps[-1]["begin"], ways["length"][i] = at[:-1], at[-1]
+        crossovers.append([(one, at[j], at[k], forward) for one, j, k, forward in crossed])
+    pieces = listed(ways, "piece", steps, PIECE)
+    return Footways(ways, pieces, listed(ways, "crossover", crossovers, CROSSOVER))
 
 
 def walker_row(spec: AgentSpec, footway: Footway, number: int, seed: int) -> Any:
     """The row of `WALKER` of a pedestrian at the beginning of a way of this number."""
     row = np.zeros(1, WALKER)[0]
     aside = float(np.random.default_rng((seed, spec.seed)).uniform(-OFFSET_M, OFFSET_M))
-    x, y, ahead, beside, row["heading"], _ = footway.steps[0]
-    row["x"], row["y"] = x + aside * -beside, y + aside * ahead
+    piece = straight_pieces(footway.points[:2])[0]
+    row["x"], row["y"] = piece.x + aside * -piece.dy, piece.y + aside * piece.dx
+    row["heading"], row["way"], row["aside"] = math.atan2(piece.dy, piece.dx), number, aside
     row["agent"], row["kind"], row["crashed_at"] = spec.id, spec.kind.code, math.inf
     row["length"], row["width"], row["free_speed"] = spec.length_m, spec.width_m, spec.speed_mps
-    row["way"], row["aside"] = number, aside
     return row
 
 
@@ -221,7 +197,7 @@ def note_walkers(scene: Scene) -> None:
     scene.crossing_head[:] = -1
     for w in range(scene.walkers.size):
         person = scene.walkers[w]
-        at = _crossover(w, scene)
+        at = _crossover(person, scene)
         if at < 0 or person.crashed:
             continue
         way = scene.footways.crossovers[at]
@@ -232,10 +208,10 @@ def note_walkers(scene: Scene) -> None:
 
 
 @in_place(inner=True)
-def _crossover(w: int, scene: Scene) -> int:
+def _crossover(person: Any, scene: Scene) -> int:
     """The crossing of its way that a pedestrian is on or comes to next; -1 for none."""
-    way, crossed = scene.footways.ways[scene.walkers[w].way], scene.walkers[w].crossed
-    at = way.crossover + crossed
+    way = scene.footways.ways[person.way]
+    at = way.crossover + person.crossed
     return int(at) if at < way.crossover_end else -1
 
 
@@ -250,66 +226,63 @@ def _along(u: float, at: int, scene: Scene) -> float:
 @in_place(inner=True)
 def obey_crossings(scene: Scene) -> None:
     """Note who stops before which crossing and who comes to it; record who let pedestrians go."""
-    scene.now[0].arrivals = 0
+    now, arrivals = scene.now[0], scene.arrivals
+    now.arrivals = 0
     for i in range(scene.vehicles.size):
-        me = scene.vehicles[i]
-        first = scene.now[0].arrivals
-        _look_at_strips(i, me.lane, -(me.s + me.length / 2), scene)
+        me, first = scene.vehicles[i], now.arrivals
+        _look_at_strips(me, me.lane, -(me.s + me.length / 2), scene)
         if me.path >= 0 and me.path != me.lane:
-            _look_at_strips(i, me.path, me.to_line, scene)
-        for a in range(first, scene.now[0].arrivals):
-            for b in range(first, scene.now[0].arrivals):
-                one, other = scene.arrivals[a], scene.arrivals[b]
-                if other.yields and other.crossing == one.crossing:
-                    one.yields = True
+            _look_at_strips(me, me.path, me.to_line, scene)
+        for a in range(first, now.arrivals):
+            for b in range(first, now.arrivals):
+                if arrivals[b].yields and arrivals[b].crossing == arrivals[a].crossing:
+                    arrivals[a].yields = True
 
 
 @in_place(inner=True)
-def _look_at_strips(i: int, lane: int, begin: float, scene: Scene) -> None:
+def _look_at_strips(me: Any, lane: int, begin: float, scene: Scene) -> None:
     """Look at the crossings of a lane that begins so far ahead of a vehicle's front bumper."""
-    net, me = scene.net, scene.vehicles[i]
+    net, number, heads = scene.net, scene.now[0].arrivals, scene.spot_head
     obeys = me.profiled and not net.lanes[me.lane].wrong
     for z in range(net.lanes[lane].strip, net.lanes[lane].strip_end):
         strip = net.strips[z]
-        near, far, crossing = strip.near + begin, strip.far + begin, strip.crossing
+        near, far, w = strip.near + begin, strip.far + begin, scene.crossing_head[strip.crossing]
         if far + me.length < 0.0:
             if obeys:
-                _record_encounter(i, crossing, scene)
+                _record_encounter(me, strip.crossing, scene)
             continue
-        w = scene.crossing_head[crossing]
         if w < 0 or near > attention_m(me):
             continue
-        if scene.now[0].arrivals >= scene.arrivals.size:
-            continue
-        arrival = scene.arrivals[scene.now[0].arrivals]
-        arrival.vehicle, arrival.crossing, arrival.near, arrival.far = i, crossing, near, far
-        arrival.yields, arrival.stood_s = False, me.stood_s
-        arrival.link, scene.spot_head[strip.spot] = (
-            scene.spot_head[strip.spot], scene.now[0].arrivals
+        arrival = scene.arrivals[number]
+        arrival.vehicle, arrival.crossing, arrival.near, arrival.far = (
+            me.row, strip.crossing, near, far
         )  # fmt: skip
-        scene.now[0].arrivals += 1
+        arrival.yields, arrival.stood_s, arrival.link = False, me.stood_s, heads[strip.spot]
+        heads[strip.spot] = number
+        number += 1
         while w >= 0 and obeys and near >= -ENTERED_M:
-            if _yields_to(i, w, strip, near, far, scene):
+            if _yields_to(me, scene.walkers[w], strip, near, far, scene):
                 me.stop_gap = min(me.stop_gap, near)
                 arrival.yields = True
             w = scene.walkers[w].link
+    scene.now[0].arrivals = number
 
 
 @in_place(inner=True)
-def _record_encounter(i: int, crossing: int, scene: Scene) -> None:
+def _record_encounter(me: Any, crossing: int, scene: Scene) -> None:
     """Record whether a driver that has passed a crossing yielded to those it met there."""
-    me = scene.vehicles[i]
     for slot in range(MOST_MET):
         if me.met[slot] == crossing:
             if me.met_near[slot]:
-                record(YIELDED if me.yielded[slot] else NOT_YIELDED, me.agent, scene)
+                kind = state.YIELDED if me.yielded[slot] else state.NOT_YIELDED
+                record(kind, me.agent, scene)
             me.met[slot], me.met_near[slot], me.yielded[slot] = -1, 0, 0
 
 
 @in_place(inner=True)
-def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> None:
+def _note_met(me: Any, crossing: int, near: bool, yields: bool) -> None:
     """Remember that a driver yields to pedestrians at a crossing, or meets them there."""
-    me, at = scene.vehicles[i], -1
+    at = -1
     for slot in range(MOST_MET):
         if me.met[slot] == crossing or (me.met[slot] < 0 and at < 0):
             at = slot
@@ -320,40 +293,40 @@ def _note_met(i: int, crossing: int, near: bool, yields: bool, scene: Scene) -> 
 
 
 @in_place(inner=True)
-def _yields_to(i: int, w: int, strip: Any, near: float, far: float, scene: Scene) -> bool:
+def _yields_to(me: Any, person: Any, strip: Any, near: float, far: float, scene: Scene) -> bool:
     """Whether a driver stops for a pedestrian at a crossing that is ``near`` to ``far`` m ahead."""
-    me, person, crossing = scene.vehicles[i], scene.walkers[w], scene.net.crossings[strip.crossing]
-    overlooks = me.overlook_probability
+    crossing, at, speed = scene.net.crossings[strip.crossing], _crossover(person, scene), me.speed
+    overlooks, pace = me.overlook_probability, person.free_speed
     sees = overlooks <= 0.0 or chance(me.key, OVERLOOKS, person.agent) >= overlooks
-    at = _crossover(w, scene)
-    half = scene.net.lanes[me.lane].width / 2 - STRIP_M
+    lit, walk = _light(crossing, scene)
     beyond = person.s - scene.footways.crossovers[at].begin_s
-    pace, speed = person.free_speed, me.speed
     on = beyond > 0.0
-    lit = crossing.signal >= 0 and scene.signals[crossing.signal] != OFF
-    walk = not lit or scene.signals[crossing.signal] == GREEN
     comes_s, clears_s = near / max(speed, 2.0), (far + me.length) / max(speed, 2.0)
-    along = _along(strip.u, at, scene)
+    along, half = _along(strip.u, at, scene), scene.net.lanes[me.lane].width / 2 - STRIP_M
     enters_s, leaves_s = (along - half - beyond) / pace, (along + half - beyond) / pace
     if leaves_s < 0.0:
         return False
     if on and (enters_s <= 0.0 or (person.speed > 0.0 and enters_s < DANGER_S)):
         hard = me.emergency_decel
         return sees and can_stop(speed, near, hard) and leaves_s > comes_s - DANGER_S
-    if on and person.stood_s > STALLED_S:
-        return False
-    if not ((crossing.priority or lit) and (on or walk)):
+    if (on and person.stood_s > STALLED_S) or not ((crossing.priority or lit) and (on or walk)):
         return False
     gentle = max(1.2 * me.comfort_decel_mps2, 3.0)
     if leaves_s < comes_s - DANGER_S or not can_stop(speed, near, gentle):
         return False
-    gap_s = me.crossing_gap_s
-    heeds = -beyond <= gap_s * pace and enters_s < clears_s + gap_s
+    heeds = -beyond <= me.crossing_gap_s * pace and enters_s < clears_s + me.crossing_gap_s
     met = enters_s < clears_s + MET_S and -beyond < MET_KERB_S * pace
     yields = sees and heeds and chance(me.key, YIELDS, strip.crossing) < me.yield_probability
     if met or yields:
-        _note_met(i, strip.crossing, met, yields, scene)
+        _note_met(me, strip.crossing, met, yields)
     return bool(yields)
+
+
+@in_place(inner=True)
+def _light(crossing: Any, scene: Scene) -> tuple[bool, bool]:
+    """Whether a crossing has a light that works, and whether pedestrians may go by it."""
+    shown = scene.signals[crossing.signal] if crossing.signal >= 0 else OFF
+    return shown != OFF, shown in (GREEN, OFF)
 
 
 @in_place(inner=True)
@@ -361,38 +334,33 @@ def walk(dt: float, scene: Scene) -> None:
     """Let every pedestrian walk on or wait for ``dt`` seconds, as `_may_walk` says."""
     for w in range(scene.walkers.size):
         person = scene.walkers[w]
-        at = _crossover(w, scene)
-        person.speed = person.free_speed if _may_walk(w, at, dt, scene) else 0.0
+        at = _crossover(person, scene)
+        person.speed = person.free_speed if _may_walk(person, at, dt, scene) else 0.0
         person.stood_s = 0.0 if person.speed > 0.0 else person.stood_s + dt
         way = scene.footways.ways[person.way]
         person.s = min(person.s + person.speed * dt, way.length)
         if at >= 0 and person.s >= scene.footways.crossovers[at].end_s:
             person.crossed += 1
-        g = way.step
-        while g + 1 < way.step_end and scene.footways.steps[g + 1].begin <= person.s:
-            g += 1
-        step = scene.footways.steps[g]
-        along = person.s - step.begin
-        person.x = step.x + step.dx * along + person.aside * -step.dy
-        person.y = step.y + step.dy * along + person.aside * step.dx
-        person.heading = step.heading
+        pieces = scene.footways.pieces
+        piece = pieces[last_begun(person.s, way.piece, way.piece_end, pieces)]
+        along = person.s - piece.begin
+        person.x = piece.x + piece.dx * along + person.aside * -piece.dy
+        person.y = piece.y + piece.dy * along + person.aside * piece.dx
+        person.heading = math.atan2(piece.dy, piece.dx)
 
 
 @in_place(inner=True)
-def _may_walk(w: int, at: int, dt: float, scene: Scene) -> bool:
+def _may_walk(person: Any, at: int, dt: float, scene: Scene) -> bool:
     """Whether a pedestrian walks on in a step of ``dt`` s, or waits."""
-    person = scene.walkers[w]
-    if person.crashed:
-        return False
-    if at < 0:
-        return True
+    if person.crashed or at < 0:
+        return not person.crashed
     way, stride = scene.footways.crossovers[at], person.free_speed * dt
     crossing = scene.net.crossings[way.crossing]
     begins = person.s < way.begin_s
     if begins and way.begin_s - person.s > max(KERB_M, stride):
         return True
-    lit = crossing.signal >= 0 and scene.signals[crossing.signal] != OFF
-    if begins and lit and scene.signals[crossing.signal] != GREEN:
+    lit, goes = _light(crossing, scene)
+    if begins and not goes:
         return False
     nearest = np.inf
     if begins and lit:  # the first lane only
@@ -402,7 +370,7 @@ def _may_walk(w: int, at: int, dt: float, scene: Scene) -> bool:
         begin, end = _strip_of(spot, at, scene)
         if not begins and not person.s <= begin < person.s + stride:
             continue
-        if begin <= nearest and not _is_safe(w, spot, begin, end, scene):
+        if begin <= nearest and not _is_safe(person, spot, begin, end, scene):
             return False
     return True
 
@@ -416,12 +384,11 @@ def _strip_of(spot: int, at: int, scene: Scene) -> tuple[float, float]:
 
 
 @in_place(inner=True)
-def _is_safe(w: int, spot: int, begin: float, end: float, scene: Scene) -> bool:
+def _is_safe(person: Any, spot: int, begin: float, end: float, scene: Scene) -> bool:
     """Whether a pedestrian can cross a lane's strip before any vehicle reaches it.
 
     A vehicle that waits before the crossing holds those behind it back.
     """
-    person = scene.walkers[w]
     enter_s = max(begin - person.s, 0.0) / person.free_speed
     leave_s = (end - person.s) / person.free_speed
     safe, nearest, a = True, np.inf, scene.spot_head[spot]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from sim.compiled import in_place
-from sim.frames import FloatArray, IntArray
 from sim.highway.driving import Beside
 from sim.highway.state import LONGEST_M, Net, Records, Scene
 
@@ -60,24 +59,25 @@ def project_on(
 
 
 @in_place(inner=True)
+def last_begun(s: float, first: int, end: int, rows: Records) -> int:
+    """The last of the rows from ``first`` to before ``end`` whose ``begin`` is not after ``s``."""
+    at = first
+    while at + 1 < end and rows[at + 1].begin <= s:
+        at += 1
+    return at
+
+
+@in_place(inner=True)
 def heading_at(s: float, k: int, net: Net) -> float:
     """A lane's heading at a distance along it, rad."""
-    turns, low, last = net.turns, net.lanes[k].turn, net.lanes[k].turn_end - 1
-    if s < turns[low].at:
-        return float(turns[low].heading)
-    high = last
-    while low < high:  # to the last entry not after s
-        middle = (low + high + 1) // 2
-        if turns[middle].at <= s:
-            low = middle
-        else:
-            high = middle - 1
-    one = turns[low]
-    if low == last or one.at == s:
+    end = net.lanes[k].turn_end
+    at = last_begun(s, net.lanes[k].turn, end, net.turns)
+    one = net.turns[at]
+    if at + 1 == end or s <= one.begin:
         return float(one.heading)
-    then = turns[low + 1]
-    slope = (then.heading - one.heading) / (then.at - one.at)
-    return float(slope * (s - one.at) + one.heading)
+    then = net.turns[at + 1]
+    slope = (then.heading - one.heading) / (then.begin - one.begin)
+    return float(slope * (s - one.begin) + one.heading)
 
 
 @in_place(inner=True)
@@ -113,25 +113,23 @@ def record(kind: int, agent: int, scene: Scene) -> None:
 
 
 @in_place(inner=True)
-def along_lane(i: int, lane: int, scene: Scene) -> float:
+def along_lane(me: Any, lane: int, net: Net) -> float:
     """Distance of a vehicle along a lane, m."""
-    me = scene.vehicles[i]
-    return project(me.x, me.y, lane, scene.net)[0]
+    return project(me.x, me.y, lane, net)[0]
 
 
 @in_place(inner=True)
-def next_stretch(i: int, lane: int, scene: Scene) -> int:
+def next_stretch(me: Any, lane: int, scene: Scene) -> int:
     """The stretch that a vehicle wants to reach after a lane's; -1 at the end of its way."""
-    at = leg_at(i, lane, scene.vehicles[i].leg, scene)
-    return int(scene.routes[scene.vehicles[i].route, at + 1]) if at >= 0 else -1
+    at = leg_at(me, lane, me.leg, scene)
+    return int(scene.routes[me.route, at + 1]) if at >= 0 else -1
 
 
 @in_place(inner=True)
-def leg_at(i: int, lane: int, first: int, scene: Scene) -> int:
+def leg_at(me: Any, lane: int, first: int, scene: Scene) -> int:
     """Which stretch of a vehicle's route a lane belongs to, counted from ``first`` on; or -1."""
-    routes, route, stretch = scene.routes, scene.vehicles[i].route, scene.net.lanes[lane].stretch
-    for at in range(first, routes.shape[1] - 1):
-        if routes[route, at] == stretch:
+    for at in range(first, scene.routes.shape[1] - 1):
+        if scene.routes[me.route, at] == scene.net.lanes[lane].stretch:
             return at
     return -1
 
@@ -146,27 +144,22 @@ def path_to(lane: int, then: int, net: Net) -> int:
 
 
 @in_place(inner=True)
-def onward(i: int, lane: int, scene: Scene) -> int:
+def onward(me: Any, lane: int, scene: Scene) -> int:
     """The lane that follows on a vehicle's way; -1 at its end or on a wrong lane."""
     after = scene.net.lanes[lane].exit
     if after >= 0:
         return int(after)
-    then = next_stretch(i, lane, scene)
+    then = next_stretch(me, lane, scene)
     return path_to(lane, then, scene.net) if then >= 0 else -1
 
 
 @in_place()
-def locate(scene: Scene) -> bool:
-    """Find who is on which lane; those at the same place are in the order of rows.
-
-    Returns:
-        Whether there was room for all entries; ``now.entries`` says how many there are.
-    """
-    net, cells, found = scene.net, scene.net.cells, 0
-    vehicles, first, room = scene.vehicles, scene.on_first, scene.unsorted.size
-    first[:] = 0
-    for i in range(vehicles.size):
-        me = vehicles[i]
+def locate(scene: Scene) -> None:
+    """Find who is on which lane; those at the same place are in the order of rows."""
+    net, cells, on, found = scene.net, scene.net.cells, scene.on, 0
+    scene.on_head[:] = -1
+    for i in range(scene.vehicles.size):
+        me = scene.vehicles[i]
         column, line = (me.x - cells.x0) / cells.size, (me.y - cells.y0) / cells.size
         if not (0.0 <= column < cells.columns and 0.0 <= line < cells.rows):
             continue
@@ -190,95 +183,47 @@ def locate(scene: Scene) -> bool:
                 if abs(lateral) > lane.margin or not 0.0 <= rear <= lane.length:
                     continue
                 s = rear + half  # it turns off, with its rear still in the way
-            if found < room:
-                one = scene.unsorted[found]
-                one.row, one.lane, one.s, one.along = i, k, s, me.speed * facing
-                first[k + 1] += 1
+            before, then = -1, scene.on_head[k]
+            while then >= 0 and on[then].s <= s:
+                before, then = then, on[then].then
+            one = on[found]
+            one.row, one.then, one.s, one.along = i, then, s, me.speed * facing
+            if before < 0:
+                scene.on_head[k] = found
+            else:
+                on[before].then = found
             found += 1
-    scene.now[0].entries = found
-    if found > room:
-        return False
-    for k in range(first.size - 1):
-        first[k + 1] += first[k]
-    for e in range(found):  # `lane_head` counts how many are in place already
-        one = scene.unsorted[e]
-        k = one.lane
-        scene.lane_head[k] += 1
-        at = first[k] + scene.lane_head[k]
-        while at > first[k] and scene.on[at - 1].s > one.s:
-            scene.on[at] = scene.on[at - 1]
-            at -= 1
-        scene.on[at] = one
-    for e in range(found):
-        scene.lane_head[scene.unsorted[e].lane] = -1
-    return True
-
-
-@in_place(inner=True)
-def _after(x: float, lane: int, equal: bool, scene: Scene) -> int:
-    """The first entry on a lane beyond a place, or also at it if ``equal``."""
-    low, high = scene.on_first[lane], scene.on_first[lane + 1]
-    while low < high:
-        middle = (low + high) // 2
-        s = scene.on[middle].s
-        if s < x or (s == x and not equal):
-            low = middle + 1
-        else:
-            high = middle
-    return int(low)
 
 
 @in_place()
-def beside(i: int, lane: int, scene: Scene) -> Beside:
+def beside(me: Any, lane: int, scene: Scene) -> Beside:
     """The vehicles ahead of and behind a vehicle on a lane, ahead also along its way."""
-    on, first, vehicles = scene.on, scene.on_first, scene.vehicles
-    here, length = along_lane(i, lane, scene), vehicles[i].length
-    at = _after(here, lane, True, scene)
-    rear, rear_gap, rear_speed = -1, np.inf, 0.0
-    before = at - 1
-    while before >= first[lane] and on[before].row == i:
-        before -= 1
-    if before >= first[lane]:
-        rear = on[before].row
-        rear_gap = here - on[before].s - (length + vehicles[rear].length) / 2
-        rear_speed = on[before].along
+    on, vehicles = scene.on, scene.vehicles
+    here, rear, rear_gap, rear_speed = along_lane(me, lane, scene.net), -1, np.inf, 0.0
+    at, behind = scene.on_head[lane], -1
+    while at >= 0 and on[at].s < here:
+        if on[at].row != me.row:
+            behind = at
+        at = on[at].then
+    if behind >= 0:
+        rear, rear_speed = on[behind].row, on[behind].along
+        rear_gap = here - on[behind].s - (me.length + vehicles[rear].length) / 2
     offset, now, visited = -here, lane, 0
     while True:
-        end = first[now + 1]
-        while at < end and on[at].row == i:
-            at += 1
-        if at < end:
-            j = on[at].row
-            gap = offset + on[at].s - (length + vehicles[j].length) / 2
+        while at >= 0 and on[at].row == me.row:
+            at = on[at].then
+        if at >= 0:
+            front = on[at].row
+            gap = offset + on[at].s - (me.length + vehicles[front].length) / 2
             if gap < LEADER_RANGE_M:
-                return Beside(j, gap, on[at].along, rear, rear_gap, rear_speed)
+                return Beside(front, gap, on[at].along, rear, rear_gap, rear_speed)
             break
         offset += scene.net.lanes[now].length
         visited += 1
-        then = onward(i, now, scene)
-        if then < 0 or offset > LEADER_RANGE_M or visited > MOST_LANES:
+        now = onward(me, now, scene)
+        if now < 0 or offset > LEADER_RANGE_M or visited > MOST_LANES:
             break
-        now = then
-        at = _after(max(-offset, -JOINED_M), now, False, scene)
+        at = scene.on_head[now]
+        while at >= 0 and on[at].s <= max(-offset, -JOINED_M):
+            at = on[at].then
     return Beside(-1, np.inf, 0.0, rear, rear_gap, rear_speed)
-
-
-@in_place()
-def read_motion(order: IntArray, scene: Scene, motion: FloatArray) -> None:
-    """Read how everybody moves, in the axes of a `Frame`, in the order of (n,) rows.
-
-    Pedestrians are counted after the vehicles. ``motion``, (4 n,), receives all places, x and y,
-    then headings, then speeds.
-    """
-    n = order.size
-    for k in range(n):
-        i = order[k] - scene.vehicles.size
-        if i < 0:
-            me = scene.vehicles[order[k]]
-            x, y, turned, speed = me.x, me.y, me.heading, me.speed
-        else:
-            person = scene.walkers[i]
-            x, y, turned, speed = person.x, person.y, person.heading, person.speed
-        motion[2 * k], motion[2 * k + 1] = x, -y
-        motion[2 * n + k] = math.pi - (math.pi + turned) % (2.0 * math.pi)
-        motion[3 * n + k] = speed

@@ -56,7 +56,7 @@ PIECE: Final = record_type(f8="x y dx dy size begin outside outside_end")
 """A straight piece of a lane: beginning and direction, m; how long it is and where it begins along
 the lane, m; the side of a sharp corner at its beginning and at its end that is outside, or 0."""
 
-TURN: Final = record_type(f8="at heading")
+TURN: Final = record_type(f8="begin heading")
 """A lane's heading, rad, at a distance along it, m; between two of them it is interpolated."""
 
 WAY: Final = record_type(i8="stretch path")
@@ -102,12 +102,19 @@ def listed(of: Records, name: str, lists: Sequence[Any], kind: np.dtype[Any]) ->
     return np.concatenate([np.zeros(0, kind), *(np.asarray(each, kind) for each in lists)])
 
 
-EVENT_KINDS: Final = tuple(EventKind)
-"""Events by their codes."""
+RED_RUN, STOP_ROLLED, WRONG_WAY, YIELDED, NOT_YIELDED = range(5)
+RECORDED: Final = (
+    EventKind.RED_RUN, EventKind.STOP_ROLLED, EventKind.WRONG_WAY, EventKind.YIELDED,
+    EventKind.NOT_YIELDED,
+)  # fmt: skip
+"""Events that rules record, by their codes."""
 
 LATE_S, MOST_LATE = 0.1, 51
 """A driver's decisions are kept this often, s, and so many of them: those of the longest reaction
 time."""
+
+KINDS_DRAWN: Final = 13
+"""How many kinds of draws `sim.highway.driving` names."""
 
 MOST_MET: Final = 4
 """Crossings at which a driver can have met pedestrians that it has not passed yet."""
@@ -116,39 +123,39 @@ VEHICLE: Final = record_type(
     i1="kind",
     u8="key",
     bool="profiled krauss crashed wrong_way ran_red held was_held changes astray arrives",
-    i8="agent route leg lane target wanted cut_ins stops wrong_ways dawdled lapses erred "
-    "late_since last_path path_before stood_at then path forced leaves",
+    i8="agent row route leg lane target wanted late_since last_path path_before stood_at then path "
+    "forced leaves",
     f8="length width speed_factor time_headway_s min_gap_m max_accel_mps2 comfort_decel_mps2 "
     "politeness lane_change_patience_s startup_delay_s yellow_run_s gap_acceptance_s insistence "
-    "crossing_gap_s red_run_probability stop_roll_probability yield_probability "
-    "cut_in_rate_per_min stop_rate_per_min wrong_way_rate_per_min reaction_time_s perception_noise "
-    "lapse_rate_per_min lapse_s overlook_probability change_threshold imposed_braking change_gap "
+    "crossing_gap_s red_run_probability stop_roll_probability yield_probability reaction_time_s "
+    "perception_noise lapse_s overlook_probability change_threshold imposed_braking change_gap "
     "emergency_decel top_speed x y heading speed steering accel entry_speed clock timer go_at "
-    "standing_since crashed_at cut_in_at stop_at stop_until wrong_way_at lapse_at lapse_until "
-    "error seen_at line_before stopped_s s to_line stood_s stop_gap speed_cap",
+    "standing_since crashed_at stop_until lapse_until error seen_at line_before stopped_s s "
+    "to_line stood_s stop_gap speed_cap",
+    **{f"{KINDS_DRAWN}f8": "rate_per_min due", f"{KINDS_DRAWN}i8": "drawn"},
     **{f"{MOST_LATE}f8": "late", f"{MOST_MET}i8": "met", f"{MOST_MET}i1": "met_near yielded"},
 )
 """A vehicle; lengths in m, times in s, angles in rad, highway-env's axes, -1 for none.
 
-``entry_speed``: at which it came, m/s; ``profiled``: whether a `Profile` drives it; ``key``: of its
-draws; ``leg``: the last stretch of its route that it came to; ``krauss``: whether its driver
-follows by Krauss's law; ``change_threshold`` to ``top_speed``: see `sim.highway.driving`;
-``target``: the lane that it changes to, or the present one; ``wanted``: the same from the next step
-on; ``go_at``: when it may start, after standing; ``standing_since``: infinite while it moves;
-``cut_ins``, ``stops``, ``wrong_ways``, ``dawdled``: how many times each was drawn; ``lapse_at``,
-``lapse_until``, ``lapses``: the same of lapses of attention; ``error``: of perception, with
-standard deviation 1, drawn ``erred`` times, last at ``seen_at``; ``late``: the last accelerations
-wanted, every `LATE_S`, the first at ``late_since``; ``last_path``: the junction path that it was on
-last, until it has left it; ``path_before``, ``line_before``: the path ahead a step ago and how far
-away it was; ``stood_at``: the path before whose stop sign it has stood, since ``stopped_s``;
-``then``: the stretch after its lane's; ``path``: the junction path that it is on or comes to next;
-``to_line``: front bumper to the beginning of that path, or to the end of a lane without one,
-negative beyond it; ``stood_s``: for how long it has stood; ``stop_gap``: front bumper to the line
-at which to stop; ``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it
-stop at the line, and ``was_held`` a step ago; ``changes``: whether lane changes are allowed;
-``forced``: the lane that it has to head for; ``astray``: whether it needs another route;
-``arrives``: whether it is at the end of its way; ``leaves``: why it goes; ``met``: crossings at
-which the driver met pedestrians closely (``met_near``) or ``yielded``.
+``row``: its number among the vehicles; ``entry_speed``: at which it came, m/s; ``profiled``:
+whether a `Profile` drives it; ``leg``: the last stretch of its route that it came to; ``krauss``:
+whether its driver follows by Krauss's law; ``change_threshold`` to ``top_speed``: see
+`sim.highway.driving`; ``target``: the lane that it changes to, or the present one; ``wanted``: the
+same from the next step on; ``go_at``: when it may start, after standing; ``standing_since``:
+infinite while it moves; ``key``: of its draws; ``drawn``: how many draws of each kind it has made;
+``due``: when what happens at a ``rate_per_min`` happens next; ``error``: of perception, with
+standard deviation 1, last drawn at ``seen_at``; ``late``: the last accelerations wanted, every
+`LATE_S`, the first at ``late_since``; ``last_path``: the junction path that it was on last, until
+it has left it; ``path_before``, ``line_before``: the path ahead a step ago and how far away it was;
+``stood_at``: the path before whose stop sign it has stood, since ``stopped_s``; ``then``: the
+stretch after its lane's; ``path``: the junction path that it is on or comes to next; ``to_line``:
+front bumper to the beginning of that path, or to the end of a lane without one, negative beyond it;
+``stood_s``: for how long it has stood; ``stop_gap``: front bumper to the line at which to stop;
+``speed_cap``: speed not to exceed; ``held``: whether a light or a sign makes it stop at the line,
+and ``was_held`` a step ago; ``changes``: whether lane changes are allowed; ``forced``: the lane
+that it has to head for; ``astray``: whether it needs another route; ``arrives``: whether it is at
+the end of its way; ``leaves``: why it goes; ``met``: crossings at which the driver met pedestrians
+closely (``met_near``) or ``yielded``.
 """
 
 WALKER: Final = record_type(
@@ -164,37 +171,37 @@ crossings it has passed; ``stood_s``: for how long it has stood; ``leaves``: why
 the next one at the same crossing.
 """
 
-FOOTWAY: Final = record_type(f8="length", i8="step step_end crossover crossover_end")
-"""A way on foot, with its straight pieces, `STEP`, and its crossings, `CROSSOVER`."""
+FOOTWAY: Final = record_type(f8="length", i8="piece piece_end crossover crossover_end")
+"""A way on foot, with its straight pieces, `PIECE`, and its crossings, `CROSSOVER`."""
 
-STEP: Final = record_type(f8="x y dx dy heading begin")
 CROSSOVER: Final = record_type(i8="crossing", f8="begin_s end_s", bool="forward")
 """A crossing on a way: where along it a pedestrian waits and has left it, m, and whether it is
 walked along its centre line, not against it."""
 
-NOW: Final = record_type(f8="time_s", i8="events arrivals pairs astray entries")
+NOW: Final = record_type(f8="time_s", i8="events arrivals pairs astray leaving")
 """The time, and how many rows of each list are in use; ``astray``: how many drivers need another
-route; ``entries``: vehicles on lanes."""
+route; ``leaving``: how many agents go."""
 
 EVENT: Final = record_type(i8="kind agent", f8="time_s")
-"""Something that a rule recorded, by the code of its `EventKind`."""
+"""Something of `RECORDED`."""
 
-ON: Final = record_type(i8="row lane", f8="s along")
-"""A vehicle on a lane: its distance along it, m, and its speed along it, m/s."""
+ON: Final = record_type(i8="row then", f8="s along")
+"""A vehicle on a lane: its distance along it, m, its speed along it, m/s, and the next entry of
+``on``, further along that lane."""
 
 ARRIVAL: Final = record_type(i8="vehicle crossing link", f8="near far stood_s", bool="yields")
 """A vehicle that comes to a spot of a crossing: front bumper to its near and far edge, m; whether
 it lets the pedestrians go first; for how long it has stood, s; the next arrival at that spot."""
 
 PAIR: Final = record_type(i8="one other")
-"""Two who touch; pedestrians are counted after the vehicles."""
+"""Two who touch, as of ``by_x``, the smaller number first."""
 
 
 class Footways(NamedTuple):
     """The ways on foot that pedestrians of a road take, as arrays named after their types."""
 
     ways: Records
-    steps: Records
+    pieces: Records
     crossovers: Records
 
 
@@ -213,15 +220,13 @@ class Scene(NamedTuple):
     vehicles: Records  # (n,) of `VEHICLE`
     walkers: Records  # (m,) of `WALKER`
     now: Records  # (1,) of `NOW`
-    on_first: IntArray  # (K + 1,) where each lane's entries of ``on`` begin
-    on: Records  # of `ON`, by lane, then by distance along it
-    unsorted: Records  # as ``on``, in the order in which they are found
+    on: Records  # of `ON`
+    on_head: IntArray  # (K,) first vehicle on each lane
     lane_head: IntArray  # (K,) first vehicle on its way over a junction path, or changing to a lane
     lane_link: IntArray  # (2n,) the next; those who have not quite left a path are counted from n
     spot_head: IntArray  # first arrival at each spot of a crossing
     crossing_head: IntArray  # first pedestrian on or near each crossing
-    cell_head: IntArray  # first of everybody in each cell
-    cell_link: IntArray  # (n + m,) the next one
+    by_x: IntArray  # (n + m,) everybody in order of x; pedestrians are counted after the vehicles
     arrivals: Records  # of `ARRIVAL`
     pairs: Records  # of `PAIR`
     events: Records  # of `EVENT`
@@ -230,15 +235,8 @@ class Scene(NamedTuple):
 def blank_vehicles(n: int) -> Records:
     """(n,) rows of vehicles that stand nowhere and have no driver."""
     rows = np.zeros(n, VEHICLE)
-    for name in (
-        "go_at", "standing_since", "crashed_at", "cut_in_at", "stop_at", "wrong_way_at", "lapse_at",
-        "stop_gap", "speed_cap",
-    ):  # fmt: skip
+    for name in ("go_at", "standing_since", "crashed_at", "due", "speed_cap"):
         rows[name] = np.inf
-    for name in (
-        "agent", "met", "late_since", "route", "last_path", "path_before", "stood_at", "then",
-        "path", "forced",
-    ):  # fmt: skip
+    for name in ("met", "late_since", "last_path", "path_before", "stood_at"):
         rows[name] = -1
-    rows["stop_until"], rows["changes"] = -np.inf, True
     return rows

@@ -13,20 +13,21 @@ from typing import Any, Final
 
 import numpy as np
 from highway_env.road.road import Road
+from highway_env.vehicle.controller import ControlledVehicle
+from highway_env.vehicle.objects import Landmark
 from numba import typeof
 
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
-from sim.frames import AgentKind, Event, EventKind, Frame, IntArray, Signal
-from sim.highway import motion, state
+from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame, IntArray, Signal
+from sim.highway import move, state
 from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
-from sim.highway.lanes import LaneIndex, Stretch
+from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
 from sim.highway.network import HighwayNetwork
 from sim.highway.pedestrians import Footway, find_footway, footways_of
-from sim.highway.places import locate, read_motion
-from sim.highway.state import Scene, blank_vehicles
-from sim.highway.vehicle import Crowd, ProfileVehicle, RowView, Walker
+from sim.highway.places import locate
+from sim.highway.state import Footways, Records, Scene, blank_vehicles
 
 PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
@@ -50,7 +51,72 @@ def typed_once(kernel: Any) -> Callable[..., Any]:
     return call
 
 
-_advance, _read_motion = typed_once(motion.advance), typed_once(read_motion)
+_advance, _locate = typed_once(move.advance), typed_once(locate)
+
+
+def _column(name: str, kind: type) -> Any:
+    """A property that shows a field of an agent's row as a Python value."""
+    return property(lambda self: kind(self.field(name)))
+
+
+def _lane_column(name: str) -> Any:
+    """A property that shows the number of a lane as highway-env's index of it."""
+    return property(lambda self: self.road.network.keys[self.field(name)])
+
+
+class RowView:
+    """Shows the row of an agent that is on a road as an object of highway-env."""
+
+    heading = _column("heading", float)
+    speed = _column("speed", float)
+    LENGTH = _column("length", float)
+    WIDTH = _column("width", float)
+    crashed = _column("crashed", bool)
+
+    def __init__(self, road: Any, agent: int) -> None:
+        self.road, self.agent = road, agent
+
+    def field(self, name: str) -> Any:
+        """A field of its row."""
+        rows, row = self.road.row_of(self.agent)
+        return rows[name][row]
+
+    @property
+    def position(self) -> FloatArray:
+        """(2,) its place, m, in highway-env's axes."""
+        return np.array([self.field("x"), self.field("y")])
+
+
+class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
+    """A vehicle driven by a `Profile`.
+
+    Differs from highway-env: others see a decided lane change from the next step on, so that no
+    decision depends on the order in which vehicles act; vehicles do not drive backwards.
+    """
+
+    lane_index = _lane_column("lane")
+    target_lane_index = _lane_column("target")
+    target_speed = _column("entry_speed", float)
+    route = None
+
+    @property
+    def lane(self) -> PolylineLane:
+        """The lane it is on."""
+        found: PolylineLane = self.road.network.lanes[self.lane_index]
+        return found
+
+    @property
+    def behavior(self) -> Behavior | None:
+        """The driver's true behaviour, for colours and labels only."""
+        found: Behavior | None = self.road.behaviors.get(self.agent)
+        return found
+
+
+class Walker(RowView, Landmark):  # type: ignore[misc]
+    """A pedestrian."""
+
+    lane_index = lane = behavior = None
+    collidable = solid = False
 
 
 class TrafficRoad(Road):  # type: ignore[misc]
@@ -60,8 +126,8 @@ class TrafficRoad(Road):  # type: ignore[misc]
         network: the road in highway-env's terms.
 
     Attributes:
-        cars: the vehicles.
-        people: the pedestrians.
+        cars: (n,) rows of `VEHICLE`.
+        people: (m,) rows of `WALKER`.
         behaviors: of the drivers, by their ids, for colours only.
         routes: the routes that have a number, by their numbers.
         footways: the ways on foot that have a number.
@@ -70,12 +136,13 @@ class TrafficRoad(Road):  # type: ignore[misc]
     """
 
     record_history = neighbour_vehicles_connected_lanes = False
+    _rows: dict[int, tuple[Records, int]]
+    _vehicles: list[Any] | None
+    _scene: Scene | None
 
     def __init__(self, network: HighwayNetwork) -> None:
         self.network = network
         self.np_random = np.random.RandomState(0)
-        self.cars = Crowd(self, state.VEHICLE, ProfileVehicle)
-        self.people = Crowd(self, state.WALKER, Walker)
         self.behaviors: dict[int, Behavior | None] = {}
         self.events: list[Event] = []
         self.footways: list[Footway] = []
@@ -85,10 +152,10 @@ class TrafficRoad(Road):  # type: ignore[misc]
         self._now = np.zeros(1, state.NOW)
         self._plan_due_s, self._due_s = np.zeros(len(network.road.signal_plans)), -math.inf
         self._numbers: dict[tuple[Any, ...], int] = {}
-        self._egos: list[Any] = []
+        self._ways: tuple[IntArray, Footways] | None = None
+        self._egos: dict[int, Any] = {}
         self._touching: set[tuple[int, int]] = set()
-        self._scene: Scene | None = None
-        self._work: Scene | None = None
+        self._take(blank_vehicles(0), np.zeros(0, state.WALKER))
         self.update_signals()
         self.signal_since[:] = -math.inf
 
@@ -104,106 +171,112 @@ class TrafficRoad(Road):  # type: ignore[misc]
     @property
     def vehicles(self) -> list[Any]:
         """The vehicles as objects of highway-env, in the order of their rows."""
-        return self.cars.objects
+        if self._vehicles is None:
+            agents = self.cars["agent"].tolist()
+            self._vehicles = [self._egos.get(one) or ProfileVehicle(self, one) for one in agents]
+        return self._vehicles
 
     @property
     def walkers(self) -> list[Any]:
         """The pedestrians, likewise."""
-        return self.people.objects
+        return [Walker(self, agent) for agent in self.people["agent"].tolist()]
 
     objects = walkers
 
+    def row_of(self, agent: int) -> tuple[Records, int]:
+        """The rows among which an agent is, and which of them it is."""
+        if not self._rows:
+            for rows in (self.cars, self.people):
+                self._rows.update((a, (rows, i)) for i, a in enumerate(rows["agent"].tolist()))
+        return self._rows[agent]
+
     def add(self, row: Any) -> None:
         """Put an agent on the road, by its row of `VEHICLE` or `WALKER`."""
-        (self.cars if row.dtype == state.VEHICLE else self.people).add(row)
-        self._changed()
+        rows = self.cars if row.dtype == state.VEHICLE else self.people
+        more = np.empty(len(rows) + 1, rows.dtype)
+        more[:-1], more[-1] = rows, row
+        self._take(*((more, self.people) if rows is self.cars else (self.cars, more)))
 
     def add_ego(self, ego: Any, agent: int, stretches: tuple[Stretch, ...]) -> None:
         """Put a vehicle of highway-env on the road, to drive over some stretches."""
         ego.agent, ego.behavior, ego.stretches = agent, None, stretches
-        row = blank_vehicles(1)
+        row = blank_vehicles(1)[0]
         row["agent"], row["kind"] = agent, AgentKind.CAR.code
         row["route"] = self.route_number(stretches)
         for name, value in profile_fields(STOCK_DRIVER, AgentKind.CAR).items():
             row[name] = value
-        self.cars.add(row[0], ego)
-        self._changed()
+        self._egos[agent] = ego
+        self.add(row)
 
     def remove(self, vehicle: Any) -> None:
         """Take a vehicle off the road."""
-        self.cars.keep(self.cars.rows["agent"] != vehicle.agent)
-        self._changed()
+        self._take(self.cars[self.cars["agent"] != vehicle.agent], self.people)
 
-    def _changed(self) -> None:
-        """Note that somebody has come or gone."""
-        self._scene = None
-        self._egos = [one for one in self.cars.seen.values() if not isinstance(one, RowView)]
+    def _take(self, cars: Records, people: Records) -> None:
+        """Have these vehicles and pedestrians from now on."""
+        self.cars, self.people = cars, people
+        cars["row"], agents = np.arange(len(cars)), cars["agent"]
+        self._egos = {agent: ego for agent, ego in self._egos.items() if agent in agents}
+        self._rows, self._vehicles, self._scene = {}, None, None
         self.read_egos()
 
     def route_number(self, stretches: tuple[Stretch, ...]) -> int:
         """The number of a route, the same for equal ones."""
-        if stretches not in self._numbers:
-            self._numbers[stretches] = len(self.routes)
-            self.routes.append(stretches)
-            self._scene = self._work = None
-        return self._numbers[stretches]
+        return self._number_of(stretches, stretches, self.routes)
 
     def footway_number(self, route: tuple[str, ...]) -> int:
         """The number of the way on foot along a route of edges; see `find_footway`."""
-        if ("on foot", *route) not in self._numbers:
-            self._numbers["on foot", *route] = len(self.footways)
-            self.footways.append(find_footway(self.network.road, route))
-            self._scene = self._work = None
-        return self._numbers["on foot", *route]
+        found = find_footway(self.network.road, route)
+        return self._number_of(("on foot", *route), found, self.footways)
+
+    def _number_of(self, key: tuple[Any, ...], way: Any, known: list[Any]) -> int:
+        if key not in self._numbers:
+            self._numbers[key] = len(known)
+            known.append(way)
+            self._scene = self._ways = None
+        return self._numbers[key]
 
     def scene(self) -> Scene:
-        """Everybody on the road as arrays."""
+        """Everybody on the road as arrays, until somebody comes or goes."""
         if self._scene is None:
-            cars, people = self.cars.rows, self.people.rows
+            cars, people, net = self.cars, self.people, self.network.arrays
             everybody = {
                 name: np.concatenate([cars[name], people[name]])
-                for name in ("agent", "length", "width", "kind")
+                for name in ("agent", "length", "width", "kind", "x")
             }
             order = self._order = np.argsort(everybody["agent"], kind="stable")
             self._lasting = {name: frozen(of[order]) for name, of in everybody.items()}
-            if self._work is None or self._work.cell_link.size < len(order):
-                self._work = self._new_work()
-            self._scene = self._work._replace(vehicles=cars, walkers=people)
+            if self._ways is None:
+                self._ways = self._route_table(), footways_of(self.footways)
+            routes, footways = self._ways
+            n, many = len(cars), len(order)
+            strips = net.lanes["strip_end"] - net.lanes["strip"]
+            self._scene = Scene(
+                net, routes, footways, self.signals, self.signal_since, cars, people, self._now,
+                on=np.zeros(n * int(np.diff(net.cells.first).max(initial=0)), state.ON),
+                on_head=np.full(net.lanes.size, -1),
+                lane_head=np.full(net.lanes.size, -1),
+                lane_link=np.full(2 * n, -1),
+                spot_head=np.full(net.spots.size, -1),
+                crossing_head=np.full(net.crossings.size, -1),
+                by_x=np.argsort(everybody["x"], kind="stable"),
+                arrivals=np.zeros(2 * n * int(strips.max(initial=0)), state.ARRIVAL),
+                pairs=np.zeros(4 * many + 16, state.PAIR),
+                events=np.zeros(8 * many, state.EVENT),
+            )  # fmt: skip
         return self._scene
 
     def read_egos(self) -> None:
         """Read the ego vehicles into their rows."""
         number = self.network.number
-        for one in self._egos:
-            row = one.table[one.row]
+        for one in self._egos.values():
+            rows, i = self.row_of(one.agent)
+            row = rows[i]
             row["x"], row["y"] = one.position
             row["heading"], row["speed"], row["crashed"] = one.heading, one.speed, one.crashed
             row["length"], row["width"] = one.LENGTH, one.WIDTH
             target = getattr(one, "target_lane_index", None) or one.lane_index
             row["lane"], row["target"] = number[one.lane_index], number[target]
-
-    def _new_work(self) -> Scene:
-        """Arrays with room for twice as many as are there now."""
-        n, m = 2 * len(self.cars.rows) + 8, 2 * len(self.people.rows) + 8
-        net = self.network.arrays
-        entries = 2 * max(4 * n, int(self._now["entries"][0]))
-        strips = net.lanes["strip_end"] - net.lanes["strip"]
-        return Scene(
-            net, self._route_table(), footways_of(self.footways), self.signals, self.signal_since,
-            self.cars.rows, self.people.rows, self._now,
-            on_first=np.zeros(net.lanes.size + 1, np.int64),
-            on=np.zeros(entries, state.ON),
-            unsorted=np.zeros(entries, state.ON),
-            lane_head=np.full(net.lanes.size, -1),
-            lane_link=np.full(2 * (n + m), -1),
-            spot_head=np.full(net.spots.size, -1),
-            crossing_head=np.full(net.crossings.size, -1),
-            cell_head=np.full(net.cells.columns * net.cells.rows, -1),
-            cell_link=np.full(n + m, -1),
-            arrivals=np.zeros(2 * (n + m) * int(strips.max(initial=0)), state.ARRIVAL),
-            pairs=np.zeros(4 * (n + m) + 16, state.PAIR),
-            events=np.zeros(8 * (n + m), state.EVENT),
-        )  # fmt: skip
 
     def _route_table(self) -> IntArray:
         """The numbers of the stretches on each route, -1 after the last."""
@@ -220,13 +293,15 @@ class TrafficRoad(Road):  # type: ignore[misc]
         Args:
             events: what happened; by default the events since they were last taken.
         """
-        scene, n = self.scene(), len(self._order)
-        motion, lasting = np.empty(4 * n), self._lasting
-        _read_motion(self._order, scene, motion)
-        motion.flags.writeable = False
+        self.scene()
+        x, y, turned, speed = (
+            np.concatenate([self.cars[name], self.people[name]])[self._order]
+            for name in ("x", "y", "heading", "speed")
+        )
+        heading, lasting = np.pi - (np.pi + turned) % (2.0 * np.pi), self._lasting
         return Frame(
-            self.time_s, lasting["agent"], motion[: 2 * n].reshape(n, 2), motion[2 * n : 3 * n],
-            motion[3 * n :], lasting["length"], lasting["width"], lasting["kind"], self._shown,
+            self.time_s, lasting["agent"], np.stack([x, -y], axis=1), heading, speed,
+            lasting["length"], lasting["width"], lasting["kind"], self._shown,
             self.take_events() if events is None else events,
         )  # fmt: skip
 
@@ -255,85 +330,85 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def locate(self) -> None:
         """Find who is on which lane; valid until somebody moves."""
-        while not locate(self.scene()):
-            self._scene = self._work = None  # once more, with room for all entries
+        _locate(self.scene())
 
-    def on_lane(self, lane: LaneIndex) -> tuple[list[float], ...]:
-        """Distances along a lane, ascending, lengths, m, and speeds, m/s, at the last `locate`."""
-        scene, k = self.scene(), self.network.number[lane]
-        here = scene.on[scene.on_first[k] : scene.on_first[k + 1]]
-        there = scene.vehicles[here["row"]]
-        return here["s"].tolist(), there["length"].tolist(), there["speed"].tolist()
+    def on_lane(self, lane: LaneIndex) -> list[tuple[float, float, float]]:
+        """Distance along a lane, m, length, m, and speed, m/s, of the vehicles on it, by distance.
+
+        They are where the last `locate` found them.
+        """
+        scene, found = self.scene(), []
+        at = scene.on_head[self.network.number[lane]]
+        while at >= 0:
+            row, at, s, _ = scene.on[at].tolist()
+            found.append((s, float(self.cars["length"][row]), float(self.cars["speed"][row])))
+        return found
 
     def crossings_in_use(self) -> set[int]:
         """The crossings that a pedestrian is on or steps onto within a metre."""
-        people, footways = self.scene().walkers, self.scene().footways
-        at = footways.ways["crossover"][people["way"]] + people["crossed"]
-        comes = at < footways.ways["crossover_end"][people["way"]]
+        people, footways = self.people, self.scene().footways
+        ways = footways.ways[people["way"]]
+        at = ways["crossover"] + people["crossed"]
+        comes = at < ways["crossover_end"]
         ahead = footways.crossovers[at[comes]]
         return set(ahead["crossing"][ahead["begin_s"] - people["s"][comes] < 1.0].tolist())
 
     def advance(self, dt: float) -> None:
         """Let everybody decide and move for ``dt`` seconds, at most 0.1 s."""
         self.read_egos()
-        code = _advance(dt, len(self._egos) > 0, self.scene())
-        if code == motion.NO_ROOM:
-            self._scene = self._work = None
-            return self.advance(dt)
-        if code == motion.ASTRAY:
-            self._reroute()
-        if code in (motion.ASTRAY, motion.DECIDED):
-            for ego in self._egos:
+        scene = self.scene()
+        if not _advance(dt, len(self._egos) > 0, scene):
+            if self._now["astray"][0]:
+                self._reroute()
+            for ego in self._egos.values():
                 ego.act()
-            for ego in self._egos:
+            for ego in self._egos.values():
                 ego.step(dt)
             self.read_egos()
-            code = motion.move(dt, self.scene())
+            scene = self.scene()
+            move.move(dt, scene)
         self.update_signals()
         if self._now["pairs"][0] or self._touching:
-            self._collide(self.scene())
+            self._collide(scene)
         if self._now["events"][0]:
-            for kind, agent, time_s in self.scene().events[: int(self._now["events"][0])].tolist():
-                self.events.append(Event(state.EVENT_KINDS[kind], time_s, agent))
+            for kind, agent, time_s in scene.events[: int(self._now["events"][0])].tolist():
+                self.events.append(Event(state.RECORDED[kind], time_s, agent))
             self._now["events"] = 0
-        if code == motion.SOMEBODY_GOES:
+        if self._now["leaving"][0]:
             self._clear()
 
     def _reroute(self) -> None:
         """Find other routes for those who need one, and let everybody decide."""
-        rows, network = self.cars.rows, self.network
-        for row in np.flatnonzero(rows["astray"]).tolist():
-            lane = int(rows["lane"][row])
-            route = network.way_to(self.routes[rows["route"][row]][-1], lane)
+        for row in np.flatnonzero(self.cars["astray"]).tolist():
+            car = self.cars[row]
+            route = self.network.way_to(self.routes[car.route][-1], int(car.lane))
             if route is not None:
-                rows["route"][row] = self.route_number((network.keys[lane][:2], *route))
-                rows["leg"][row] = 0
+                car.route = self.route_number((self.network.keys[car.lane][:2], *route))
+                car.leg = 0
         decide(self.scene())
 
     def _collide(self, scene: Scene) -> None:
         """Record collisions of those that touch and did not touch before, the faster one first."""
-        touching, n = set(), len(scene.vehicles)
+        touching, n = set(), len(self.cars)
         for i, j in sorted(scene.pairs[: int(self._now["pairs"][0])].tolist()):
-            one, walks = scene.vehicles[i], j >= n
-            other = scene.walkers[j - n] if walks else scene.vehicles[j]
+            one, other = self.cars[i], self.cars[j] if j < n else self.people[j - n]
             pair = (int(one.agent), int(other.agent))
             touching.add(pair)
-            if pair in self._touching:
-                continue
-            for each in (one, other):
-                each.crashed_at, each.crashed = min(each.crashed_at, self.time_s), True
-            pair = pair if walks or one.speed >= other.speed else pair[::-1]
-            self._note(EventKind.COLLISION, *pair)
+            if pair not in self._touching:
+                for each in (one, other):
+                    each.crashed_at, each.crashed = min(each.crashed_at, self.time_s), True
+                first = j >= n or one.speed >= other.speed
+                self._note(EventKind.COLLISION, *(pair if first else pair[::-1]))
         self._touching = touching
-        for ego in self._egos:
-            ego.crashed = bool(ego.table["crashed"][ego.row])
+        for ego in self._egos.values():
+            rows, row = self.row_of(ego.agent)
+            ego.crashed = bool(rows["crashed"][row])
 
     def _clear(self) -> None:
         """Remove who has arrived, is stuck, or crashed long ago."""
-        for crowd in (self.cars, self.people):
-            for code, agent in crowd.rows[["leaves", "agent"]].tolist():
-                if code not in (motion.STAYS, motion.ARRIVED):
-                    rule = "stuck on the wrong side" if code == motion.STUCK else "crashed"
+        for rows in (self.cars, self.people):
+            for code, agent in rows[["leaves", "agent"]].tolist():
+                if code not in (move.STAYS, move.ARRIVED):
+                    rule = "stuck on the wrong side" if code == move.STUCK else "crashed"
                     self._note(EventKind.REMOVAL, agent, rule=rule)
-            crowd.keep(crowd.rows["leaves"] == motion.STAYS)
-        self._changed()
+        self._take(*(rows[rows["leaves"] == move.STAYS] for rows in (self.cars, self.people)))

@@ -17,12 +17,10 @@ from highway_env.road.graphics import WorldSurface
 from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS
-from sim.frames import Signal
+from sim.frames import FloatArray, Signal
 from sim.highway.network import HighwayNetwork
 from sim.highway.traffic import TrafficRoad
 from sim.road.shapes import RoadShapes, road_shapes
-
-FloatArray = NDArray[np.float64]
 
 SIGNAL_COLORS: Final = ((235, 50, 50), (250, 205, 45), (60, 205, 90), (245, 245, 245))
 """By the codes of signals."""

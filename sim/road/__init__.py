@@ -18,9 +18,6 @@ import numpy as np
 from behaviors.errors import InputError, counted
 from sim.frames import FloatArray, IntArray, Signal
 
-MARGIN_M: Final = 10.0
-"""White round a picture, m."""
-
 MAX_COORDINATE_M: Final = 1e9
 """Largest absolute coordinate of a map (beyond any UTM coordinate)."""
 
@@ -223,24 +220,25 @@ class Road:
 
     def __repr__(self) -> str:
         """How many lanes of each use it has, their length, and its extent."""
+        lanes = [lane for lane in self.lanes if not (lane.internal or lane.walking)]
         walking = sum(lane.walking for lane in self.lanes)
-        internal = sum(lane.internal and not lane.walking for lane in self.lanes)
-        length_m = sum(lane.length_m for lane in self.lanes if not (lane.internal or lane.walking))
-        more = ""
-        if self.lanes:
-            x0, y0, x1, y1 = self.bounds
-            more = f" in {x1 - x0:.0f} m x {y1 - y0:.0f} m"
+        counts = {
+            "junction path": len(self.lanes) - len(lanes) - walking,
+            "sidewalk": walking,
+            "connection": len(self.connections),
+            "crossing": len(self.crossings),
+            "signal group": len(self.signal_groups),
+        }
+        length_km = sum(lane.length_m for lane in lanes) / 1000
+        said = [f"{counted(len(lanes), 'lane')} ({length_km:.2f} km in all)"]
+        said += [counted(count, what) for what, count in counts.items()]
+        x0, y0, x1, y1 = self.bounds if self.lanes else (0.0,) * 4
+        more = f" in {x1 - x0:.0f} m x {y1 - y0:.0f} m" if self.lanes else ""
         if self.knows.unknown:
             more += f"; unknown: {', '.join(self.knows.unknown)}"
         if self.knows.limits and not self.knows.limits_rule:
             more += "; its limits do not rule"
-        return (
-            f"Road({self.name:.60}: {counted(len(self.lanes) - walking - internal, 'lane')} ("
-            f"{length_m / 1000:.2f} km in all), {counted(internal, 'junction path')}, "
-            f"{counted(walking, 'sidewalk')}, {counted(len(self.connections), 'connection')}, "
-            f"{counted(len(self.crossings), 'crossing')}, "
-            f"{counted(len(self.signal_groups), 'signal group')}{more})"
-        )
+        return f"Road({self.name:.60}: {', '.join(said)}{more})"
 
     def svg(self, edge_colors: Mapping[str, str] | None = None) -> str:
         """A picture of the centre lines, as wide as lanes are; paths of junctions lie below.
@@ -249,7 +247,7 @@ class Road:
             edge_colors: colours of the vehicles' lanes by edge, instead of grey.
         """
         x0, y0, x1, y1 = self.bounds
-        wide, high = x1 - x0 + 2 * MARGIN_M, y1 - y0 + 2 * MARGIN_M
+        x, y, wide, high = x0 - 10.0, -y1 - 10.0, x1 - x0 + 20.0, y1 - y0 + 20.0  # a white margin
         lines = []
         for lane in sorted(self.lanes, key=lambda one: not one.internal):
             color = "#d9d4c7" if lane.walking else "#a9b1bb" if lane.internal else "#5b6470"
@@ -257,25 +255,24 @@ class Road:
                 color = edge_colors.get(lane.edge, color)
             lines.append((lane.centerline, 0.85 * lane.width_m, color))
         lines += [(crossing.centerline, crossing.width_m, "#e8c468") for crossing in self.crossings]
-        parts = []
+        parts = [
+            '<svg xmlns="http://www.w3.org/2000/svg" width="1000" '
+            f'viewBox="{x:.1f} {y:.1f} {wide:.1f} {high:.1f}" '
+            f'height="{max(1000 * high / wide, 80):.0f}" style="background: white">',
+            f"<title>{html.escape(self.name)}</title>",
+        ]
         for line, width_m, color in lines:
             points = " ".join(f"{x:.2f},{-y:.2f}" for x, y in line)
             style = f'fill="none" stroke="{color}" stroke-width="{width_m:.2f}"'
             parts.append(f'<polyline {style} points="{points}"/>')
-        head = (
-            '<svg xmlns="http://www.w3.org/2000/svg" width="1000" '
-            f'viewBox="{x0 - MARGIN_M:.1f} {-y1 - MARGIN_M:.1f} {wide:.1f} {high:.1f}" '
-            f'height="{max(1000 * high / wide, 80):.0f}" style="background: white">'
-        )
-        title = f"<title>{html.escape(self.name)}</title>"
-        return "\n".join([head, title, *parts, "</svg>\n"])
+        return "\n".join([*parts, "</svg>\n"])
 
     def _repr_html_(self) -> str:
         """A picture and a summary, for notebooks."""
         if not self.lanes:
             return f"<p>{html.escape(repr(self))}</p>"
-        caption = f"<figcaption>{html.escape(repr(self))}</figcaption>"
-        return f"<figure>{self.svg()}{caption}</figure>"
+        caption = html.escape(repr(self))
+        return f"<figure>{self.svg()}<figcaption>{caption}</figcaption></figure>"
 
     @cached_property
     def mirrored(self) -> Road:
@@ -295,15 +292,11 @@ class Road:
         return replace(self, lanes=lanes, crossings=crossings)
 
     def checked(self) -> Road:
-        """The road itself, read from a file.
+        """The road itself; an `InputError` that names its file if its parts make no road."""
 
-        Raises:
-            InputError: if its numbers or references make no road; names the file.
-        """
-
-        def require(holds: bool, where: str, expected: str) -> None:
+        def require(holds: object, what: str, expected: str) -> None:
             if not holds:
-                raise InputError(f"{self.source}: {where}: found others, expected {expected}")
+                raise InputError(f"{self.source}: {what}: found others, expected {expected}")
 
         lines = [lane.centerline for lane in self.lanes]
         lines += [crossing.centerline for crossing in self.crossings]
@@ -313,12 +306,10 @@ class Road:
         size_m = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
         require(0 < size_m <= MAX_LENGTH_M, f"{size_m:.3g} m of lanes", f"up to {MAX_LENGTH_M:g}")
         require(len(self.lane_index) == len(self.lanes), "lanes", "each id once")
-        for lane in self.lanes:
-            usual = 0 <= lane.width_m <= MAX_WIDTH_M and not lane.speed_limit_mps < 0
-            require(usual, f"lane {lane.id!r:.60}", f"a width up to {MAX_WIDTH_M:g} m and a limit")
-        for way in self.connections:
-            named = {way.from_lane, *way.via, way.to_lane}
-            require(named <= self.lane_index.keys(), "connections", "lanes of the road")
+        widths = [0 <= lane.width_m <= MAX_WIDTH_M for lane in self.lanes]
+        require(all(widths), "lanes", f"a width up to {MAX_WIDTH_M:g} m")
+        named = {id for one in self.connections for id in (one.from_lane, *one.via, one.to_lane)}
+        require(named <= self.lane_index.keys(), "connections", "lanes of the road")
         groups = [group for plan in self.signal_plans for group in plan.groups]
         once = len({*groups}) == len(groups) and {*groups} <= {*range(len(self.signal_groups))}
         require(once, "signal_plans", "each group once")
@@ -341,7 +332,7 @@ class Road:
         """
         found = np.full(len(self.lanes) + 1, -1, dtype=np.int64)
         for index, link in reversed(list(enumerate(self.connections))):
-            found[[self.lane_index[name] for name in link.via if name in self.lane_index]] = index
+            found[[self.lane_index[name] for name in link.via]] = index
         return found
 
     @cached_property

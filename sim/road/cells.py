@@ -40,11 +40,7 @@ class Cells(NamedTuple):
 
 
 def members(first: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
-    """Members of lists that lie in one array: the list of each, and where each lies.
-
-    Args:
-        first: (n,) where each list begins.
-        count: (n,) how long it is.
+    """Members of n lists that lie in one array: the list of each, and where each lies.
 
     Examples:
         >>> members(np.array([0, 7]), np.array([1, 2]))
@@ -57,13 +53,8 @@ def members(first: IntArray, count: IntArray) -> tuple[IntArray, IntArray]:
 def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
     """Sort items into the cells that their boxes touch.
 
-    Args:
-        boxes: (n, 4) smallest x, smallest y, largest x and largest y, m.
-        item: (n,) the item that each box belongs to; an item may have several.
-        size_m: width of a cell; wider where the boxes cover too wide an area.
-
-    Returns:
-        The cells. A place inside a box of an item lies in a cell that lists the item.
+    Boxes are (n, 4) smallest x, smallest y, largest x and largest y, m; an item may have several.
+    A place inside a box lies in a cell that lists its item. Cells are at least ``size_m`` wide.
 
     Examples:
         >>> boxes = np.array([[0.0, 0.0, 9.0, 1.0], [8.0, 0.0, 8.5, 1.0]])
@@ -94,15 +85,9 @@ def cells_of(boxes: FloatArray, item: IntArray, size_m: float) -> Cells:
 
 
 def near_pairs(boxes: FloatArray, others: FloatArray, size_m: float) -> IntArray:
-    """Pairs of boxes that touch.
+    """Pairs of boxes (n, 4) and others (m, 4) that touch, found in cells of some width, m.
 
-    Args:
-        boxes: (n, 4) smallest x, smallest y, largest x and largest y, m.
-        others: (m, 4) likewise.
-        size_m: width of the cells that are searched.
-
-    Returns:
-        (P, 2) index into ``boxes`` and index into ``others`` of each pair, in ascending order.
+    Returns (P, 2) indices into both, in ascending order.
 
     Examples:
         >>> near_pairs(np.array([[0.0, 0, 1, 1], [5.0, 5, 6, 6]]), np.array([[1.0, 1, 5, 5]]), 2.0)

@@ -1,4 +1,4 @@
-"""Places in metres and along lines, compiled: the lane that fits a place, and back."""
+"""Places in metres and along lanes, compiled: the lane that fits a place, and back."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.compiled import compiled, in_place
+from sim.compiled import in_place
 
 FIT_CELL_M, FIT_MARGIN_M = 16.0, 4.0
 """Width of the cells into which lane pieces are sorted, m, and the margin within which a cell
@@ -20,10 +20,9 @@ def fit(
 ) -> None:  # fmt: skip
     """Find the piece of lane that fits each place and heading best, the first of equally good ones.
 
-    Places have (n, 2) positions and (n,) headings. Pieces have starts, directions, lengths and
-    costs of facing across them (facing back costs twice as much), all in m. Each of ``cells`` lists
-    all pieces within `FIT_MARGIN_M` of it. The last three arrays receive the piece, the distance
-    along it and the signed distance to its left, m.
+    Pieces have starts, directions, lengths and costs of facing across them (facing back costs twice
+    as much), in m. Each of ``cells`` lists all pieces within `FIT_MARGIN_M` of it. The last three
+    arrays receive the piece, the distance along it and the signed distance to its left, m.
     """
     x0, y0, size, columns, rows, first, items = cells
     for i in range(len(xy)):
@@ -66,10 +65,9 @@ def place(
     lane: Any, s: Any, offset: Any, first: Any, last: Any, piece_at: Any, start: Any,
     direction: Any, xy: Any, piece: Any,
 ) -> None:  # fmt: skip
-    """Find places given in lane coordinates; beyond either end a lane goes on straight.
+    """Find places given in lane coordinates, as of `sim.road.lane_graph.LaneGraph.position`.
 
-    The (n,) lanes and distances along them and to their left come first, then the pieces as of
-    `sim.road.lane_graph.LaneGraph`. The last two arrays receive (n, 2) positions, m, and pieces.
+    The last two arrays receive (n, 2) positions, m, and the pieces beside them.
     """
     for i in range(lane.size):
         g = first[lane[i]]
@@ -79,42 +77,3 @@ def place(
         xy[i, 0] = start[g, 0] + ux * along + offset[i] * -uy
         xy[i, 1] = start[g, 1] + uy * along + offset[i] * ux
         piece[i] = g
-
-
-@compiled
-def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
-    """Places in the coordinates of a line that goes on straight at both ends.
-
-    Args:
-        line: (P, 2) points, m.
-        xy: (n, 2) places, m.
-
-    Returns:
-        (n,) distance along it, m (negative before it, above its length after it), (n,) distance to
-        its left, m, and its length, m.
-
-    Examples:
-        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
-        >>> u.tolist(), left.tolist(), total
-        ([9.0], [-1.0], 8.0)
-    """
-    n, begin = len(xy), 0.0
-    u, left, nearest = np.zeros(n), np.zeros(n), np.full(n, np.inf)
-    pieces = len(line) - 1
-    for k in range(pieces):
-        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
-        size = np.hypot(east, north)
-        east, north = east / size, north / size
-        for i in range(n):
-            dx, dy = xy[i, 0] - line[k, 0], xy[i, 1] - line[k, 1]
-            forward, aside = dx * east + dy * north, east * dy - north * dx
-            clipped = forward
-            if k > 0:
-                clipped = max(clipped, 0.0)
-            if k < pieces - 1:
-                clipped = min(clipped, size)
-            away = np.hypot(aside, forward - clipped)
-            if away < nearest[i]:
-                nearest[i], u[i], left[i] = away, begin + clipped, aside
-        begin += size
-    return u, left, begin

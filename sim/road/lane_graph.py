@@ -21,8 +21,7 @@ from sim.road import LanePosition, Road
 from sim.road.cells import Cells, boxes_of, cells_of, members, near_pairs
 
 DIRECTIONS: Final = ("straight", "right", "left", "turnaround")
-"""Directions at the end of a lane, by preference where nothing else is known; their order is the
-code order of ``LaneGraph.direction``."""
+"""Directions at the end of a lane, by preference where nothing else is known."""
 
 NEAR_M, CELL_M = 0.01, 30.0
 """Greatest distance between the boxes of lines that meet; width of the cells of the search, m
@@ -122,15 +121,10 @@ class LaneGraph:
     def position(
         self, lane: IntArray, s: FloatArray, offset: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Places given in lane coordinates; beyond either end a lane goes on straight.
+        """(n, 2) places given in lane coordinates, m, and (n,) headings of the lane there, rad.
 
-        Args:
-            lane: (n,) lane indices.
-            s: (n,) distance along the lane, m.
-            offset: (n,) signed distance to the left of the centre line, m; 0 if not given.
-
-        Returns:
-            (n, 2) positions, m, and (n,) headings of the lane there, rad.
+        The (n,) distances along the lanes and to their left are in m; the latter are 0 if not
+        given. Beyond either end a lane goes on straight.
         """
         xy, piece = self.placed(lane, s, np.zeros(lane.size) if offset is None else offset)
         return xy, self.segment_heading[piece]
@@ -149,8 +143,8 @@ class LaneGraph:
         return xy, piece
 
     @cached_property
-    def _fitted(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, Cells]:
-        """Start, direction, length, number and turn cost of vehicles' pieces, and their cells."""
+    def _fitted(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Cells, IntArray]:
+        """Start, direction, length and turn cost of vehicles' pieces, cells, and their numbers."""
         from sim.road.lane_coordinates import FIT_CELL_M, FIT_MARGIN_M
 
         lane = np.repeat(np.arange(self.length.size), self.segment_last - self.segment_first + 1)
@@ -167,7 +161,7 @@ class LaneGraph:
         low, high = ends.min(axis=1) - FIT_MARGIN_M, ends.max(axis=1) + FIT_MARGIN_M
         cells = cells_of(np.concatenate([low, high], axis=1), whole, FIT_CELL_M)
         cost_m = np.where(self.internal[lane[piece]], PATH_TURN_COST_M, TURN_COST_M)
-        return start, direction, length, piece, cost_m, cells
+        return start, direction, length, cost_m, cells, piece
 
     def project(self, xy: FloatArray, heading: FloatArray) -> LanePosition:
         """Lane coordinates of points, on the vehicles' lane that fits place and heading best.
@@ -181,14 +175,10 @@ class LaneGraph:
         """
         from sim.road.lane_coordinates import fit  # compiled: only who asks pays for loading it
 
-        start, direction, length, piece, cost_m, cells = self._fitted
-        n = len(xy)
-        best, along, across = np.empty(n, np.int64), np.empty(n), np.empty(n)
-        fit(
-            np.ascontiguousarray(xy, dtype=np.float64),
-            np.ascontiguousarray(heading, dtype=np.float64),
-            start, direction, length, cost_m, cells, best, along, across,
-        )  # fmt: skip
+        start, direction, length, cost_m, cells, piece = self._fitted
+        best, (along, across) = np.empty(len(xy), np.int64), np.empty((2, len(xy)))
+        xy, heading = (np.ascontiguousarray(one, dtype=np.float64) for one in (xy, heading))
+        fit(xy, heading, start, direction, length, cost_m, cells, best, along, across)
         best = piece[best]
         lane = np.searchsorted(self.segment_first, best, side="right") - 1
         return LanePosition(lane=lane, s=self.segment_at[best] + along, offset=across)
@@ -214,10 +204,8 @@ def _following(road: Road) -> dict[str, Any]:
     """The lanes after and before each lane, and what guards its entry."""
     index, n = road.lane_index, len(road.lanes)
     following: list[set[tuple[int, int]]] = [set() for _ in range(n)]
-    direction, signal = np.zeros(n, dtype=np.int64), np.full(n, -1)
+    direction, signal, behind = np.zeros(n, dtype=np.int64), np.full(n, -1), np.full(n, -1)
     for way in road.connections:
-        if way.from_lane not in index or way.to_lane not in index:
-            continue
         code = DIRECTIONS.index(way.direction)
         chain = [index[i] for i in (way.from_lane, *way.via, way.to_lane)]
         for one, then in itertools.pairwise(chain):
@@ -225,10 +213,8 @@ def _following(road: Road) -> dict[str, Any]:
         direction[chain[1:-1]] = code
         if way.via:
             signal[chain[1]] = way.signal
-
-    most = max((len(ways) for ways in following), default=0) or 1
-    successors = np.full((n, most), -1)
-    behind, rank = np.full(n, -1), np.full(n, len(DIRECTIONS))
+    successors = np.full((n, max(map(len, following), default=0) or 1), -1)
+    rank = np.full(n, len(DIRECTIONS))
     for i, ways in enumerate(following):
         for j, (code, then) in enumerate(sorted(ways)):
             successors[i, j] = then
@@ -255,15 +241,14 @@ def _crossed(road: Road) -> dict[str, Any]:
             half_m = 0.5 * road.crossings[c].width_m / max(found.sine, LEAST_SINE)
             near_m, far_m = found.along - half_m, found.along + half_m
             meets.append((lanes[k], c, near_m, far_m, found.along_other))
-    table = np.array(meets, dtype=np.float64).reshape(-1, 5)
-    lane = table[:, 0].astype(np.int64)
-    # kernels are compiled again for columns that do not lie together, as those of no row do
-    near_s, exit_s, across_m = (np.ascontiguousarray(table[:, k]) for k in (2, 3, 4))
+    # kernels are compiled again for columns that do not lie together
+    table = np.ascontiguousarray(np.array(meets, dtype=np.float64).reshape(-1, 5).T)
+    lane, crossing = table[:2].astype(np.int64)
     return {
         "cross_lane": lane,
         "cross_first": np.searchsorted(lane, np.arange(len(road.lanes) + 1)),
-        "cross_id": table[:, 1].astype(np.int64),
-        "cross_s": near_s,
-        "cross_exit_s": exit_s,
-        "cross_u": across_m,
+        "cross_id": crossing,
+        "cross_s": table[2],
+        "cross_exit_s": table[3],
+        "cross_u": table[4],
     }

@@ -1,6 +1,7 @@
-"""Searches along lanes, compiled: vehicles ahead and behind, next stop lines and crossings.
+"""Searches along lanes and lines, compiled: vehicles ahead and behind, stop lines, crossings.
 
-`sim.episode.observables` says what each observable means; here they are loops over plain arrays.
+`sim.geometry` has the counterparts for single lines in numpy; `sim.episode.observables` says what
+each observable means.
 """
 
 from __future__ import annotations
@@ -9,12 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sim.compiled import in_place
+from sim.compiled import compiled, in_place
 from sim.frames import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from sim.road.lane_graph import LaneGraph
-
 
 LOOK_AHEAD_M = 200.0
 """Leaders, signals and crossings farther than this are not seen (14 s at 14 m/s)."""
@@ -67,7 +67,6 @@ def perceive(
     coordinates as `LaneGraph.project` finds them. ``by_time`` are the rows in order of time,
     ``begins`` (T + 1,) where in it those of each time begin, and m.
     """
-    m = s.size
     there, segment = graph.placed(lane, s, offset)
     missed = np.hypot(*(xy - there).T)
     turned = np.pi - (np.pi - (heading - graph.segment_heading[segment])) % (2 * np.pi)
@@ -76,15 +75,14 @@ def perceive(
     forward = np.where(np.abs(turned) < np.pi / 2, on_lane, -1)
     leaders, gaps = _search(by_time, begins, on_lane, s, length, forward[:, None], graph)
     leader, gap = leaders[:, 0], gaps[:, 0]
-    group, crossing = np.full(m, -1), np.full(m, -1)
-    stop, to_crossing = np.full(m, np.inf), np.full(m, np.inf)
+    follower, group, crossing = np.full((3, s.size), -1)
+    stop, to_crossing = np.full((2, s.size), np.inf)
     _find_stops(
         forward, s + length / 2,
         (graph.internal, graph.signal, graph.length, graph.ahead),
         (graph.cross_first, graph.cross_id, graph.cross_s, graph.cross_exit_s),
         (stop, group, crossing, to_crossing),
     )  # fmt: skip
-    follower = np.full(m, -1)
     behind = np.flatnonzero(leader >= 0)
     behind = behind[np.argsort(-gap[behind], kind="stable")]
     follower[leader[behind]] = behind  # the last one written, with the least gap, stays
@@ -98,17 +96,13 @@ def adjacent_vehicles(
 ) -> tuple[IntArray, FloatArray]:
     """Find the vehicles ahead and behind on the lanes beside, at one instant.
 
-    The (p,) vehicles have lanes, -1 for none, distances along them and lengths, m.
-
-    Returns:
-        (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
-        bumper to bumper, m, or +inf.
+    The (p,) vehicles have lanes, -1 for none, distances along them and lengths, m. The result are
+    (p, 4) rows of those ahead and behind on the left, then on the right, or -1, and (p, 4) gaps
+    bumper to bumper, m, or +inf.
     """
-    p = lane.size
-    on_road = lane >= 0
-    left, right = np.where(on_road, graph.left[lane], -1), np.where(on_road, graph.right[lane], -1)
+    left, right = (np.where(lane >= 0, side[lane], -1) for side in (graph.left, graph.right))
     begin = np.stack([left, left, right, right], axis=1)
-    return _search(np.arange(p), np.array([0, p]), lane, s, length, begin, graph)
+    return _search(np.arange(lane.size), np.array([0, lane.size]), lane, s, length, begin, graph)
 
 
 def _search(
@@ -215,3 +209,37 @@ def _find_stops(lane: Any, front: Any, lanes: Any, crossings: Any, out: Any) -> 
                     crossing[i], to_crossing[i] = cross_id[z], to
             travelled += length[now]
             now = onward[now]
+
+
+@compiled
+def along(line: Any, xy: Any) -> tuple[Any, Any, Any]:
+    """Places (n, 2) in the coordinates of a line (P, 2) that goes on straight at both ends, m.
+
+    Returns (n,) distances along it (negative before it, above its length after it), (n,) distances
+    to its left, and its length.
+
+    Examples:
+        >>> u, left, total = along(np.array([[0.0, 0.0], [0.0, 8.0]]), np.array([[1.0, 9.0]]))
+        >>> u.tolist(), left.tolist(), total
+        ([9.0], [-1.0], 8.0)
+    """
+    n, begin = len(xy), 0.0
+    u, left, nearest = np.zeros(n), np.zeros(n), np.full(n, np.inf)
+    pieces = len(line) - 1
+    for k in range(pieces):
+        east, north = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+        size = np.hypot(east, north)
+        east, north = east / size, north / size
+        for i in range(n):
+            dx, dy = xy[i, 0] - line[k, 0], xy[i, 1] - line[k, 1]
+            forward, aside = dx * east + dy * north, east * dy - north * dx
+            clipped = forward
+            if k > 0:
+                clipped = max(clipped, 0.0)
+            if k < pieces - 1:
+                clipped = min(clipped, size)
+            away = np.hypot(aside, forward - clipped)
+            if away < nearest[i]:
+                nearest[i], u[i], left[i] = away, begin + clipped, aside
+        begin += size
+    return u, left, begin

@@ -12,9 +12,8 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.checked_arrays import frozen
 from sim.frames import FloatArray, Signal
-from sim.input_files import broken_as_one_line, read_bytes, read_once
+from sim.input_files import broken_as_one_line, read_bytes, read_once, refuse_declarations
 from sim.road import Connection, Crossing, Lane, Road, SignalPlan
-from sim.xml_tree import refuse_declarations
 
 _DIRECTIONS: Final = {
     "s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "turnaround",
@@ -27,12 +26,6 @@ _STATES: Final = {
     **dict.fromkeys("gG", Signal.GREEN), **dict.fromkeys("oO", Signal.OFF),
 }  # fmt: skip
 """SUMO's signal letters as states; red-yellow ("u") and green arrow ("s") still mean stop."""
-
-YIELDING_STATES: Final = frozenset("msw=")
-"""Link states of connections that do not have priority: minor, stop, all-way stop, equal."""
-
-STOPPING_STATES: Final = frozenset("sw")
-"""Link states of connections with a stop sign."""
 
 HEAD_BYTES: Final = 65536
 """Beginning of a net in which its location stands."""
@@ -62,14 +55,11 @@ def signal_code(letter: str) -> int:
 
 @read_once
 def read_road(path: Path, name: str | None = None) -> Road:
-    """Read a SUMO net.
+    """Read a SUMO net, with its junction paths, sidewalks, connections, crossings and signals.
 
     Args:
         path: a ``.net.xml`` file (or ``.net.xml.gz``).
         name: what to call the road; by default the file's name without its ending.
-
-    Returns:
-        Its lanes (junction paths and sidewalks too), connections, crossings and signals.
 
     Raises:
         InputError: if the file is missing or is not a SUMO net with at least one drivable lane.
@@ -143,18 +133,18 @@ def _signals(net: Any) -> tuple[tuple[SignalPlan, ...], tuple[str, ...], GroupOf
             continue
         program = list(programs.values())[-1]  # SUMO runs the one that it loads last
         phases = program.getPhases()
-        codes = np.array([[signal_code(c) for c in phase.state] for phase in phases])
+        codes, id = np.array([[*map(signal_code, phase.state)] for phase in phases]), lights.getID()
         columns: dict[tuple[int, ...], int] = {}
         firsts: list[int] = []
         for link, column in enumerate(map(tuple, codes.T.tolist())):
             if column not in columns:
                 columns[column] = len(names)
-                names.append(f"{lights.getID()}/{len(columns) - 1}")
+                names.append(f"{id}/{len(columns) - 1}")
                 firsts.append(link)
-            group_of[str(lights.getID()), link] = columns[column]
+            group_of[str(id), link] = columns[column]
         plans.append(
             SignalPlan(
-                id=str(lights.getID()),
+                id=str(id),
                 groups=tuple(columns.values()),
                 links=tuple(firsts),
                 duration_s=tuple(float(phase.duration) for phase in phases),
@@ -183,16 +173,12 @@ def _connections(net: Any, group_of: GroupOf) -> list[Connection]:
     rivals: dict[tuple[int, int], list[int]] = {}  # let go together at one junction
     for i, link in enumerate(links):
         rivals.setdefault((id(link.getJunction()), group[i]), []).append(i)
-    place = {  # the number of each link in its junction's table of priorities
-        i: links[i].getJunction().getLinkIndex(links[i])
-        for some in rivals.values()
-        if len(some) > 1
-        for i in some
-    }
+    # the number of each link in its junction's table of priorities
+    place = [link.getJunction().getLinkIndex(link) for link in links]
     found = []
     for i, link in enumerate(links):
         # unregulated junctions have no rules
-        rules = link.getJunction()._prohibits.get(place.get(i, -1), "")
+        rules = link.getJunction()._prohibits.get(place[i], "")
         stronger = tuple(
             other
             for other in rivals[id(link.getJunction()), group[i]]
@@ -213,7 +199,7 @@ def _connections(net: Any, group_of: GroupOf) -> list[Connection]:
                 direction=_DIRECTIONS[link.getDirection()],
                 signal=group[i],
                 must_yield=bool(stronger),
-                must_stop=str(link.getState()) in STOPPING_STATES,
+                must_stop=str(link.getState()) in {"s", "w"},  # stop, all-way stop
                 yields_to=stronger,
             )
         )
@@ -238,7 +224,7 @@ def _crossings(net: Any, group_of: GroupOf) -> list[Crossing]:
                 width_m=float(lane.getWidth()),
                 edges=crossed,
                 signal=max((_group(link, group_of) for link in links), default=-1),
-                priority=all(link.getState() not in YIELDING_STATES for link in links),
+                priority=all(link.getState() not in {*"msw="} for link in links),  # minor, equal
             )
         )
     return found

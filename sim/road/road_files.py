@@ -26,6 +26,11 @@ ENDINGS: Final = (SUFFIX, ".json", ".net.xml")
 """Endings of the roads in a dataset, in the order in which they are looked for; the second one is
 that of Argoverse 2 maps."""
 
+PARTS: Final[dict[str, Any]] = {
+    "lanes": Lane, "connections": Connection, "crossings": Crossing, "signal_plans": SignalPlan
+}  # fmt: skip
+"""The kinds of a road's parts, by its fields."""
+
 VERSION: Final = 1
 """Version of the layout of a dataset's road."""
 
@@ -44,9 +49,6 @@ def read_road_file(
             (``.road.json``); XML may be gzipped.
         name: what to call the road; by default the file's name without its ending.
         origin: latitude and longitude of (0, 0), degrees, for a Lanelet2 map in such coordinates.
-
-    Returns:
-        The road.
 
     Raises:
         InputError: if the file is missing or broken, or has no drivable lane.
@@ -78,58 +80,52 @@ def read_road_file(
 
 def encode_road(road: Road) -> bytes:
     """A road as a dataset keeps it; equal roads have equal bytes, whatever they are called."""
-    stored = {
+    stored: dict[str, Any] = {name: [_part(part) for part in getattr(road, name)] for name in PARTS}
+    stored |= {
         "version": VERSION,
-        "lanes": [_part(lane) for lane in road.lanes],
-        "connections": [asdict(connection) for connection in road.connections],
-        "crossings": [_part(crossing) for crossing in road.crossings],
         "signal_groups": road.signal_groups,
-        "signal_plans": [asdict(plan) for plan in road.signal_plans],
         "knows": asdict(road.knows),
         **({"left_hand": True} if road.left_hand else {}),
     }
     return json.dumps(stored, sort_keys=True, allow_nan=False).encode() + b"\n"
 
 
-def _part(part: Lane | Crossing) -> dict[str, Any]:
-    """The fields of a lane or crossing, its line as lists and an unknown limit as None."""
-    values = {field.name: getattr(part, field.name) for field in fields(part)}
-    if not math.isfinite(values.get("speed_limit_mps", 0.0)):
-        values["speed_limit_mps"] = None
-    return {**values, "centerline": part.centerline.tolist()}
-
-
 @read_once
 def read_stored(path: Path, name: str | None = None) -> Road:
-    """Read a road that `encode_road` made.
-
-    Raises:
-        InputError: if the file is missing or broken; names the place in it.
-    """
+    """Read a road that `encode_road` made."""
     with broken_as_one_line(path, "a road of a dataset"):
         stored = json.loads(read_bytes(path))
         if stored["version"] != VERSION:
             raise InputError(f"version: found {stored['version']!r:.40}, expected {VERSION}")
-        road = Road(
+        parts: dict[str, Any] = {
+            field: tuple(kind(**_values(part)) for part in stored[field])
+            for field, kind in PARTS.items()
+        }
+        return Road(
             name=name if name is not None else path.name.removesuffix(SUFFIX),
-            lanes=tuple(Lane(**_values(lane)) for lane in stored["lanes"]),
-            connections=tuple(Connection(**_values(link)) for link in stored["connections"]),
-            crossings=tuple(Crossing(**_values(one)) for one in stored["crossings"]),
             signal_groups=tuple(stored["signal_groups"]),
             source=path,
-            signal_plans=tuple(SignalPlan(**_values(plan)) for plan in stored["signal_plans"]),
             knows=MapKnowledge(**stored["knows"]),
             left_hand=stored.get("left_hand", False),
-        )
-        return road.checked()
+            **parts,
+        ).checked()
+
+
+def _part(part: Any) -> dict[str, Any]:
+    """The fields of a part of a road, a line as lists and an unknown limit as None."""
+    values = {field.name: getattr(part, field.name) for field in fields(part)}
+    if "centerline" in values:
+        values["centerline"] = part.centerline.tolist()
+    if not math.isfinite(values.get("speed_limit_mps", 0.0)):
+        values["speed_limit_mps"] = None
+    return values
 
 
 def _values(part: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a part of a road: tuples, a line as an array, an unknown limit as NaN."""
+    """The same the other way: tuples, a line as an array, an unknown limit as NaN."""
     values: dict[str, Any] = {name: _tuples(value) for name, value in part.items()}
     if "centerline" in part:
-        line = np.array(part["centerline"], dtype=np.float64).reshape(-1, 2)
-        values["centerline"] = frozen(line)
+        values["centerline"] = frozen(np.array(part["centerline"], np.float64).reshape(-1, 2))
     if part.get("speed_limit_mps", 0.0) is None:
         values["speed_limit_mps"] = math.nan
     return values

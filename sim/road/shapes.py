@@ -5,8 +5,7 @@ The replay page, videos and the highway viewer draw these points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -34,21 +33,14 @@ STOP_M: Final = 1.5
 """Lanes that end this close to a crossing have a stop line, m."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StopLine:
-    """Where vehicles stop.
-
-    Attributes:
-        line: (2, 2) its ends, m.
-        signal: index of the signal group that it obeys, -1 if none.
-    """
+class StopLine(NamedTuple):
+    """Where vehicles stop: (2, 2) the line's ends, m, and its signal group, -1 if none."""
 
     line: FloatArray
     signal: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RoadShapes:
+class RoadShapes(NamedTuple):
     """Everything about a road that does not move; polygons and lines are (P, 2), m.
 
     Attributes:
@@ -61,13 +53,13 @@ class RoadShapes:
         stops: stop lines.
     """
 
-    paving: tuple[FloatArray, ...]
-    asphalt: tuple[FloatArray, ...]
+    paving: list[FloatArray]
+    asphalt: list[FloatArray]
     dashes: FloatArray
-    edges: tuple[FloatArray, ...]
-    middles: tuple[FloatArray, ...]
-    bars: tuple[FloatArray, ...]
-    stops: tuple[StopLine, ...]
+    edges: list[FloatArray]
+    middles: list[FloatArray]
+    bars: list[FloatArray]
+    stops: list[StopLine]
 
 
 def road_shapes(road: Road) -> RoadShapes:
@@ -84,16 +76,8 @@ def road_shapes(road: Road) -> RoadShapes:
         asphalt.append(_hull(paths, 0.0))
         if walking:
             paving.append(_hull(paths, CORNER_M))
-    dashes, edges, middles = _painted(driving)
-    return RoadShapes(
-        paving=tuple(paving),
-        asphalt=tuple(asphalt),
-        dashes=np.concatenate([np.empty((0, 2, 2)), *dashes]),
-        edges=tuple(edges),
-        middles=tuple(middles),
-        bars=tuple(bar for one in road.crossings for bar in _bars(one.centerline, one.width_m)),
-        stops=_stop_lines(road, driving),
-    )
+    bars = [bar for one in road.crossings for bar in _bars(one.centerline, one.width_m)]
+    return RoadShapes(paving, asphalt, *_painted(driving), bars, _stop_lines(road, driving))
 
 
 def _band(line: FloatArray, width_m: float) -> FloatArray:
@@ -108,26 +92,22 @@ def _hull(paths: list[Lane], wider_m: float) -> FloatArray:
     return points[ConvexHull(points, qhull_options="QJ").vertices]
 
 
+def _parts(line: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """(n, 2, 2) ends of n parts of a line (P, 2), m."""
+    return np.stack([points_at(line, begin), points_at(line, end)], axis=1)
+
+
 def _bars(line: FloatArray, width_m: float) -> list[FloatArray]:
     """(4, 2) corners of each bar of a zebra crossing between the ends of a line (P, 2), m."""
     straight = line[[0, -1]]
     length_m = min(float(distances_along(straight)[-1]), LONGEST_M)
-    begins = np.arange(BAR_M[1] / 2, length_m - BAR_M[0], sum(BAR_M))
-    ends = points_at(straight, np.stack([begins, begins + BAR_M[0]], axis=1).ravel())
-    return [_band(bar, width_m) for bar in ends.reshape(-1, 2, 2)]
+    begin = np.arange(BAR_M[1] / 2, length_m - BAR_M[0], sum(BAR_M))
+    return [_band(bar, width_m) for bar in _parts(straight, begin, begin + BAR_M[0])]
 
 
-def _dashes(line: FloatArray) -> FloatArray:
-    """(D, 2, 2) ends of the dashes along a line (P, 2), m."""
-    length_m = distances_along(line)[-1]
-    begin = np.arange(0.0, length_m, sum(DASH_M))
-    end = np.minimum(begin + DASH_M[0], length_m)
-    return np.stack([points_at(line, begin), points_at(line, end)], axis=1)
-
-
-def _painted(driving: list[Lane]) -> tuple[list[FloatArray], ...]:
+def _painted(driving: list[Lane]) -> tuple[FloatArray, list[FloatArray], list[FloatArray]]:
     """Dashes, edges and middle lines of the lanes."""
-    dashes, edges, middles = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    dashes, edges, middles = [np.empty((0, 2, 2))], list[FloatArray](), list[FloatArray]()
     rightmost = {lane.edge: lane for lane in sorted(driving, key=lambda lane: -lane.index)}
     leftmost = {lane.edge: lane for lane in sorted(driving, key=lambda lane: lane.index)}
     ends = [borders(lane.centerline, lane.width_m)[0][-1] for lane in leftmost.values()]
@@ -136,15 +116,17 @@ def _painted(driving: list[Lane]) -> tuple[list[FloatArray], ...]:
         if rightmost[lane.edge] is lane:
             edges.append(right)
         if leftmost[lane.edge] is not lane or lane.opposite:
-            dashes.append(_dashes(left))
+            length_m = distances_along(left)[-1]
+            begin = np.arange(0.0, length_m, sum(DASH_M))
+            dashes.append(_parts(left, begin, np.minimum(begin + DASH_M[0], length_m)))
             continue
         near = np.hypot(*(np.array(ends) - left[0]).T) < SAME_LINE_M
         near &= np.array([edge != lane.edge for edge in leftmost])
         (middles if near.any() else edges).append(left)
-    return dashes, edges, middles
+    return np.concatenate(dashes), edges, middles
 
 
-def _stop_lines(road: Road, driving: list[Lane]) -> tuple[StopLine, ...]:
+def _stop_lines(road: Road, driving: list[Lane]) -> list[StopLine]:
     """A line at the end of every lane that has a signal, a rule or a crossing there."""
     found = []
     for lane in driving:
@@ -156,7 +138,7 @@ def _stop_lines(road: Road, driving: list[Lane]) -> tuple[StopLine, ...]:
         if ways and (held or crossed or signal >= 0):
             left, right = borders(lane.centerline, lane.width_m)
             found.append(StopLine(np.stack([right[-1], left[-1]]), signal))
-    return tuple(found)
+    return found
 
 
 def _distance(point: FloatArray, line: FloatArray) -> float:

@@ -8,8 +8,8 @@ import numpy as np
 
 from sim.frames import IntArray, Signal, Tracks
 from sim.road import Road
-from sim.road.lane_coordinates import along
 from sim.road.lane_graph import LaneGraph
+from sim.road.lane_search import along
 from sim.safety.encounters import Driven
 
 NEAR_S: Final = 60.0

@@ -31,11 +31,20 @@ from sim.road import Road
 from sim.road.road_files import read_road_file
 from sim.safety import Conflicts
 from sim.scenario import AgentSpec
-from sim.store.catalogue import DRAWN, EPISODES, WORDS, words_of
-from sim.store.parquet import check_columns, metadata_of, opened, read_rows
+from sim.store.reading import (
+    check_columns,
+    metadata_of,
+    opened,
+    read_conflicts,
+    read_rows,
+    read_tables,
+)
 from sim.store.schema import (
     CATALOGUE,
+    DRAWN,
+    EPISODES,
     TABLES,
+    WORDS,
     EpisodeEntry,
     Header,
     Manifest,
@@ -43,16 +52,11 @@ from sim.store.schema import (
     TableName,
     shard_file,
     table_schema,
+    words_of,
 )
-from sim.store.tables import read_conflicts, read_tables
 
 SHOWN_EPISODES: Final = 10
 """Most episodes that a notebook shows of a dataset."""
-
-SHOWN_COLUMNS: Final = [
-    "id", "scenario", "engine", "seed", "index", "split", "frames", "agents", "agent_steps",
-]  # fmt: skip
-"""What it shows of each."""
 
 
 @dataclass(frozen=True)
@@ -108,13 +112,7 @@ class Dataset:
 
     @cached_property
     def catalogue(self) -> pa.Table:
-        """The catalogue as an Arrow table of the columns ``sim.store.schema.CATALOGUE``.
-
-        Repeated words are in memory once.
-
-        Raises:
-            InputError: if it is broken.
-        """
+        """The catalogue as an Arrow table of the columns ``sim.store.schema.CATALOGUE``."""
         with opened(self._place, EPISODES, read_dictionary=WORDS) as parquet:
             found = parquet.metadata.schema.to_arrow_schema()  # of which no column is a dictionary
             check_columns(self._catalogue, found, CATALOGUE)
@@ -164,9 +162,6 @@ class Dataset:
 
         Returns:
             Their entries. Only those that fit become objects.
-
-        Raises:
-            InputError: if a filter is not a behaviour or a mix.
         """
         return self._entries(self._fitting(split, scenario, behavior, mix, flow))
 
@@ -179,7 +174,7 @@ class Dataset:
             for row in rows.to_pylist():
                 fields = {name: row[name] for name in names}
                 fields |= {name: parsed(row[name]) for name in ("options", "made_with")}
-                fields["drawn"] = {str(word): row[word] for word in DRAWN if row[word]}
+                fields["drawn"] = {word: row[word] for word in DRAWN if row[word]}
                 found.append(EpisodeEntry(**fields))
         except (ValueError, RecursionError) as error:
             reason = "found options that are not JSON"
@@ -226,10 +221,6 @@ class Dataset:
 
         Returns:
             A `pyarrow.dataset.Dataset` with the columns of that table, ``scenario`` and ``split``.
-            Only the shards that hold a fitting episode are opened.
-
-        Raises:
-            InputError: if no such table exists, or a filter is wrong.
         """
         from pyarrow import dataset as arrow_dataset
 
@@ -273,27 +264,18 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """A table of the first episodes, for notebooks."""
-        table = self.catalogue.slice(0, SHOWN_EPISODES).select(SHOWN_COLUMNS).to_pandas()
+        columns = ["id", "scenario", "engine", "seed", "split", "frames", "agents", "agent_steps"]
+        table = self.catalogue.slice(0, SHOWN_EPISODES).select(columns).to_pandas()
         more = len(self) - SHOWN_EPISODES
         last = f"<p>and {more} more</p>" if more > 0 else ""
         return f"<p>{html.escape(repr(self))}</p>{table.to_html(index=False)}{last}"
 
     def to_pandas(self) -> Any:
-        """A pandas table with a row per episode: the catalogue.
-
-        Returns:
-            A data frame with the columns of ``sim.store.schema.CATALOGUE``, in its order.
-        """
+        """A pandas table with a row per episode: the catalogue, as ``sim.store.schema`` says."""
         return self.catalogue.cast(CATALOGUE).to_pandas()
 
     def read(self, entry: EpisodeEntry) -> Episode:
-        """Read an episode, comparing the checksums of its pages.
-
-        Args:
-            entry: one of `episodes`.
-
-        Returns:
-            Its tracks and agents.
+        """Read an episode, one of `episodes`, comparing the checksums of its pages.
 
         Raises:
             InputError: if a file is missing, altered, or does not fit the schema; names the file.
@@ -311,11 +293,7 @@ class Dataset:
         return read_conflicts(self._place, entry)
 
     def road(self, entry: EpisodeEntry) -> Road | None:
-        """The road an episode happened on; None where it is not known.
-
-        Raises:
-            InputError: if the net is missing or altered.
-        """
+        """The road an episode happened on; None where it is not known."""
         if entry.road is None:
             return None
         kept = f"roads/{entry.road}"
@@ -323,24 +301,30 @@ class Dataset:
         path = self.path / name
         if self._place.size(name) is None:
             raise InputError(f"{path}: found no file, expected the road of {entry.id}")
+        data = self._place.read(name)
+        if hashlib.sha256(data).hexdigest() != entry.road:
+            raise InputError(f"{path}: found another checksum than its name, expected its own")
+        if not self._place.remote:
+            return read_road_file(path, entry.scenario)
         with temporary_folder("road") as scratch:
-            copy, data = scratch / path.name, self._place.read(name)
+            copy = scratch / path.name
             copy.write_bytes(data)
-            if hashlib.sha256(data).hexdigest() != entry.road:
-                raise InputError(f"{path}: found another checksum than its name, expected its own")
-            return read_road_file(copy if self._place.remote else path, entry.scenario)
+            return read_road_file(copy, entry.scenario)
+
+
+def is_dataset(path: str | Path) -> bool:
+    """Whether a folder or URL is that of a complete dataset."""
+    return place_of(path).size(EPISODES) is not None
 
 
 def _mix_words(mix: str | Mapping[str, float]) -> str | None:
     """A mix as the catalogue has it."""
-    if isinstance(mix, str) and not mix.startswith("{"):
+    if isinstance(mix, str):
         parts = [part.partition("=") for part in mix.split(",")]
         try:
             mix = {name.strip(): float(share) for name, _, share in parts}
         except ValueError:
             raise InputError(f"mix: found {mix!r}, expected behavior=share,...") from None
-    if isinstance(mix, str):
-        return mix
     styles = {str(style): [b for b in BEHAVIORS if b.style is style] for style in Style}
     shares: dict[str, Any] = {}
     for name, share in mix.items():
@@ -350,14 +334,11 @@ def _mix_words(mix: str | Mapping[str, float]) -> str | None:
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Open a dataset by its catalogue alone.
+    """Open a dataset by its catalogue alone; rows and episodes are read when asked for.
 
     Args:
         path: the folder that holds ``episodes.parquet``, or its URL: ``s3://bucket/data``,
             ``gs://``, ``file://``, ``memory://``.
-
-    Returns:
-        The dataset; the catalogue's rows and the episodes are read when asked for.
 
     Raises:
         InputError: if the catalogue is missing, broken or of another version.

@@ -25,7 +25,8 @@ float64, exactly.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal, get_args
+import json
+from typing import Annotated, Any, Final, Literal, TypeVar, get_args
 from urllib.parse import quote
 
 import pyarrow as pa
@@ -34,6 +35,8 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from behaviors.labels import BEHAVIORS
 from behaviors.profiles import PROFILE_FIELDS
 from sim.frames import KINDS
+
+T = TypeVar("T")
 
 SCHEMA_VERSION: Final = 3
 """Version of a dataset's layout. Raised whenever a reader of the old version could misread the new
@@ -69,12 +72,7 @@ _SPLIT_CYCLE: Final[tuple[Split, ...]] = ("train", "validation", "test", "train"
 def split_of(index: int) -> Split:
     """The split of a scenario's episode by its index: 60 % train, 20 % validation, 20 % test.
 
-    The pattern does not depend on the number of episodes, so every episode keeps its split when a
-    dataset grows. Three episodes already give one of each.
-
-    Examples:
-        >>> [split_of(i) for i in range(6)]
-        ['train', 'validation', 'test', 'train', 'train', 'train']
+    Every episode keeps its split when a dataset grows. Three episodes already give one of each.
     """
     return _SPLIT_CYCLE[index % len(_SPLIT_CYCLE)]
 
@@ -82,8 +80,8 @@ def split_of(index: int) -> Split:
 def block_of(index: int) -> tuple[int, int]:
     """First and last episode of the block of a scenario's episodes that one worker makes.
 
-    Blocks are small at first, so that all processors have work in a small dataset, and grow, so
-    that a large one has few files. They depend on the index alone, so a dataset can grow.
+    Blocks are small at first, so that all processors have work, and grow, so that a large dataset
+    has few files. They depend on the index alone, so a dataset can grow.
 
     Examples:
         >>> block_of(0), block_of(7), block_of(161), block_of(325), block_of(10**6)
@@ -97,12 +95,7 @@ def block_of(index: int) -> tuple[int, int]:
 
 
 def shard_file(table: TableName, scenario: str, split: str, index: int) -> str:
-    """The file of a table that holds an episode, below the dataset's folder.
-
-    Examples:
-        >>> shard_file("steps", "a road", "train", 3)
-        'steps/scenario=a%20road/split=train/000000-000004.parquet'
-    """
+    """The file of a table that holds an episode, below the dataset's folder."""
     first, last = block_of(index)
     folder = f"{table}/scenario={quote(scenario, safe='')}/split={split}"
     return f"{folder}/{first:06}-{last:06}.parquet"
@@ -232,15 +225,13 @@ TABLES: Final[tuple[TableName, ...]] = get_args(TableName)
 
 
 def table_schema(table: TableName, exact: bool = False) -> pa.Schema:
-    """The columns of a table; ``exact`` is of steps, as for `steps_schema`.
-
-    Examples:
-        >>> table_schema("frames").names
-        ['episode', 'step', 'time_s']
-    """
+    """The columns of a table; ``exact`` is of steps, as for `steps_schema`."""
     others = AGENTS, FRAMES, SIGNALS_TABLE, EVENTS, TRAITS_TABLE, CONFLICTS
     return dict(zip(TABLES, (steps_schema(exact), *others), strict=True))[table]
 
+
+DRAWN: Final = (*map(str, BEHAVIORS), *map(str, KINDS))
+"""Columns of the catalogue that count drawn agents."""
 
 CATALOGUE: Final = _schema(
     id=TEXT,
@@ -255,7 +246,7 @@ CATALOGUE: Final = _schema(
     frames=INT,
     agents=INT,  # that were seen
     agent_steps=INT,
-    **{name: pa.int32() for name in (*BEHAVIORS, *KINDS)},  # drawn
+    **{name: pa.int32() for name in DRAWN},
     road=[TEXT],  # checksum; null: not known
     exact=BOOL,  # float64 as it came, not rounded float32
     shard=TEXT,  # name of its shard, without ending
@@ -264,6 +255,26 @@ CATALOGUE: Final = _schema(
 )
 """Columns of ``episodes.parquet``, the catalogue: one row per episode, by scenario, engine, index
 and id. A count of drawn agents stands under each behaviour and kind."""
+
+EPISODES: Final = "episodes.parquet"
+"""Name of the catalogue; it is written last, so where it is the dataset is complete."""
+
+WORDS: Final = [field.name for field in CATALOGUE if field.type == "string" and field.name != "id"]
+"""Columns of the catalogue of which many rows have the same words."""
+
+METADATA_KEY: Final = "graphrqi"
+"""Under which key a Parquet file says in JSON what belongs to the file as a whole."""
+
+
+def words_of(option: JsonValue) -> str | None:
+    """How the catalogue says an option of an episode: a word as it is, anything else as JSON."""
+    return option if option is None or isinstance(option, str) else as_json(option)
+
+
+def as_json(value: object) -> str:
+    """One line of JSON; equal values give equal lines."""
+    return json.dumps(value, sort_keys=True, allow_nan=False)
+
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0)]
@@ -340,25 +351,26 @@ class EpisodeEntry(EpisodeMeta):
     @property
     def recording(self) -> str | None:
         """Name of the recording that it was read from; None for a simulated episode."""
-        found = self.options.get("recording")
-        return found if isinstance(found, str) else None
+        return self._option("recording", str)
 
     @property
     def file(self) -> str | None:
         """The file that the recording was read from; None for a simulated episode."""
-        found = self.options.get("file")
-        return found if isinstance(found, str) else None
+        return self._option("file", str)
 
     @property
-    def behaviors(self) -> dict[str, Any]:
+    def behaviors(self) -> dict[str, Any] | None:
         """Behaviours of one's own, beside the six, as `behaviors.read_behaviors` takes them."""
-        found = self.options.get("behaviors")
-        return found if isinstance(found, dict) else {}
+        return self._option("behaviors", dict)
 
     @property
     def name(self) -> str:
         """Display name: its recording, or its scenario and index."""
         return self.recording or f"{self.scenario} {self.index}"
+
+    def _option(self, name: str, kind: type[T]) -> T | None:
+        found = self.options.get(name)
+        return found if isinstance(found, kind) else None
 
 
 class Shard(_Strict):

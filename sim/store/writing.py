@@ -7,7 +7,6 @@ are written into a hidden folder and moved to their places when the shard is fin
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,7 +15,7 @@ from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
@@ -27,26 +26,41 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Style
 from behaviors.traits import ShownTrait
 from sim.episode.annotate import annotate
-from sim.files import PARTIAL_PREFIX, Place, local_path, new_folder, place_of, temporary_folder
+from sim.files import (
+    PARTIAL_PREFIX,
+    Place,
+    local_path,
+    new_folder,
+    place_of,
+    temporary_folder,
+    whole_file,
+)
 from sim.frames import KINDS, Frame, Tracks
 from sim.road import Road
 from sim.road.road_files import ENDINGS, SUFFIX, encode_road, read_road_file
 from sim.safety import Conflicts, conflicts
 from sim.scenario import AgentSpec
-from sim.store.catalogue import EPISODES, catalogue_table, write_catalogue
-from sim.store.parquet import METADATA_KEY, parquet_options
+from sim.store.encoding import encode, road_columns, rounded, written_schema
 from sim.store.schema import (
+    CATALOGUE,
+    DRAWN,
     EPISODE_VERSION,
+    EPISODES,
+    METADATA_KEY,
+    SCHEMA_VERSION,
     TABLES,
+    WORDS,
     EpisodeEntry,
     EpisodeMeta,
     FileEntry,
+    Header,
     Shard,
     TableName,
+    as_json,
     shard_file,
     table_schema,
+    words_of,
 )
-from sim.store.tables import encode, road_columns, rounded, written_schema
 
 _DETERMINING: Final = {
     "sumo": "libsumo",
@@ -58,14 +72,7 @@ _DETERMINING: Final = {
 
 
 def made_with(*engines: str) -> dict[str, str]:
-    """Versions of the packages that determine the bytes of an episode.
-
-    Args:
-        *engines: registered names of its engines, or a recording's format key.
-
-    Returns:
-        Version by package name.
-    """
+    """Versions, by name, of the packages that determine the bytes of episodes of some engines."""
     own = [_DETERMINING[engine] for engine in engines if engine in _DETERMINING]
     return {name: metadata.version(name) for name in ("graphrqi", "numpy", "pyarrow", *own)}
 
@@ -73,6 +80,27 @@ def made_with(*engines: str) -> dict[str, str]:
 def checksum(data: bytes) -> str:
     """SHA-256 in hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
+
+
+def parquet_options(schema: pa.Schema) -> dict[str, Any]:
+    """How tables of a schema are written: options of `pyarrow.parquet.ParquetWriter`."""
+    encodings, words = {}, []
+    for field in schema:
+        if pa.types.is_floating(field.type):
+            encodings[field.name] = "BYTE_STREAM_SPLIT"
+        elif pa.types.is_integer(field.type):
+            encodings[field.name] = "DELTA_BINARY_PACKED"
+        elif pa.types.is_list(field.type):
+            words.append(f"{field.name}.list.element")
+        elif not pa.types.is_boolean(field.type):
+            words.append(field.name)
+    return {
+        "compression": "zstd",
+        "use_dictionary": words,
+        "column_encoding": encodings,
+        "store_schema": False,
+        "write_page_checksum": True,
+    }
 
 
 class _OpenShard:
@@ -183,24 +211,15 @@ class EpisodeWriter:
                 near misses, causes, lanes, leaders and shown traits.
             since_s: write only what is later than this, s. Events and traits are found with all
                 frames in sight. None writes everything.
-
-        Returns:
-            The catalogue's entry of the episode.
-
-        Raises:
-            InputError: if a frame has an unknown agent, a value that is not finite, or a time that
-                does not increase, or there are too many rows.
         """
+        frames = iter(frames)
         try:
             tracks = rounded(Tracks.from_frames(_checked(frames)))
         finally:
-            close = getattr(frames, "close", None)
-            if close is not None:
-                close()
+            getattr(frames, "close", lambda: None)()
         strangers = sorted({*tracks.ids.tolist()} - {agent.id for agent in agents})
         if strangers:
-            expected = f"one of {len(agents)} given"
-            raise InputError(f"frames: found agent {strangers[0]}, expected {expected}")
+            raise InputError(f"frames: found agent {strangers[0]}, expected one of those given")
         shown: tuple[ShownTrait, ...] = ()
         known: dict[str, pa.Array] = {}
         met: Conflicts | None = None
@@ -234,9 +253,6 @@ class EpisodeWriter:
             tracks: the recording.
             road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
             styles: by name, of drivers with a known style and an unknown behaviour.
-
-        Raises:
-            InputError: if a number is not finite.
         """
         n, index = tracks.ids.size, tracks.index
         codes = np.full(n, -1) if tracks.behavior is None else tracks.behavior
@@ -278,15 +294,11 @@ class EpisodeWriter:
             tracks: what was seen, with its events.
             agents: the agents that are written, in order of id.
             road: the road that it happened on, or the file of its SUMO net or Argoverse 2 map.
-            exact: whether to write float64 as it is; else the numbers are multiples of the schema's
-                quanta, see `sim.store.tables.rounded`.
+            exact: whether to write float64 as it is; else the tracks are `rounded`.
             drawn: the agents that determine the episode; None for ``agents``.
             shown: the traits that were shown.
             known: columns of the steps that come from the road; those left out are null.
             met: its conflicts; None to look for them.
-
-        Raises:
-            InputError: if a number is not finite.
         """
         kept = {} if road is None else self._keep_road(road)
         sha256 = next((file.sha256 for file in kept.values()), None)
@@ -331,7 +343,7 @@ def _identity(
 ) -> str:
     """An episode's id: the hash of everything that determines its content."""
     made_from = {**meta.model_dump(), "version": EPISODE_VERSION, "road": road}
-    content = hashlib.sha256(json.dumps(made_from, sort_keys=True, allow_nan=False).encode())
+    content = hashlib.sha256(as_json(made_from).encode())
     content.update(repr(list(agents)).encode())
     if recorded is not None:
         for values in (recorded.time_s, recorded.signals, recorded.index.agent, recorded.index.step,
@@ -342,7 +354,7 @@ def _identity(
 
 def _drawn(agents: Sequence[AgentSpec]) -> dict[str, int]:
     """How many agents of each kind and behaviour there are."""
-    words = [str(word) for a in agents for word in (a.kind, a.behavior) if word is not None]
+    words = [str(word) for a in agents for word in (a.kind, a.behavior)]
     return {str(word): words.count(word) for word in (*KINDS, *BEHAVIORS) if word in words}
 
 
@@ -356,6 +368,52 @@ def _checked(frames: Iterable[Frame]) -> Iterator[Frame]:
         yield frame
 
 
+def write_catalogue(
+    place: Place,
+    configuration: Mapping[str, JsonValue],
+    entries: Sequence[EpisodeEntry],
+    files: Mapping[str, FileEntry],
+) -> None:
+    """Write the catalogue of a dataset, which completes it.
+
+    Args:
+        place: the dataset.
+        configuration: what it is made from.
+        entries: its episodes, in any order.
+        files: size and checksum of its other files, by name.
+    """
+    parts = [
+        pa.Table.from_pylist([_row(entry) for entry in entries[at : at + 10_000]], schema=CATALOGUE)
+        for at in range(0, len(entries), 10_000)
+    ]
+    table = pa.concat_tables([CATALOGUE.empty_table(), *parts])
+    table = table.sort_by([(name, "ascending") for name in ("scenario", "engine", "index", "id")])
+    header = Header(
+        schema_version=SCHEMA_VERSION,
+        configuration=dict(configuration),
+        files=dict(sorted(files.items())),
+    )
+    options = {**parquet_options(CATALOGUE), "use_dictionary": WORDS}
+    with (
+        whole_file(place.path / EPISODES) as partial,
+        pq.ParquetWriter(partial, CATALOGUE, **options) as writer,
+    ):
+        writer.write_table(table.combine_chunks(), row_group_size=2**17)  # a few MB
+        writer.add_key_value_metadata({METADATA_KEY: as_json(header.model_dump())})
+
+
+def _row(entry: EpisodeEntry) -> dict[str, Any]:
+    """An entry as a row of the catalogue."""
+    return {
+        **{name: getattr(entry, name, None) for name in CATALOGUE.names},
+        **{word: entry.drawn.get(word, 0) for word in DRAWN},
+        "flow": words_of(entry.options.get("flow")),
+        "mix": words_of(entry.options.get("mix")),
+        "options": as_json(entry.options),
+        "made_with": as_json(entry.made_with),
+    }
+
+
 @contextmanager
 def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iterator[EpisodeWriter]:
     """Write a dataset that appears as a whole, when the block ends without an error.
@@ -365,11 +423,7 @@ def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iter
         configuration: what the dataset is made from.
 
     Yields:
-        Sink of its episodes.
-
-    Raises:
-        InputError: if there is something already.
-        OSError: if something cannot be written; nothing is left behind.
+        Writer of its episodes.
     """
     place = place_of(out)
     if place.remote and place.files():
@@ -378,7 +432,7 @@ def new_dataset(out: str | Path, configuration: Mapping[str, JsonValue]) -> Iter
         made = Place(str(folder))
         with EpisodeWriter(made, configuration) as writer:
             yield writer
-        write_catalogue(made, configuration, [catalogue_table(writer.entries)], writer.files)
+        write_catalogue(made, configuration, writer.entries, writer.files)
         if place.remote:
             for name in sorted(made.files(), key=lambda name: name == EPISODES):
                 place.put(folder / name, name)

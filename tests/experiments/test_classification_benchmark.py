@@ -41,7 +41,7 @@ def data(recordings, tmp_path, monkeypatch) -> Data:
     few = dataclasses.replace(METHODS[OURS], options={"rounds": 10})
     monkeypatch.setitem(METHODS, OURS, few)
     made = Data(tmp_path, (OURS, "majority"), 5, 30.0, 1)
-    made.__dict__["base"] = recordings
+    made["base"] = recordings
     return made
 
 
@@ -78,20 +78,20 @@ def test_the_rival_and_the_ceiling_stand_beside_ours(data):
         for r in rows
         if r["metric"] == "macro_f1" and r["variation"] == "whole track"
     }
-    for scenario in data.base.dataset.scenarios:
+    for scenario in data["base"].dataset.scenarios:
         assert 0 < count[scenario, RIVAL] <= count[scenario, OURS]
 
 
 def test_each_scenario_is_scored_with_what_was_learned_on_the_other(data):
     rows = [row for part in across_scenarios(data) for row in part]
-    names = data.base.dataset.scenarios
+    names = data["base"].dataset.scenarios
     found = {(r["scenario"], r["variation"].removeprefix("whole track, ")) for r in rows}
     assert found == {(one, f"trained on {other}") for one, other in (names, names[::-1])}
     assert {r["method"] for r in rows} == {OURS, RIVAL}
 
 
 def test_the_leak_probe_sees_no_driving(data):
-    data.__dict__["many"] = data.base
+    data["many"] = data["base"]
     rows = [row for part in leak_probe(data) for row in part]
     assert {r["variation"] for r in rows} == {"", "first window"}
     score = [r for r in rows if r["metric"] == "weighted_accuracy" and r["variation"]]

@@ -15,10 +15,10 @@ def test_roundabouts_have_rings_of_their_radius_and_lanes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(model, "ROUNDABOUTS", ((13.0, 1), (30.0, 2)))
-    monkeypatch.setattr(model, "ROUNDABOUT_EPISODES", 1)
-    monkeypatch.setattr(model, "ROAD_S", 6.0)
-    monkeypatch.setattr(model, "MOTORWAYS", ("motorway",))
-    monkeypatch.setattr(model, "MOTORWAY_EPISODES", 1)
+    short = {"episodes": 1, "duration_s": 6.0}
+    monkeypatch.setattr(model, "RINGS", model.RINGS | short)
+    free = {"scenarios": ("motorway",), **short}
+    monkeypatch.setattr(model, "FREE_ROADS", model.FREE_ROADS | free)
     made = model.generate_roads(tmp_path, quiet=True)
     assert [folder.name for folder in made] == ["recorded-free", "recorded-roundabouts"]
     motorways, rings = (open_dataset(folder) for folder in made)

@@ -61,7 +61,7 @@ def test_what_is_missing_is_made_again(bucket: str, made: Path) -> None:
     generate(CONFIG.model_copy(update={"episodes": 1}), out, jobs=1, quiet=True)
     place = place_of(out)
     remove(place, "episodes.parquet")
-    place.write(next(iter(place.files("steps"))), b"altered")
+    place.write(next(n for n in place.files() if n.startswith("steps")), b"altered")
     generate(CONFIG, out, jobs=1, quiet=True)
     assert content(place) == content(place_of(made))
     with pytest.raises(InputError, match=r"s3://datasets/again: was made with seed 5, now 6"):

@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 from behaviors import InputError
 from experiments.data.exchange import import_recordings
 from sim.formats import left_out_files, read_recordings
-from sim.formats.argoverse import CATEGORIES, EGO_CENTRE_M, read_log
 from sim.formats.common.recording import Recording
+from sim.formats.sensor_logs import AV, CATEGORIES
+from sim.formats.sensor_logs import read_argoverse2 as read_log
 from sim.frames import KINDS
 from sim.store.dataset import open_dataset
 from tests.sim.scenes import feather_bytes, sensor_log
@@ -115,7 +116,7 @@ def test_boxes_by_hand(tmp_path: Path) -> None:
     tracks = recording.tracks
     assert recording.name == "here"
     assert tracks.names == ("AV", "ahead", "left")
-    np.testing.assert_allclose(tracks.xy[:, 0], [[100, 50 + EGO_CENTRE_M], [100, 60], [90, 50]])
+    np.testing.assert_allclose(tracks.xy[:, 0], [[100, 50 + AV.centre_m[0]], [100, 60], [90, 50]])
     np.testing.assert_allclose(np.sin(tracks.heading[:, 0]), [1, 1, 0], atol=1e-9)
     np.testing.assert_allclose(np.cos(tracks.heading[:, 0]), [0, 0, -1], atol=1e-9)
     assert tracks.length.tolist() == [4.87, 12.0, 12.0]
@@ -154,7 +155,7 @@ def test_a_real_scenario_seen_from_its_recording_car(tmp_path: Path, shared_data
     ego, stamps = tracks.names.index("AV"), 10**17 + np.arange(110) * 99_950_000
     assert tracks.valid[ego].all()
     car = Rotation.from_euler("z", tracks.heading[ego][:, None])
-    back = car.apply([EGO_CENTRE_M, 0.0, 0.0])
+    back = car.apply([AV.centre_m[0], 0.0, 0.0])
     place = np.column_stack([tracks.xy[ego], np.zeros(110)]) - back
 
     agent, step = np.nonzero(tracks.valid & (np.array(tracks.names) != "AV")[:, None])

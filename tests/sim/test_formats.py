@@ -15,8 +15,7 @@ import pytest
 from behaviors import BEHAVIORS, InputError
 from scenarios import SCENARIOS
 from sim.formats import FORMATS, get_reader, get_writer, read_recordings, recognise
-from sim.formats.argoverse import SCHEMA
-from sim.formats.common.motion import hold_heading, row_motion
+from sim.formats.common.recording import row_motion
 from sim.frames import KINDS, AgentKind, Tracks
 from tests.sim.scenes import (
     COMMONROAD,
@@ -94,7 +93,7 @@ def argoverse2() -> bytes:
         row |= {"num_timestamps": 110, "focal_track_id": "AV", "city": "austin", "map_id": 1}
         row |= {"slice_id": "s"}
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), sink)
+    pq.write_table(pa.Table.from_pylist(rows), sink)
     return sink.getvalue().to_pybytes()
 
 
@@ -312,10 +311,10 @@ def test_motion_holds_the_heading_at_rest() -> None:
     heading, speed = row_motion(np.zeros(6, dtype=np.int64), xy, time_s, rest_heading=9.0)
     assert speed[:5].tolist() == [1.0, 1.0, 0.5, 0.0, 0.0]
     assert heading.tolist() == [0.0] * 6
-    agent = np.array([0, 0, 0, 1, 1, 1])
-    moving = np.array([False, False, False, False, True, False])
-    held = hold_heading(agent, np.arange(6.0), moving, rest_heading=9.0)
-    assert held.tolist() == [9.0, 9.0, 9.0, 4.0, 4.0, 4.0]
+    agent, time_s = np.array([0, 0, 0, 1, 1, 1, 1]), np.array([0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0])
+    xy = np.array([[7, 0], [7, 0], [7, 0], [0, 0], [0, 0], [0, 8], [0, 8]], dtype=float)
+    held, _ = row_motion(agent, xy, time_s, rest_heading=9.0)
+    assert held.tolist() == [9.0] * 3 + [np.pi / 2] * 4
 
 
 # --- the contract of every reader ---------------------------------------------------------------

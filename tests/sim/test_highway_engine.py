@@ -15,11 +15,11 @@ from scenarios.networks.build import find_program
 from sim.engines import get_engine
 from sim.episode.observables import observe
 from sim.frames import PEDESTRIAN, SIGNALS, AgentKind, EventKind, Tracks
-from sim.highway import engine
-from sim.highway.engine import network_of, run
-from sim.highway.motion import CLEAR_AFTER_S
+from sim.highway import run as engine
+from sim.highway.driving import driver_rows
+from sim.highway.move import CLEAR_AFTER_S
+from sim.highway.run import network_of, run
 from sim.highway.traffic import TrafficRoad
-from sim.highway.vehicle import driver_rows
 from sim.road.net import read_road
 from sim.scenario import WALK_START_M, AgentSpec, Scenario, sample_agents
 
@@ -64,7 +64,8 @@ def put(road, lane, s: float, speed: float, behavior: Behavior, number=0, law="I
 
 def change(vehicle, **values) -> None:
     for name, value in values.items():
-        vehicle.table[name][vehicle.row] = value
+        rows, row = vehicle.road.row_of(vehicle.agent)
+        rows[name][row] = value
 
 
 def straight_network():
@@ -119,7 +120,7 @@ def test_stops_behind_what_stands_in_the_way(behavior):
     road = TrafficRoad(straight_network())
     for lane in range(3):
         block = put(road, ("east_in<", "east_out>", lane), 200.0, 0.0, behavior, 10 + lane)
-        change(block, stop_at=math.inf, stop_until=math.inf)
+        change(block, due=math.inf, stop_until=math.inf)
     own = put(road, ("east_in<", "east_out>", 1), 20.0, 14.0, behavior, 1)
     for _ in range(400):
         road.advance(0.1)
@@ -350,7 +351,7 @@ def test_reckless_drivers_overtake_on_the_wrong_side_and_come_back():
 def test_a_collision_is_noted_and_cleared():
     road = TrafficRoad(straight_network())
     standing = put(road, ("east_in<", "east_out>", 1), 100.0, 0.0, Behavior.CAREFUL, 1)
-    change(standing, stop_at=math.inf, stop_until=math.inf)
+    change(standing, due=math.inf, stop_until=math.inf)
     moving = put(road, ("east_in<", "east_out>", 1), 90.0, 14.0, Behavior.THREATENING, 2)
     for _ in range(10):
         road.advance(0.1)

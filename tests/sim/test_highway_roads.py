@@ -9,8 +9,8 @@ import pytest
 
 from behaviors import InputError
 from scenarios import SCENARIOS
-from sim.highway.engine import network_of
 from sim.highway.network import CONFLICT_M, SAMPLE_M, WIDEST_M
+from sim.highway.run import network_of
 from sim.highway.traffic import TrafficRoad
 from sim.road import Road as SumoRoad
 

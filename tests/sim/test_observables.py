@@ -10,9 +10,8 @@ import pytest
 from sim.episode.observables import observe
 from sim.frames import PEDESTRIAN, Frame, Signal, Tracks
 from sim.road import Connection, Crossing, Lane, Road
-from sim.road.lane_coordinates import along
 from sim.road.lane_graph import DIRECTIONS, LaneGraph
-from sim.road.lane_search import next_vehicle
+from sim.road.lane_search import along, next_vehicle
 
 
 def lane(name, points, edge=None, index=0, limit=10.0, internal=False, walking=False):

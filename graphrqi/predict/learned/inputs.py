@@ -27,11 +27,7 @@ from graphrqi.predict.rollout.following import agreement, candidates, path_proba
 from graphrqi.predict.rollout.rollout import in_own_frame, on_lane_beside, roll, roll_each, steady
 from graphrqi.predict.scene.paths import limits
 from graphrqi.predict.scene.scene import Scene
-from graphrqi.predict.scene.stop_constraints import STOP, STOP_IF_COMFORTABLE
 from sim.road.lane_graph import DIRECTIONS
-
-FAR_M = 100.0
-"""Distances are cut off here and divided by it."""
 
 PAST_S: Final = tuple(0.5 * i for i in range(1, 10))
 """Ages of the moments of the own past that are described, s."""
@@ -62,82 +58,23 @@ FEATURES: Final = AROUND.stop + STOPS * (1 + 2 * len(AHEAD_S)) + 2 + len(DIRECTI
 
 def features_of(scene: Scene) -> FloatArray:
     """(n, FEATURES) all known numbers of each driver but its behaviour."""
-    parts = [_own_states(scene), _past(scene), _neighbors(scene), _stops(scene), _way(scene)]
-    return np.concatenate(parts, axis=1)
+    from graphrqi.predict.learned.describe import describe
 
-
-def _own_states(scene: Scene) -> FloatArray:
-    """(n, STATE) the driver and its lane."""
-    graph, states, on = scene.graph, scene.states, scene.on_path
-    speed, lane = scene.history.speed[:, -1], np.maximum(scene.lane, 0)
-    limit = np.where(on, limits(graph)[lane], 0.0)
-    left_m = np.clip(graph.length[lane] - scene.s, 0.0, FAR_M) / FAR_M
-    outside = (states.on_lane < 0) | ~graph.internal[lane]
-    columns = [
-        speed / 10.0, scene.accel / 3.0, limit / 20.0, speed / np.maximum(limit, 1.0),
-        scene.offset / 3.0, scene.lateral_speed, scene.history.length / 10.0, on,
-        on & (graph.left[lane] >= 0), on & (graph.right[lane] >= 0),
-        np.where(np.isfinite(states.free_factor), states.free_factor, 0.0), states.least_factor,
-        np.where(outside, left_m, 0.0),
-    ]  # fmt: skip
-    return np.stack(columns, axis=1).astype(np.float64)
-
-
-def _past(scene: Scene) -> FloatArray:
-    """(n, 3 PAST_S) what was seen of the own past."""
-    history = scene.history
-    when = history.time_s[-1] - np.array(PAST_S)
+    history, graph, states, paths = scene.history, scene.graph, scene.states, scene.paths
+    when = history.time_s[-1] - np.array((0.0, *PAST_S))
     columns = np.searchsorted(history.time_s, when - 1e-6)
     seen = history.valid[:, columns] & (history.time_s[0] <= when + 1e-6)
-    slower = (history.speed[:, columns] - history.speed[:, -1:]) / 5.0
-    turned = np.sin(history.heading[:, -1:] - history.heading[:, columns])
-    each = np.stack([seen, np.where(seen, slower, 0.0), np.where(seen, turned, 0.0)], axis=2)
-    return each.reshape(len(seen), 3 * len(PAST_S))
-
-
-def _neighbors(scene: Scene) -> FloatArray:
-    """(n, NEIGHBORS PER_NEIGHBOR) the neighbours."""
-    states, speed, length = scene.states, scene.history.speed[:, -1], scene.history.length
-    leader, follower = states.leader, states.follower
-    second = np.where(leader >= 0, leader[leader], -1)
-    beyond = states.gap + states.gap[leader] + length[leader]
-    who = np.column_stack([leader, second, follower, states.adjacent])
-    far = np.column_stack([states.gap, beyond, states.gap[follower], states.adjacent_gap])
-    near = 1.0 - np.clip(far, -5.0, FAR_M) / FAR_M
-    faster = (speed[who] - speed[:, None]) / 10.0
-    each = np.stack([np.ones_like(near), near, faster, scene.accel[who] / 3.0], axis=2)
-    return np.where(who[..., None] >= 0, each, 0.0).reshape(len(who), NEIGHBORS * PER_NEIGHBOR)
-
-
-def _stops(scene: Scene) -> FloatArray:
-    """(n, STOPS (1 + 2 AHEAD_S)) the next stop constraints up to `FAR_M`, and their states."""
-    paths, n = scene.paths, scene.ids.size
     shown = np.minimum(np.round(np.array(AHEAD_S) / STEP_S).astype(np.int64), scene.steps)
-    front = scene.s + scene.history.length / 2
-    room = paths.stop_x[scene.path] - front[:, None]
-    counts = (room > -1.0) & (room < FAR_M) & scene.on_path[:, None]
-    place = np.cumsum(counts, axis=1) - 1
-    row, at = np.nonzero(counts & (place < STOPS))
-    out = np.zeros((n, 1 + 2 * len(AHEAD_S), STOPS))
-    out[row, 0, place[row, at]] = 1.0 - np.maximum(room[row, at], 0.0) / FAR_M
-    state = scene.stop_state[paths.stop_row[scene.path[row], at]][:, shown]
-    both = np.stack([state == STOP, state == STOP_IF_COMFORTABLE], axis=2)
-    out[row, 1:, place[row, at]] = both.reshape(row.size, 2 * len(AHEAD_S))
-    return out.reshape(n, STOPS * (1 + 2 * len(AHEAD_S)))
-
-
-def _way(scene: Scene) -> FloatArray:
-    """(n, 2 + DIRECTIONS) the next lower limit, and which way the path turns."""
-    paths, n, on = scene.paths, scene.ids.size, scene.on_path
-    limit, start = paths.limit[scene.path], paths.start[scene.path]
-    lower = (limit < limit[:, :1] - 0.1) & np.isfinite(start) & on[:, None]
-    row, first = np.arange(n), lower.argmax(axis=1)
-    ahead = np.clip(start[row, first] - scene.s, 0.0, FAR_M)
-    out = np.zeros((n, 2 + len(DIRECTIONS)))
-    some = lower.any(axis=1)
-    out[some, 0] = 1.0 - ahead[some] / FAR_M
-    out[some, 1] = limit[row, first][some] / 20.0
-    out[row[on], 2 + paths.turn[scene.path[on]]] = 1.0
+    out = np.zeros((scene.ids.size, FEATURES))
+    describe(
+        (seen, history.speed[:, columns], history.heading[:, columns], history.length.copy()),
+        (scene.on_path, scene.lane, scene.s, scene.offset, scene.lateral_speed, scene.accel),
+        (states.free_factor, states.least_factor, states.on_lane),
+        (states.leader, states.gap, states.follower, states.adjacent, states.adjacent_gap),
+        (graph.left, graph.right, graph.internal, graph.length, limits(graph)),
+        (scene.path, paths.limit, paths.start, paths.turn, paths.stop_x, paths.stop_row),
+        scene.stop_state[:, shown], (PAST.start, AROUND.start, AROUND.stop), STOPS, out,
+    )  # fmt: skip
     return out
 
 

@@ -17,7 +17,7 @@ from graphrqi.predict.rollout.car_following import (
 )
 from graphrqi.predict.rollout.driver_table import DriverParameters
 from graphrqi.predict.scene.scene import RETURN_MPS, Scene
-from sim.geometry import to_own_frame
+from sim.geometry import turned
 
 CHANGE_S = 3.0
 """Duration of a lane change, s (3 to 6 s are observed)."""
@@ -110,11 +110,12 @@ def in_own_frame(
     Lanes, distances along them and to their left, m, are (..., n, J). Agents without a path go
     straight on, to where they are at times (J,), s.
     """
-    xy = np.moveaxis(on_lanes(scene, lane, s, offset), -3, 0)
-    own = np.moveaxis(to_own_frame(xy, scene.xy, scene.heading), 0, -3)
-    straight = np.zeros(own.shape[-3:])
-    straight[..., 0] = scene.speed[:, None] * time_s
-    return np.where(scene.on_path[:, None, None], own, straight)
+    ahead = on_lanes(scene, lane, s, offset) - scene.xy[:, None]
+    own = turned(ahead, -scene.heading[:, None])
+    if not scene.on_path.all():
+        own[..., ~scene.on_path, :, 0] = scene.speed[~scene.on_path, None] * time_s
+        own[..., ~scene.on_path, :, 1] = 0.0
+    return own
 
 
 def steady(scene: Scene) -> Rollout:

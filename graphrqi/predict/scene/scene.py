@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from graphrqi.arrays import BoolArray, FloatArray, IntArray
 from graphrqi.predict.prediction import STEP_S, Prediction, coming_times
 from graphrqi.predict.scene.paths import PathTable, limits
 from graphrqi.predict.scene.stop_constraints import stop_states
-from sim.frames import KINDS, MAX_MAGNITUDE, PEDESTRIAN, SIGNALS, Tracks
+from sim.frames import KINDS, MAX_MAGNITUDE, MOVING, PEDESTRIAN, SIGNALS, Tracks
 from sim.road import Road
 from sim.road.lane_graph import LaneGraph
 from sim.road.lane_search import LaneView, adjacent_vehicles, perceive
@@ -85,73 +85,57 @@ class AgentStates(NamedTuple):
 
 
 def agent_states(history: Tracks, road: Road) -> AgentStates:
-    """The states of a history's agents; agents not seen in its last column are on no lane."""
+    """The states of a history's agents, all of whom are seen in its last column."""
     graph = LaneGraph.of(road)
     ago = np.arange(0.0, np.ptp(history.time_s) + 1e-6, PAST_EVERY_S)[::-1]
     columns = np.searchsorted(history.time_s, history.time_s[-1] - ago - 1e-6)
-    drives = history.kind != PEDESTRIAN
     # copies: kernels are compiled again for strided or read-only arrays
-    instant, agent = (x.copy() for x in np.nonzero((history.valid[:, columns] & drives[:, None]).T))
+    instant, agent = (x.copy() for x in np.nonzero(history.valid[:, columns].T))
     begins = np.searchsorted(instant, np.arange(columns.size + 1))
     column = columns[instant]
     past_xy, past_heading = history.xy[agent, column], history.heading[agent, column]
-    past_length = history.length[agent]
+    past_length, drives = history.length[agent], (history.kind != PEDESTRIAN)[agent]
     found = graph.project(past_xy, past_heading)
     view = perceive(
-        past_xy, past_heading, past_length, np.ones(agent.size, np.bool_), found.lane, found.s,
-        found.offset, np.arange(agent.size), begins, graph,
+        past_xy, past_heading, past_length, drives, found.lane, found.s, found.offset,
+        np.arange(agent.size), begins, graph,
     )  # fmt: skip
-    n, limit = len(history.valid), limits(graph)
+    limit = limits(graph)
     free, least = _wished_speeds(history, columns, instant, agent, limit[found.lane], view)
-    rows = np.arange(begins[-2], begins[-1])
-    i, on, offset = agent[rows], found.lane[rows], found.offset[rows].copy()
+    now = slice(begins[-2], None)  # the rows of the last column are the agents
+    drives, on, offset = drives[now], found.lane[now], found.offset[now]
     first = _recent(history)
-    span = history.time_s[-1] - history.time_s[first[i]]
-    along = graph.segment_direction[view.segment[rows]]
-    moved = past_xy[rows] - history.xy[i, first[i]]
+    span = history.time_s[-1] - history.time_s[first]
+    along = graph.segment_direction[view.segment[now]]
+    moved = past_xy[now] - history.xy[np.arange(first.size), first]
     sideways = moved[:, 1] * along[:, 0] - moved[:, 0] * along[:, 1]
-    sideways = np.divide(sideways, span, out=np.zeros_like(span), where=span > 1e-6)
-    outside = np.abs(offset) > graph.width[on] / 2 + NEAR_LANE_M
-    outside |= (view.missed[rows] >= BEYOND_M) | (np.cos(view.lane_heading[rows]) <= 0.5)
-    drives_on, aside = np.where(outside, -1, on), offset.copy()
+    sideways = np.divide(sideways, span, out=np.zeros_like(span), where=drives & (span > 1e-6))
+    outside = ~drives | (np.abs(offset) > graph.width[on] / 2 + NEAR_LANE_M)
+    outside |= (view.missed[now] >= BEYOND_M) | (np.cos(view.lane_heading[now]) <= 0.5)
+    lane, aside = np.where(outside, -1, on), offset
     for beside, sign in ((graph.left[on], 1.0), (graph.right[on], -1.0)):
         going = ~outside & (beside >= 0) & (sign * sideways > CHANGING_MPS)
-        going &= sign * aside > -CHANGING_FROM_M
-        drives_on = np.where(going, beside, drives_on)
-        shift = sign * (graph.width[on] + graph.width[beside]) / 2
-        offset = np.where(going, aside - shift, offset)
-    adjacent, adjacent_gap = adjacent_vehicles(
-        view.lane[rows], found.s[rows], past_length[rows], graph
-    )
-    seen = view.lane[rows] >= 0
-
-    def of_all(values: NDArray[Any], nothing: float, where: Any = None) -> NDArray[Any]:
-        """The present rows' values as those of all agents."""
-        out = np.full((n, *values.shape[1:]), nothing, dtype=values.dtype)
-        out[i] = values if where is None else np.where(where, values, nothing)
-        return out
-
-    def row_of(other: IntArray) -> IntArray:
-        """The agents that rows name, -1 for none."""
-        return np.where(other >= 0, agent[other], -1)
-
-    leader, follower = view.leader[rows], view.follower[rows]
-    beside_row = np.where(adjacent >= 0, i[adjacent], -1) if i.size else adjacent
+        going &= sign * offset > -CHANGING_FROM_M
+        if going.any():
+            shift = sign * (graph.width[on] + graph.width[beside]) / 2
+            lane, aside = np.where(going, beside, lane), np.where(going, offset - shift, aside)
+    on_lane, leader, follower = view.lane[now], view.leader[now], view.follower[now]
+    adjacent, adjacent_gap = adjacent_vehicles(on_lane, found.s[now], past_length[now], graph)
     return AgentStates(
-        lane=of_all(drives_on, -1),
-        s=of_all(found.s[rows], 0.0),
-        offset=of_all(offset, 0.0),
-        lateral_speed=of_all(sideways, 0.0),
+        lane=lane,
+        s=np.where(drives, found.s[now], 0.0),
+        offset=np.where(drives, aside, 0.0),
+        lateral_speed=sideways,
         accel=present_acceleration(history),
         free_factor=free,
         least_factor=least,
-        on_lane=of_all(on, -1, seen),
-        limit=of_all(limit[on], np.nan, seen),
-        leader=of_all(row_of(leader), -1),
-        gap=of_all(view.gap[rows], np.inf, leader >= 0),
-        follower=of_all(row_of(follower), -1),
-        adjacent=of_all(beside_row, -1),
-        adjacent_gap=of_all(adjacent_gap, np.inf, adjacent >= 0),
+        on_lane=on_lane,
+        limit=np.where(on_lane >= 0, limit[on], np.nan),
+        leader=np.where(leader >= 0, leader - begins[-2], -1),
+        gap=view.gap[now],
+        follower=np.where(follower >= 0, follower - begins[-2], -1),
+        adjacent=adjacent,
+        adjacent_gap=adjacent_gap,
     )
 
 
@@ -323,16 +307,13 @@ def check_history(history: Tracks) -> None:
         if not ((codes >= 0) & (codes < len(most))).all():
             raise InputError(f"history.{name}: found other codes than 0 to {len(most) - 1}")
     for name in ("xy", "heading", "speed", "length", "width"):
-        values = getattr(history, name)
-        seen = values if values.ndim == 1 else values[history.valid]
-        if not np.isfinite(seen).all():
-            raise InputError(
-                f"history.{name}: found a number that is not finite where an agent was seen"
-            )
-        if not np.abs(seen).max(initial=0.0) <= MAX_MAGNITUDE:
-            raise InputError(
-                f"history.{name}: found a number beyond {MAX_MAGNITUDE:g} where an agent was seen"
-            )
+        values = getattr(history, f"row_{name}" if name in MOVING else name)
+        if np.abs(values).max(initial=0.0) <= MAX_MAGNITUDE:
+            continue
+        found = "a number that is not finite"
+        if np.isfinite(values).all():
+            found = f"a number beyond {MAX_MAGNITUDE:g}"
+        raise InputError(f"history.{name}: found {found} where an agent was seen")
 
 
 def since_break(history: Tracks) -> Tracks:

@@ -17,7 +17,7 @@ from graphrqi.arrays import FloatArray, IntArray
 from graphrqi.predict.prediction import STEP_S
 from graphrqi.predict.scene.paths import PathTable
 from sim.frames import PEDESTRIAN, Tracks
-from sim.road import Road, SignalPlan, lane_coordinates
+from sim.road import Road, SignalPlan, lane_search
 from sim.road.cells import boxes_of, members
 from sim.road.lane_graph import LaneGraph
 
@@ -125,8 +125,8 @@ def _block_crossings(history: Tracks, road: Road, graph: LaneGraph, state: State
     near = near.all(axis=2)
     for c in np.flatnonzero(near.any(axis=0)).tolist():
         who, line = near[:, c], np.array(road.crossings[c].centerline)
-        u, across, total = lane_coordinates.along(line, places[who])
-        ahead, _, _ = lane_coordinates.along(line, places[who] + facing[who])
+        u, across, total = lane_search.along(line, places[who])
+        ahead, _, _ = lane_search.along(line, places[who] + facing[who])
         pace = ((ahead - u) * history.speed[walking[who], -1])[:, None]
         at = u[:, None] + pace * np.arange(state.shape[1]) * STEP_S
         beside = np.abs(across) <= road.crossings[c].width_m / 2 + BESIDE_CROSSING_M

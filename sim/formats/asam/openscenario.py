@@ -12,8 +12,8 @@ References:
 from __future__ import annotations
 
 import datetime
-import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,8 +21,8 @@ import numpy as np
 from scenariogeneration import xosc
 
 from sim.files import write_whole
-from sim.formats.asam.opendrive import NO_DATE, RoadFile, as_bytes, opendrive
-from sim.frames import KINDS, SIGNALS, AgentKind, FloatArray, IntArray, Tracks
+from sim.formats.asam.opendrive import NO_DATE, as_bytes, opendrive
+from sim.frames import KINDS, SIGNALS, AgentKind, Tracks
 from sim.road import Road
 
 HEIGHTS_M: Final[dict[AgentKind, float]] = {
@@ -46,39 +46,38 @@ AXLE_SHARE: Final = 0.3
 
 def write(folder: Path, name: str, tracks: Tracks, road: Road | None = None) -> list[Path]:
     """Write an episode as ``<name>.xosc``, and its road, if known, as ``<name>.xodr``."""
-    made = None if road is None else opendrive(road, name)
-    paths = []
-    if made is not None:
-        paths.append(folder / f"{name}.xodr")
-        write_whole(paths[-1], made.content)
-    paths.append(folder / f"{name}.xosc")
-    write_whole(paths[-1], scenario(name, tracks, made, paths[0].name if made else None))
-    return paths
+    scenario, lines = folder / f"{name}.xosc", folder / f"{name}.xodr"
+    if road is None:
+        write_whole(scenario, _scenario(name, tracks, None, ()))
+        return [scenario]
+    content, signals = opendrive(road, name)
+    write_whole(lines, content)
+    write_whole(scenario, _scenario(name, tracks, lines.name, signals))
+    return [lines, scenario]
 
 
-def scenario(name: str, tracks: Tracks, road: RoadFile | None, road_file: str | None) -> bytes:
-    """An episode as OpenSCENARIO; signals have the ids of its road's file."""
+def _scenario(
+    name: str, tracks: Tracks, road_file: str | None, signals: Sequence[Sequence[str]]
+) -> bytes:
+    """An episode as OpenSCENARIO; ``signals`` are the ids of each group's lights in the road."""
     entities, init = xosc.Entities(), xosc.Init()
     act = xosc.Act("episode", _at(0.0, "begin"))
     for agent in range(len(tracks.ids)):
         what = f"agent {int(tracks.ids[agent])}"  # names in recordings may be anything
         entities.add_scenario_object(what, _entity(tracks, agent))
-        mine = tracks.index.rows(agent)
-        maneuver = xosc.Maneuver(f"{what} as recorded")
-        for event in _events(
-            what,
-            tracks.time_s,
-            tracks.index.step[mine],
-            tracks.row_xy[mine],
-            tracks.row_heading[mine],
-        ):
-            maneuver.add_event(event)
-        group = xosc.ManeuverGroup(f"{what} alone")
-        group.add_actor(what)
-        group.add_maneuver(maneuver)
-        act.add_maneuver_group(group)
-    if road is not None and len(tracks.signals) == len(road.signals):
-        _add_signals(tracks, road, init, act)
+        _add_maneuver(
+            act, f"{what} alone", f"{what} as recorded", _events(what, tracks, agent), what
+        )
+    if len(tracks.signals) == len(signals):
+        changes = list[Any]()
+        for states, ids in zip(tracks.signals, signals, strict=True):
+            for light in ids if len(states) else ():
+                init.add_global_action(_shows(light, states[0]))
+            for step in (np.flatnonzero(np.diff(states)) + 1).tolist():
+                for light in ids:
+                    about, time_s = f"change {len(changes)}", float(tracks.time_s[step])
+                    changes.append(_event(about, _shows(light, states[step]), time_s))
+        _add_maneuver(act, "signals", "programme", changes)
     end_s = float(tracks.time_s[-1]) if len(tracks.time_s) else 0.0
     board = xosc.StoryBoard(init, _at(end_s, "end", stops=True))
     if act.maneuvergroup:  # an episode may be empty
@@ -113,38 +112,40 @@ def _entity(tracks: Tracks, agent: int) -> Any:
     return made
 
 
+def _events(what: str, tracks: Tracks, agent: int) -> Iterator[Any]:
+    """The events of an agent for each time that it is seen: it appears, drives, and disappears."""
+    mine = tracks.index.rows(agent)
+    times = tracks.time_s[tracks.index.step[mine]].tolist()
+    places = [
+        xosc.WorldPosition(float(x), float(y), 0.0, float(heading))
+        for (x, y), heading in zip(tracks.row_xy[mine], tracks.row_heading[mine], strict=True)
+    ]
+    gaps = np.flatnonzero(np.diff(tracks.index.step[mine]) > 1) + 1
+    ends = [0, *gaps.tolist(), len(times)]
+    for number, (first, last) in enumerate(pairwise(ends) if times else ()):
+        about = f"{what}, part {number}"
+        yield _event(f"{about}: appear", xosc.AddEntityAction(what, places[first]), times[first])
+        if last - first > 1:
+            line = xosc.Trajectory(f"{about}: line", closed=False)
+            line.add_shape(xosc.Polyline(times[first:last], places[first:last]))
+            follow = xosc.FollowTrajectoryAction(
+                line, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1.0, 0.0
+            )
+            yield _event(f"{about}: drive", follow, times[first])
+        yield _event(f"{about}: disappear", xosc.DeleteEntityAction(what), times[last - 1])
+
+
+def _shows(light: str, state: int) -> Any:
+    """The action by which a light shows a state."""
+    return xosc.TrafficSignalStateAction(light, str(SIGNALS[state]))
+
+
 def _at(time_s: float, name: str, *, stops: bool = False) -> Any:
     """A trigger at a time of the simulation."""
     rule = xosc.Rule.greaterThan if stops else xosc.Rule.greaterOrEqual
     condition = xosc.SimulationTimeCondition(time_s, rule)
     point = "stop" if stops else "start"
     return xosc.ValueTrigger(name, 0, xosc.ConditionEdge.none, condition, triggeringpoint=point)
-
-
-def _events(
-    what: str, time_s: FloatArray, steps: IntArray, xy: FloatArray, heading: FloatArray
-) -> Iterator[Any]:
-    """The events of an agent for each time that it is seen: it appears, drives, and disappears."""
-    gaps = np.flatnonzero(np.diff(steps) > 1) + 1
-    for number, part in enumerate(np.split(np.arange(steps.size), gaps)):
-        if not part.size:
-            continue
-        times = time_s[steps[part]].tolist()
-        places = [
-            xosc.WorldPosition(float(xy[i, 0]), float(xy[i, 1]), 0.0, float(heading[i]))
-            for i in part
-        ]
-        about = f"{what}, part {number}"
-        appears = xosc.AddEntityAction(what, places[0])
-        yield _event(f"{about}: appear", appears, times[0])
-        if len(places) > 1:
-            line = xosc.Trajectory(f"{about}: line", closed=False)
-            line.add_shape(xosc.Polyline(times, places))
-            follow = xosc.FollowTrajectoryAction(
-                line, xosc.FollowingMode.position, xosc.ReferenceContext.absolute, 1.0, 0.0
-            )
-            yield _event(f"{about}: drive", follow, times[0])
-        yield _event(f"{about}: disappear", xosc.DeleteEntityAction(what), times[-1])
 
 
 def _event(name: str, action: Any, time_s: float) -> Any:
@@ -155,21 +156,14 @@ def _event(name: str, action: Any, time_s: float) -> Any:
     return event
 
 
-def _add_signals(tracks: Tracks, road: RoadFile, init: Any, act: Any) -> None:
-    """What lights show at first, and every change."""
-    maneuver = xosc.Maneuver("programme")
-    count = itertools.count()
-    for states, ids in zip(tracks.signals, road.signals, strict=True):
-        if not len(states):
-            continue
-        for light in ids:
-            init.add_global_action(xosc.TrafficSignalStateAction(light, str(SIGNALS[states[0]])))
-        for step in (np.flatnonzero(np.diff(states)) + 1).tolist():
-            for light in ids:
-                action = xosc.TrafficSignalStateAction(light, str(SIGNALS[states[step]]))
-                time_s = float(tracks.time_s[step])
-                maneuver.add_event(_event(f"change {next(count)}", action, time_s))
+def _add_maneuver(act: Any, group: str, name: str, events: Iterable[Any], *actors: str) -> None:
+    """Add a group of one manoeuvre of events, if there are any."""
+    maneuver = xosc.Maneuver(name)
+    for event in events:
+        maneuver.add_event(event)
+    made = xosc.ManeuverGroup(group)
+    for actor in actors:
+        made.add_actor(actor)
+    made.add_maneuver(maneuver)
     if maneuver.events:
-        group = xosc.ManeuverGroup("signals")
-        group.add_maneuver(maneuver)
-        act.add_maneuver_group(group)
+        act.add_maneuver_group(made)

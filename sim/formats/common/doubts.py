@@ -6,11 +6,10 @@ exchanged. Nothing is guessed: what was found is said, beside the cause that exp
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.frames import PEDESTRIAN, AgentKind, FloatArray, Tracks
 from sim.scenario import DIMENSIONS_M
@@ -40,11 +39,9 @@ PLACES: Final = {
 }
 """Causes of speeds that no traffic has, by the factor that makes them usual."""
 
-SPEEDS_MPS: Final = (0.15, 90.0)
-"""Speeds that the faster agents of recordings have at least and at most, m/s."""
-
-USUAL_MPS: Final = (1.0, 70.0)
-"""Speeds of traffic once the cause is undone, m/s."""
+SPEEDS_MPS, USUAL_MPS = (0.15, 90.0), (1.0, 70.0)
+"""Speeds of the faster agents of recordings: what they have at least and at most, and what is
+usual once the cause is undone, m/s."""
 
 SIZES: Final = {
     0.3048: "metres had been taken for feet",
@@ -61,7 +58,7 @@ NEAR: Final = 1.35
 WIDER: Final = 1.3
 """A vehicle that is wider than long by this factor has its sides exchanged."""
 
-HEADINGS: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {
+HEADINGS: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
     "radians had been taken for degrees": np.degrees,
     "degrees had been taken for radians": np.radians,
     "they were counted clockwise from north": lambda angle: np.pi / 2 - angle,
@@ -71,9 +68,9 @@ HEADINGS: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {
 }
 """Causes of headings that contradict the motion, and what undoes them."""
 
-CONTRADICTS, AGREES = 0.7, 0.9
+CONTRADICTS, AGREES, UNEXPLAINED = 0.7, 0.9, 0.3
 """Mean cosine between an agent's headings and its motion: below the first they contradict each
-other, above the second they agree."""
+other, above the second they agree; below the third they are doubted without a cause, too."""
 
 CONTRADICTING: Final = 0.3
 """Share of the moving agents that must contradict before headings are doubted."""
@@ -82,8 +79,8 @@ MOVING_MPS, MOVED_M, LEAST_STEPS, LEAST_M = 2.0, 0.15, 5, 5.0
 """Speed and step above which motion has a direction; how many such steps of an agent, and how many
 metres, make it known."""
 
-RIDING_MPS, RIDING_ROWS = 3.0, 3
-"""A pedestrian who is inside a vehicle at such a speed, at so many times, rides in it."""
+TURN_RAD: Final = 2.1 * np.pi
+"""Larger angles than this are no radians, or count turns."""
 
 TOLERATED: Final = 1.25
 """Displacement over speed times time may be off by this factor (noise, and speeds that are
@@ -99,22 +96,14 @@ BREAK_STEPS: Final = 3.0
 UNIT_NEAR: Final = 0.03
 """How near, relatively, to a unit's factor a ratio of speeds is in that unit."""
 
-UNEXPLAINED: Final = 0.3
-"""Headings that no cause explains are doubted below this mean cosine."""
-
-TURN_RAD: Final = 2.1 * np.pi
-"""Larger angles than this are no radians, or count turns."""
-
 VEHICLES: Final = (AgentKind.CAR.code, AgentKind.BUS.code, AgentKind.TRUCK.code)
 
 
 def doubts_of(tracks: Tracks, heading: FloatArray, *, sizes: bool) -> list[str]:
-    """What contradicts itself in a recording, a sentence each.
+    """What contradicts itself in a recording, in metres as the format's units say, a sentence each.
 
-    Args:
-        tracks: in metres, as the format's units say.
-        heading: (m,) rad as the file states it; NaN where it is taken from the motion.
-        sizes: whether the file has sizes.
+    Headings (m,), rad, are as the file states them; NaN where they are taken from the motion.
+    ``sizes`` says whether the file has sizes.
     """
     steps = _Steps(tracks)
     found = [_time_doubt(steps), _place_doubt(tracks, steps)]
@@ -127,21 +116,18 @@ class _Steps:
     """The steps of agents from one time to the next at which they are seen."""
 
     def __init__(self, tracks: Tracks) -> None:
-        index, xy = tracks.index, tracks.row_xy
-        self.row = np.flatnonzero(~index.begins[1:])
-        self.agent = index.agent[self.row]
-        self.moved = xy[self.row + 1] - xy[self.row]
-        self.time_s = tracks.time_s[index.step[self.row + 1]] - tracks.time_s[index.step[self.row]]
+        self.row = np.flatnonzero(~tracks.index.begins[1:])
+        self.agent = tracks.index.agent[self.row]
+        self.moved = tracks.row_xy[self.row + 1] - tracks.row_xy[self.row]
+        time_s = tracks.time_s[tracks.index.step]
+        self.time_s = time_s[self.row + 1] - time_s[self.row]
         self.way = np.hypot(self.moved[:, 0], self.moved[:, 1])
 
 
 def _time_doubt(steps: _Steps) -> str | None:
     """Steps that no recording has."""
-    if not steps.row.size:
-        return None
-    usual = float(np.median(steps.time_s))
     low, high = STEPS_S
-    if low <= usual <= high:
+    if not steps.row.size or low <= (usual := float(np.median(steps.time_s))) <= high:
         return None
     cause = next((text for by, text in TIMES.items() if low <= usual * by <= high / 10), None)
     return f"found steps of {usual:.3g} s" + (f", as if {cause}" if cause else "")
@@ -150,20 +136,18 @@ def _time_doubt(steps: _Steps) -> str | None:
 def _place_doubt(tracks: Tracks, steps: _Steps) -> str | None:
     """Speeds that no traffic has, of agents that go somewhere."""
     n = len(tracks.names)
-    count = np.bincount(steps.agent, minlength=n)
-    path = np.bincount(steps.agent, steps.way, n)
-    lasted = np.bincount(steps.agent, steps.time_s, n)
-    net = np.hypot(*(np.bincount(steps.agent, steps.moved[:, k], n) for k in (0, 1)))
-    goes = (count >= LEAST_STEPS) & (path > 0) & (net > 0.5 * path) & (lasted > 0)
-    if not goes.any() or goes.sum() < 0.5 * np.count_nonzero((count >= LEAST_STEPS) & (path > 0)):
+    path, lasted, *net = (
+        np.bincount(steps.agent, values, n) for values in (steps.way, steps.time_s, *steps.moved.T)
+    )
+    seen = (np.bincount(steps.agent, minlength=n) >= LEAST_STEPS) & (path > 0)
+    goes = seen & (np.hypot(*net) > 0.5 * path) & (lasted > 0)
+    if not goes.any() or goes.sum() < 0.5 * seen.sum():
         return None
     fast = float(np.quantile(path[goes] / lasted[goes], 0.8))
-    low, high = SPEEDS_MPS
-    if low <= fast <= high:
+    if SPEEDS_MPS[0] <= fast <= SPEEDS_MPS[1]:
         return None
-    xy = tracks.row_xy
-    extent = float(np.ptp(xy, axis=0).max())
-    in_degrees = bool((np.abs(xy) <= (180.0, 90.0)).all())
+    extent = float(np.ptp(tracks.row_xy, axis=0).max())
+    in_degrees = bool((np.abs(tracks.row_xy) <= (180.0, 90.0)).all())
     for by, cause in PLACES.items():
         fits = USUAL_MPS[0] <= fast * by <= USUAL_MPS[1] and (by < 1 or extent < 5.0)
         if fits and (by != DEGREE_M or in_degrees):
@@ -197,49 +181,24 @@ def _heading_doubt(tracks: Tracks, steps: _Steps, heading: FloatArray) -> str | 
     used &= tracks.kind[steps.agent] != PEDESTRIAN
     n, who = len(tracks.names), steps.agent[used]
     course = np.arctan2(steps.moved[used, 1], steps.moved[used, 0])
-    told = heading[steps.row[used]]
+    stated = heading[steps.row[used]]
     count = np.bincount(who, minlength=n)
     known = (count >= LEAST_STEPS) & (np.bincount(who, steps.way[used], n) >= LEAST_M)
 
     def agreement(angle: FloatArray) -> FloatArray:
         return np.bincount(who, np.cos(angle - course), n)[known] / count[known]
 
-    agrees = agreement(told)
+    agrees = agreement(stated)
     against = int((agrees < CONTRADICTS).sum())
-    turns = bool((np.abs(told) > TURN_RAD).any()) and agrees.mean() < AGREES
-    if not turns and (not against or against <= CONTRADICTING * agrees.size):
+    turns = bool((np.abs(stated) > TURN_RAD).any()) and agrees.mean() < AGREES
+    if not turns and against <= CONTRADICTING * agrees.size:
         return None
-    causes = {text: float(agreement(undo(told)).mean()) for text, undo in HEADINGS.items()}
+    causes = {text: float(agreement(undo(stated)).mean()) for text, undo in HEADINGS.items()}
     best = max(causes, key=lambda text: causes[text])
     if causes[best] <= AGREES and agrees.mean() > UNEXPLAINED:
         return None  # noise of slow agents
     as_if = f", as if {best}" if causes[best] > AGREES else ""
     return f"headings of {against} of {agrees.size} moving agents contradict the motion{as_if}"
-
-
-def inside_vehicles(tracks: Tracks) -> NDArray[np.bool_]:
-    """(m,) rows of pedestrians who ride in a vehicle, while they are within its outline."""
-    agent, step = tracks.index.agent, tracks.index.step
-    inside = np.zeros(agent.size, dtype=bool)
-    walks = (tracks.kind == PEDESTRIAN)[agent]
-    fast = np.bincount(agent[walks & (tracks.row_speed > RIDING_MPS)], minlength=len(tracks.names))
-    theirs = np.flatnonzero(walks & (fast >= RIDING_ROWS)[agent])
-    drives = np.flatnonzero(np.isin(tracks.kind, VEHICLES)[agent])
-    drives = drives[np.argsort(step[drives], kind="stable")]
-    begin, end = (np.searchsorted(step[drives], step[theirs], side=s) for s in ("left", "right"))
-    for row, first, last in zip(theirs.tolist(), begin.tolist(), end.tolist(), strict=True):
-        others = drives[first:last]
-        away = tracks.row_xy[row] - tracks.row_xy[others]
-        cos, sin = np.cos(tracks.row_heading[others]), np.sin(tracks.row_heading[others])
-        along = np.abs(cos * away[:, 0] + sin * away[:, 1])
-        across = np.abs(cos * away[:, 1] - sin * away[:, 0])
-        owner = agent[others]
-        within = (along <= tracks.length[owner] / 2 + 0.5) & (across <= tracks.width[owner] / 2)
-        inside[row] = bool(within.any())
-    riding = np.bincount(
-        agent[inside & (tracks.row_speed > RIDING_MPS)], minlength=len(tracks.names)
-    )
-    return inside & (riding >= RIDING_ROWS)[agent]
 
 
 def doubt_of_times(tracks: Tracks) -> str | None:

@@ -20,24 +20,14 @@ from sim.formats.common.tables import read_table, words_in
 
 @dataclass(frozen=True, slots=True)
 class DriverLabel:
-    """What is known of one driver.
-
-    Attributes:
-        style: its style.
-        behavior: its behaviour, or None where only the style is known.
-    """
+    """What is known of one driver: its style, and its behaviour or None."""
 
     style: Style
     behavior: Behavior | None = None
 
     @property
     def allowed(self) -> tuple[bool, ...]:
-        """(6,) which of ``BEHAVIORS`` the driver may be of.
-
-        Examples:
-            >>> DriverLabel(Style.AGGRESSIVE).allowed
-            (True, True, True, False, False, False)
-        """
+        """(6,) which of ``BEHAVIORS`` the driver may be of."""
         return tuple(
             b is self.behavior if self.behavior else b.style is self.style for b in BEHAVIORS
         )
@@ -48,28 +38,22 @@ _BEHAVIORS: Final = {str(one): DriverLabel(one.style, one) for one in BEHAVIORS}
 _WORDS: Final = {"label": _STYLES | _BEHAVIORS, "behavior": _BEHAVIORS, "style": _STYLES}
 """Columns that may say what a driver is, and what each word of them stands for."""
 
-_TOGETHER: Final = ({"label"}, {"behavior"}, {"style"}, {"behavior", "style"})
-"""Which of these columns may be there together."""
 
-
+@dataclass(slots=True)
 class DriverLabels:
     """Labels of drivers of one or several recordings, by name.
 
     It keeps account of the rows that were used, so that a mistyped name is noticed.
 
-    Args:
+    Attributes:
         path: the file that they come from, for messages.
-        labels: by recording (None: the row names none) and name of the driver.
+        labels: by recording ("": the row names none) and name of the driver.
+        used: the recording in which each row was used.
     """
 
-    def __init__(self, path: Path, labels: Mapping[tuple[str | None, str], DriverLabel]) -> None:
-        self._path = path
-        self._labels = labels
-        self._used: dict[tuple[str | None, str], str] = {}
-
-    def __len__(self) -> int:
-        """How many rows there are."""
-        return len(self._labels)
+    path: Path
+    labels: Mapping[tuple[str, str], DriverLabel]
+    used: dict[tuple[str, str], str]
 
     def of(self, names: Sequence[str], *called: str | None) -> list[DriverLabel | None]:
         """A label for each name of a recording's drivers; None where the file has none.
@@ -78,18 +62,17 @@ class DriverLabels:
         recording and fits the drivers of two is refused.
         """
         own = {part for word in called if word for part in (word, re.split("[/\\\\]", word)[-1])}
-        places = sorted({place for place, _ in self._labels if place is not None} & own)
         first = next((word for word in called if word), "")
         found: list[DriverLabel | None] = [None] * len(names)
-        for place in (None, *places):
+        for place in ("", *sorted(own)):
             for row, name in enumerate(names):
-                label = self._labels.get((place, name))
+                label = self.labels.get((place, name))
                 if label is None:
                     continue
-                before = self._used.setdefault((place, name), first)
-                if place is None and before != first:
+                before = self.used.setdefault((place, name), first)
+                if not place and before != first:
                     raise InputError(
-                        f"{self._path}: name {name!r:.60}: found it in the recordings {before} and "
+                        f"{self.path}: name {name!r:.60}: found it in the recordings {before} and "
                         f"{first}, expected a column recording that says which is meant"
                     )
                 found[row] = label
@@ -97,13 +80,13 @@ class DriverLabels:
 
     def check(self) -> None:
         """Refuse labels of drivers that no recording has."""
-        missing = [key for key in self._labels if key not in self._used]
+        missing = [key for key in self.labels if key not in self.used]
         if missing:
             place, name = missing[0]
             where = f" of recording {place}" if place else ""
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(
-                f"{self._path}: found a label of {name!r:.60}{where}{more}, which no driver is "
+                f"{self.path}: found a label of {name!r:.60}{where}{more}, which no driver is "
                 "called, expected names in the recordings"
             )
 
@@ -114,19 +97,19 @@ def read_driver_labels(path: Path) -> DriverLabels:
     table = read_table(path, (), ("name", *optional), optional)
     table = table.rename(columns={"behaviour": "behavior"})
     columns = [column for column in _WORDS if column in table]
-    if set(columns) not in _TOGETHER:
+    if not columns or ("label" in columns and len(columns) > 1):
         raise InputError(
             f"{path}: found the columns {', '.join(table)!r:.200}, expected name and label "
             "(or behavior, or style), and at most recording"
         )
     cells = {column: [(word or "").strip() for word in words_in(table[column])] for column in table}
-    found: dict[tuple[str | None, str], DriverLabel] = {}
+    found: dict[tuple[str, str], DriverLabel] = {}
     for row, name in enumerate(cells["name"]):
         where = f"{path}: line {row + 2}"
-        place = cells["recording"][row] or None if "recording" in cells else None
+        key = cells["recording"][row] if "recording" in cells else "", name
         if not name:
             raise InputError(f"{where}: name: found none, expected the driver's")
-        if (place, name) in found:
+        if key in found:
             raise InputError(f"{where}: found {name!r:.60} twice, expected it once")
         stated = {column: cells[column][row].lower() for column in columns}
         labels = []
@@ -142,5 +125,5 @@ def read_driver_labels(path: Path) -> DriverLabels:
             raise InputError(
                 f"{where}: style: found {stated['style']!r}, expected that of {stated['behavior']}"
             )
-        found[place, name] = labels[0]
-    return DriverLabels(path, found)
+        found[key] = labels[0]
+    return DriverLabels(path, found, {})

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from behaviors.errors import InputError
 from behaviors.labels import Style
 from behaviors.row_index import RowIndex
-from sim.formats.common.doubts import doubts_of, inside_vehicles
+from sim.formats.common.doubts import doubts_of
 from sim.formats.common.label_file import DriverLabel
-from sim.formats.common.motion import row_motion
+from sim.formats.common.tables import MOVING_MPS
 from sim.frames import KINDS, MAX_MAGNITUDE, AgentKind, FloatArray, Tracks
 from sim.road import Road
 from sim.scenario import DIMENSIONS_M
@@ -44,6 +44,9 @@ MOST_SEEN_ONCE: Final = 100
 
 MAX_BROKEN: Final = 0.5
 """Share of agents or rows that may be left out because their numbers are broken."""
+
+SHORTEST_S: Final = 1e-6
+"""Times closer than this give no velocity, s (far below any sampling interval)."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +77,7 @@ class Recording:
     own_road: bool = False
 
     def labelled(self, labels: Sequence[DriverLabel | None]) -> Recording:
-        """The same recording with labels.
-
-        Args:
-            labels: of each agent; None leaves what is known of it.
-        """
+        """The same recording with a label of each agent; None leaves what is known of it."""
         known = self.tracks.behavior
         codes = np.full(len(labels), -1, dtype=np.int8) if known is None else known.copy()
         styles = dict(self.styles)
@@ -89,14 +88,14 @@ class Recording:
             styles.pop(name, None)
             if label.behavior is None:
                 styles[name] = label.style
-        return replace(self, tracks=self.tracks.with_behavior(codes), styles=styles)
+        return replace(self, tracks=replace(self.tracks, behavior=codes), styles=styles)
 
     def with_codes(self, codes: Mapping[str, int]) -> Recording:
         """The same recording with codes into ``BEHAVIORS``, by an agent's name; -1 for none."""
         found = np.array([codes.get(name, -1) for name in self.tracks.names], dtype=np.int8)
         if not (found >= 0).any():
             return self
-        return replace(self, tracks=self.tracks.with_behavior(found))
+        return replace(self, tracks=replace(self.tracks, behavior=found))
 
 
 def left_out(words: Collection[str]) -> list[str]:
@@ -148,8 +147,7 @@ def recorded(
 
     Returns:
         The recording; ids are 0, 1, 2, ... in the order of the names, numbers before words.
-        Rows that repeat, riders in vehicles and agents with broken numbers are left out, and
-        counted among the doubts.
+        Rows that repeat and agents with broken numbers are left out, and counted among the doubts.
 
     Raises:
         InputError: if there are no rows, or more are broken or repeated than may be left out.
@@ -170,8 +168,8 @@ def recorded(
     names, sizes = [names[i] for i in present], sizes[present]
     table = _each_once(table, names, time_s, doubts)
     n, agent, step = len(names), table["agent"].to_numpy(), table["step"].to_numpy()
-    xy, heading, speed = (table[c].to_numpy() for c in (["x", "y"], "heading", "speed"))
-    stated = heading
+    xy, stated, speed = (table[c].to_numpy() for c in (["x", "y"], "heading", "speed"))
+    heading = stated
     if np.isnan(heading).any() or np.isnan(speed).any():
         moved = row_motion(agent, xy, time_s[step], rest_heading)
         heading = np.where(np.isnan(heading), moved[0], heading)
@@ -182,19 +180,13 @@ def recorded(
         ahead_m = ahead_lengths * sizes[agent, 0]
         xy = xy - ahead_m[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     tracks = Tracks(
-        index=RowIndex.of_rows(agent, step, n, time_s.size),
-        row_xy=xy, row_heading=heading, row_speed=speed,
-        ids=np.arange(n), names=tuple(names), kind=kind[present],
+        index=RowIndex.of_rows(agent, step, n, time_s.size), row_xy=xy, row_heading=heading,
+        row_speed=speed, ids=np.arange(n), names=tuple(names), kind=kind[present],
         length=sizes[:, 0], width=sizes[:, 1], time_s=time_s,
         signals=np.empty((0, time_s.size), dtype=np.int8),
     )  # fmt: skip
     if in_metres:
         doubts += doubts_of(tracks, stated, sizes="length" in rows)
-        inside = inside_vehicles(tracks)
-        if inside.any():
-            doubts.append(f"{np.unique(agent[inside]).size} riders are left out while they are "
-                          "inside a vehicle")  # fmt: skip
-            tracks = _without(tracks, inside)
     return Recording(
         name, tracks, tuple(notes), road, origin, doubts=tuple(doubts), own_road=own_road
     )
@@ -202,17 +194,15 @@ def recorded(
 
 def _kinds(table: pandas.DataFrame, names: Sequence[str]) -> NDArray[np.int8]:
     """(n,) the kind of each agent, which all of its rows have."""
-    kinds = table["kind"].fillna(AgentKind.CAR.code).to_numpy(np.int8)
-    found = np.zeros(len(names), dtype=np.int8)
-    found[table["agent"]] = kinds
-    other = np.flatnonzero(found[table["agent"]] != kinds)
-    if other.size:
-        who = table["agent"][other[0]]
+    kinds = table["kind"].fillna(AgentKind.CAR.code).groupby(table["agent"]).agg(["min", "max"])
+    low, high = (np.asarray(kinds[end], dtype=np.int8) for end in ("min", "max"))
+    if (low != high).any():
+        who = int((low != high).argmax())
         raise InputError(
-            f"found agent {names[who]:.60} as {KINDS[kinds[other[0]]]} and {KINDS[found[who]]}, "
+            f"found agent {names[who]:.60} as {KINDS[low[who]]} and {KINDS[high[who]]}, "
             "expected one kind"
         )
-    return found
+    return low
 
 
 def _sizes(
@@ -220,12 +210,10 @@ def _sizes(
 ) -> FloatArray:
     """(n, 2) the size of each agent, m: the first one stated, else the usual one."""
     usual = np.array([default_size(KINDS[k]) for k in kind]).reshape(-1, 2)
-    agent, sides = table["agent"].to_numpy(), table[["length", "width"]].to_numpy()
-    stated = sides[np.unique(agent, return_index=True)[1]]
-    known = np.flatnonzero((sides > 0).all(axis=1))
-    who, first = np.unique(agent[known], return_index=True)
-    stated[who] = sides[known[first]]
-    sizes = np.nan_to_num(stated)
+    sides = table[["length", "width"]]
+    known = sides.where((sides > 0).all(axis=1)).groupby(table["agent"]).first()
+    first = sides.iloc[np.unique(table["agent"], return_index=True)[1]].set_axis(known.index)
+    sizes = known.fillna(first).fillna(0.0).to_numpy()
     odd = ~((sizes >= 0) & (sizes <= MAX_SIDE)).all(axis=1)
     if odd.any():
         one, n = int(odd.argmax()), len(names)
@@ -285,18 +273,51 @@ def _each_once(
     return table[~again]
 
 
-def _without(tracks: Tracks, dropped: NDArray[np.bool_]) -> Tracks:
-    """The tracks without some rows, and without agents that have no others."""
-    index, kept = tracks.index, np.flatnonzero(~dropped)
-    index = RowIndex.of_rows(index.agent[kept], index.step[kept], index.agents, index.times)
-    fewer = replace(
-        tracks, index=index, row_xy=tracks.row_xy[kept], row_heading=tracks.row_heading[kept],
-        row_speed=tracks.row_speed[kept],
-    )  # fmt: skip
-    return fewer.part(np.unique(index.agent), slice(None))
-
-
 def _natural(name: str) -> tuple[int, int, str]:
     """Sorting key: numbers by value, then words."""
     number = name.removeprefix("-")
     return (0, int(name), "") if number.isdecimal() and len(number) < 19 else (1, 0, name)
+
+
+# --- motion -------------------------------------------------------------------------------------
+
+
+def row_motion(
+    agent: NDArray[np.int64], xy: FloatArray, time_s: FloatArray, rest_heading: float
+) -> tuple[FloatArray, FloatArray]:
+    """(m,) heading, rad, and (m,) speed, m/s, from positions.
+
+    The velocity at each time is the difference of the neighbouring positions of the agent
+    (one-sided at the ends). Below ``MOVING_MPS`` the heading is that of the last time in motion;
+    before the first such time it is that of the first, and ``rest_heading`` if there is none. Rows
+    are in order of agent (m,), then of time (m,).
+    """
+    same = agent[1:] == agent[:-1]
+    before = np.arange(agent.size) - np.append(np.zeros(min(agent.size, 1), bool), same)
+    after = np.arange(agent.size) + np.append(same, np.zeros(min(agent.size, 1), bool))
+    passed = (time_s[after] - time_s[before])[:, None]
+    moved = xy[after] - xy[before]
+    velocity = np.divide(moved, passed, out=np.zeros_like(moved), where=passed > SHORTEST_S)
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    direction = np.arctan2(velocity[:, 1], velocity[:, 0])
+    moving = pandas.Series(direction).where(speed >= MOVING_MPS)
+    held = moving.groupby(agent).ffill().groupby(agent).bfill().fillna(rest_heading)
+    return held.to_numpy(), speed
+
+
+def with_motion(tracks: Tracks, rest_heading: float = 0.0) -> Tracks:
+    """The tracks with headings and speeds that follow from their positions."""
+    index = tracks.index
+    heading, speed = row_motion(index.agent, tracks.row_xy, tracks.time_s[index.step], rest_heading)
+    return replace(tracks, row_heading=heading, row_speed=speed)
+
+
+def at_rate(tracks: Tracks, rate_hz: float) -> Tracks:
+    """The tracks, of two times at least, with times stretched to another rate.
+
+    Speeds that are those of the motion are taken from it again; stated ones stay.
+    """
+    first, stated = tracks.time_s[0], tracks.row_speed
+    slower = replace(tracks, time_s=first + (tracks.time_s - first) / (rate_hz * tracks.step_s))
+    before, after = with_motion(tracks).row_speed, with_motion(slower).row_speed
+    return replace(slower, row_speed=np.where(np.isclose(stated, before, rtol=1e-9), after, stated))

@@ -25,7 +25,6 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from sim.formats.common.motion import MOVING_MPS
 from sim.frames import AgentKind, FloatArray
 from sim.input_files import broken_as_one_line, opened, read_bytes
 from sim.units import in_si
@@ -36,7 +35,6 @@ HEAD_BYTES: Final = 65536
 PARQUET, FEATHER = b"PAR1", (b"ARROW1", b"FEA1")
 """How such tables begin."""
 
-DELIMITERS: Final = ",;\t|"
 EMPTY: Final = ("", "NA", "null", "None")
 """What stands in a field of a CSV file that has no value."""
 
@@ -53,13 +51,15 @@ KIND_WORDS: Final = {
 }
 """The kind that each word of a table stands for, whatever its format."""
 
+MOVING_MPS: Final = 0.5
+"""From this speed on, the direction of motion is taken for the heading (noise of some centimetres
+at 10 Hz is slower)."""
+
 MOST_EMPTY: Final = 0.5
 """Share of the fields of a column of numbers that may be empty or infinite."""
 
-_ENCODINGS: Final = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _SEPARATOR_LINE: Final = re.compile(r'"?sep=(.)"?\r?\n', re.IGNORECASE)
-_DECIMAL_COMMA: Final = re.compile(r"\s*[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*")
-_DECIMAL_POINT: Final = re.compile(r"\s*[-+]?\d*\.\d+(?:[eE][-+]?\d+)?\s*")
+_DECIMAL: Final = re.compile(r"\s*[-+]?\d*([.,])\d+(?:[eE][-+]?\d+)?\s*")
 _NO_NUMBER: Final = re.compile(
     r"In CSV column #(\d+): (?:Row #(\d+): )?CSV conversion error to double: invalid value (.*)"
 )
@@ -102,26 +102,16 @@ def _head_of(path: Path) -> tuple[bytes, str]:
     """The beginning of a file without a byte order mark, UTF-16 as UTF-8, and its encoding."""
     with opened(path) as file:
         head = file.read(HEAD_BYTES)
-    encoding = _encoding(head)
-    if encoding.startswith("utf-16"):
-        return head.decode(encoding, "ignore").encode(), encoding
-    return head.removeprefix(codecs.BOM_UTF8), encoding
-
-
-def _encoding(head: bytes) -> str:
-    """The encoding of a text: UTF-16 by its mark or its zeros, UTF-8, or Latin-1."""
-    for mark, name in _ENCODINGS:
-        if head.startswith(mark):
-            return name
-    if len(head) > 8 and not head[0:64:2].strip(b"\0"):
-        return "utf-16-be"
-    if len(head) > 8 and not head[1:64:2].strip(b"\0"):
-        return "utf-16-le"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return head.decode("utf-16", "ignore").encode(), "utf-16"
+    for encoding, first in (("utf-16-be", 0), ("utf-16-le", 1)):
+        if len(head) > 8 and not head[first:64:2].strip(b"\0"):
+            return head.decode(encoding, "ignore").encode(), encoding
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
+        return head, "latin-1"
+    return head.removeprefix(codecs.BOM_UTF8), "utf-8"
 
 
 class _Dialect(NamedTuple):
@@ -140,16 +130,12 @@ def _dialect_of(head: bytes, encoding: str) -> _Dialect:
     if "\0" in text:
         raise InputError("found no text, expected a table as CSV, Parquet or Feather")
     stated = _SEPARATOR_LINE.match(text)
-    lines = text[stated.end() if stated else 0 :].splitlines()
-    first = lines[0] if lines else ""
-    if len(text) >= HEAD_BYTES // 2 and len(lines) < 2:
-        raise InputError(f"line 1: found no end within {HEAD_BYTES} bytes")
-    delimiter = stated[1] if stated else max(DELIMITERS, key=first.count)
-    fields = [field for row in csv.reader(lines[1:200], delimiter=delimiter) for field in row]
-    commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
-    points = any(_DECIMAL_POINT.fullmatch(field) for field in fields)
+    first, *lines = text[stated.end() if stated else 0 :].splitlines() or [""]
+    delimiter = stated[1] if stated else max(",;\t|", key=first.count)
+    fields = [field for row in csv.reader(lines[:199], delimiter=delimiter) for field in row]
+    points = {found[1] for field in fields if (found := _DECIMAL.fullmatch(field))}
     header = tuple(name.strip().strip('"').strip().lower() for name in first.split(delimiter))
-    decimal = "," if commas and not points else "."
+    decimal = "," if points == {","} else "."
     return _Dialect(encoding, delimiter, decimal, 2 if stated else 1, header)
 
 
@@ -159,26 +145,16 @@ def _dialect_of(head: bytes, encoding: str) -> _Dialect:
 def read_table(
     path: Path, numbers: Sequence[str], words: Sequence[str] = (), optional: Collection[str] = ()
 ) -> pandas.DataFrame:
-    """Some columns of a table; upper and lower case of their names do not matter.
+    """Some columns, named in lower case, of a Parquet or Feather file, or of a CSV file.
 
-    Args:
-        path: a Parquet file, a Feather file, or a CSV file with a header: fields separated by
-            comma, semicolon, tab or bar, decimals by point or comma, in UTF-8 or UTF-16; gzipped
-            where its name ends in ``.gz``.
-        numbers: names, in lower case, of columns of numbers.
-        words: names of columns of text; numbers in them become text.
-        optional: those that may be missing, and may be empty anywhere.
-
-    Returns:
-        The columns that there are; fields of numbers that are not finite are NaN.
-
-    Raises:
-        InputError: naming the file and the column or row that is wrong.
+    A CSV file has a header, fields separated by comma, semicolon, tab or bar, and decimals by point
+    or comma, in UTF-8 or UTF-16. Words become categories; numbers that are not finite become NaN.
+    Those that are ``optional`` may be missing, and may be empty anywhere.
     """
     with broken_as_one_line(path, "a table"):
         head, encoding = _head_of(path)
         if head.startswith((PARQUET, *FEATHER)):
-            stored = _stored(path, head, [*numbers, *words], words, optional)
+            stored = _read_stored(path, head, [*numbers, *words], words, optional)
         else:
             dialect = _dialect_of(head, encoding)
             stored = _read_csv(path, dialect, [*numbers, *words], words, optional)
@@ -200,7 +176,7 @@ def read_table(
         return table
 
 
-def _stored(
+def _read_stored(
     path: Path, head: bytes, wanted: list[str], words: Sequence[str], optional: Collection[str]
 ) -> pa.Table:
     """Columns of a Parquet or Feather file."""
@@ -218,13 +194,15 @@ def _stored(
     table = table.rename_columns([name.lower() for name in table.column_names])
     table = table.select(_each_once(table.column_names, wanted, optional))
     for at, field in enumerate(table.schema):
-        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
-            continue
-        if field.name not in words:
+        if field.name in words:
+            column = table.column(at)
+            if pa.types.is_dictionary(field.type):  # some writers have texts as bytes
+                column = column.cast(pa.dictionary(field.type.index_type, pa.string()))
+            else:
+                column = column.cast(pa.string()).dictionary_encode()
+            table = table.set_column(at, field.name, column)
+        elif not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
             raise InputError(f"column {field.name}: found {field.type!s:.60}, expected numbers")
-        coded = pa.types.is_dictionary(field.type)  # some writers have texts as bytes
-        text = pa.dictionary(field.type.index_type, pa.string()) if coded else pa.string()
-        table = table.set_column(at, field.name, table.column(at).cast(text))
     return table
 
 
@@ -263,6 +241,19 @@ def _read_csv(
         raise InputError(f"{said:.300}") from None
 
 
+def _each_once(names: Sequence[str], wanted: Sequence[str], optional: Collection[str]) -> list[str]:
+    """The wanted columns that a file has; each must be there once, unless it is optional."""
+    for name in wanted:
+        count = list(names).count(name)
+        if count > 1:
+            raise InputError(f"found column {name} {count} times, expected once")
+        if count == 0 and name not in optional:
+            raise InputError(
+                f"found the columns {', '.join(names)!r:.160}, expected a column {name}"
+            )
+    return [name for name in wanted if name in names]
+
+
 def read_text(
     path: Path, header: Sequence[str], numbers: Sequence[str], words: Sequence[str] = ()
 ) -> pandas.DataFrame:
@@ -282,19 +273,6 @@ def read_text(
     if not len(rows):
         raise InputError(f"{path}: found no rows, expected at least one")
     return pandas.DataFrame({name: rows[name] for name in wanted})
-
-
-def _each_once(names: Sequence[str], wanted: Sequence[str], optional: Collection[str]) -> list[str]:
-    """The wanted columns that a file has; each must be there once, unless it is optional."""
-    for name in wanted:
-        count = list(names).count(name)
-        if count > 1:
-            raise InputError(f"found column {name} {count} times, expected once")
-        if count == 0 and name not in optional:
-            raise InputError(
-                f"found the columns {', '.join(names)!r:.160}, expected a column {name}"
-            )
-    return [name for name in wanted if name in names]
 
 
 # --- rows ---------------------------------------------------------------------------------------
@@ -341,7 +319,7 @@ def rows_of(
         if name not in table:
             continue
         if key == "id":
-            rows[key] = names_in(table[name])
+            rows[key] = table[name]
         elif key == "kind":
             rows[key] = kinds_in(table[name], kinds)
         else:
@@ -358,23 +336,9 @@ def rows_of(
     return pandas.DataFrame(rows, index=table.index)
 
 
-def codes_in(column: Any) -> tuple[NDArray[np.int64], list[str]]:
-    """(m,) the place of each text among the different ones of a column (-1: empty), and those."""
-    code, words = pandas.factorize(column)
-    if getattr(words, "dtype", None) == np.float64:  # numbers as names
-        return code.astype(np.int64), [f"{word:.17g}" for word in words]
-    return code.astype(np.int64), [str(word) for word in words]
-
-
-def names_in(column: Any) -> pandas.Categorical:
-    """(m,) a column as names; numbers are spelled."""
-    return pandas.Categorical.from_codes(*codes_in(column))
-
-
-def words_in(column: Any) -> list[str | None]:
+def words_in(column: pandas.Series) -> list[str | None]:
     """The texts of a column; None where it is empty."""
-    code, words = codes_in(column)
-    return [words[k] if k >= 0 else None for k in code.tolist()]
+    return list(column.astype(object).where(column.notna(), None))
 
 
 def kinds_in(
@@ -382,30 +346,29 @@ def kinds_in(
 ) -> NDArray[np.int8]:
     """(m,) codes of the kinds that words stand for, in upper or lower case; all must be known."""
     lower = {word.lower(): kind.code for word, kind in known.items()}
-    code, words = codes_in(column)
+    code, words = pandas.factorize(column)
     wrong = next((word for word in words if word.strip().lower() not in lower), None)
     if wrong is not None or (code < 0).any():
         found = "an empty field" if wrong is None else f"{wrong.strip()!r:.60}"
         raise InputError(f"column {column.name}: found {found}, expected one of {', '.join(known)}")
-    return np.array([lower[word.strip().lower()] for word in words], dtype=np.int8)[code]
+    known_codes = np.array([lower[word.strip().lower()] for word in words], dtype=np.int8)
+    return np.asarray(known_codes[code])
 
 
 def among(
     table: pandas.DataFrame, name: str, known: Collection[str]
 ) -> tuple[pandas.DataFrame, list[str]]:
     """The rows in which a column has one of some words, and the other words there."""
-    code, words = codes_in(table[name])
-    return table[np.isin(words, list(known))[code]], sorted({*words} - {*known})
+    return table[table[name].isin(known)], sorted({*table[name].unique()} - {*known})
 
 
 def by_word(table: pandas.DataFrame, name: str) -> list[tuple[str, pandas.DataFrame]]:
     """The rows of each word of a column; all, under no word, where the table lacks it."""
     if name not in table:
         return [("", table)]
-    code, words = codes_in(table[name])
-    if (code < 0).any():
+    if table[name].isna().any():
         raise InputError(f"column {name}: found an empty field, expected a value")
-    return [(word, table[code == k]) for k, word in enumerate(words)]
+    return [(str(word), part) for word, part in table.groupby(name, observed=True, sort=False)]
 
 
 def finite(table: pandas.DataFrame, name: str) -> FloatArray:
@@ -425,8 +388,7 @@ def whole(table: pandas.DataFrame, name: str) -> NDArray[np.int64]:
     values = table[name].to_numpy()
     if values.dtype.kind not in "iu":
         values = finite(table, name)
-    bad = np.flatnonzero(values != np.rint(values))
-    if bad.size or not (np.abs(values) < 2**63).all():
-        found = values[bad[0]] if bad.size else "one of more than 63 bits"
-        raise InputError(f"column {name}: found {found}, expected whole numbers")
+    bad = np.flatnonzero((values != np.rint(values)) | (np.abs(values) >= 2.0**63))
+    if bad.size:
+        raise InputError(f"column {name}: found {values[bad[0]]}, expected whole numbers")
     return np.asarray(values, dtype=np.int64)

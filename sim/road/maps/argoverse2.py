@@ -15,7 +15,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from sim.geometry import borders
 from sim.input_files import broken_as_one_line, read_bytes, read_once
 from sim.road import Crossing, Road
 from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
+
+MAP_NOTE: Final = "limits, signals and who has priority are not in this format: unknown"
+"""The note of recordings with such a map."""
 
 
 @read_once

@@ -22,9 +22,9 @@ import numpy as np
 
 from behaviors.errors import InputError
 from sim.frames import FloatArray, Signal
+from sim.input_files import read_tree
 from sim.road import Road, SignalPlan
 from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
-from sim.xml_tree import read_tree
 
 LIMIT_SIGNS: Final = frozenset(
     {"274", "274.1", "R2-1", "B14", "C43", "R15", "R-32", "B31", "50", "3.24", "r301"}

@@ -25,11 +25,10 @@ from pyproj import Proj
 
 from behaviors.errors import InputError
 from sim.frames import FloatArray
-from sim.input_files import read_once
+from sim.input_files import read_once, read_tree
 from sim.road import Road
 from sim.road.maps.lanelets import Lanelet, between, read_lanelets, road_of_lanelets
 from sim.road.maps.sources import FREE_WORDS, limit_of
-from sim.xml_tree import read_tree
 
 Origin = tuple[float, float]
 """Latitude and longitude of a recording's (0, 0), degrees."""

@@ -20,17 +20,16 @@ import numpy as np
 from behaviors.errors import InputError
 from sim.compiled import in_place
 from sim.frames import AgentKind, Frame, IntArray
-from sim.highway.driving import idm, on_free_road, safe_speed
+from sim.highway.driving import driver_rows, idm, on_free_road, safe_speed
 from sim.highway.junctions import BEND_BRAKING, BEND_FACTOR, braking_speed
 from sim.highway.lanes import Stretch
 from sim.highway.network import HighwayNetwork, build_network
 from sim.highway.pedestrians import walker_row
-from sim.highway.places import heading_at, path_to, project
+from sim.highway.places import heading_at, last_begun, path_to, project
 from sim.highway.state import Net, Scene
 from sim.highway.traffic import TrafficRoad, typed_once
-from sim.highway.vehicle import driver_rows
 from sim.road import Road
-from sim.scenario import AgentSpec, CarFollowing, Scenario
+from sim.scenario import AgentSpec, CarFollowing, Scenario, check_agents
 
 LONGEST_STEP_S: Final = 0.1
 """highway-env's own step is at most this long; frames further apart are made of several steps."""
@@ -69,10 +68,7 @@ def run(
     Raises:
         InputError: if the agents, the seed or the road are not usable.
     """
-    if not 0 <= seed < 2**31:
-        raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
-    if len({a.id for a in agents}) != len(agents):
-        raise InputError("agents: found an id twice, expected unique ids")
+    check_agents(scenario, agents, seed)
     road = TrafficRoad(network_of(scenario.road))
     demand = Demand(road, agents, seed, law)
     frames = _frames(scenario, road, demand)
@@ -121,10 +117,10 @@ class Demand:
     def __init__(
         self, road: TrafficRoad, agents: Sequence[AgentSpec], seed: int, law: CarFollowing = "IDM"
     ) -> None:
-        self.road = road
+        self.road, network = road, road.network
         self._walking: deque[tuple[float, Any]] = deque()
         self._queues: dict[tuple[Stretch, ...], _Queue] = {}
-        ways: dict[tuple[str, ...], tuple[Stretch, ...]] = {}
+        find_way = functools.cache(lambda route: tuple(network.stretches(route)))
         driving = []
         for agent in sorted(agents, key=lambda a: (a.depart_s, a.id)):
             if agent.kind is AgentKind.PEDESTRIAN:
@@ -137,14 +133,11 @@ class Demand:
                 )
             else:
                 driving.append(agent)
-        rows = driver_rows(driving, seed, law)
-        for agent, row in zip(driving, rows, strict=True):
-            if agent.route not in ways:
-                ways[agent.route] = tuple(road.network.stretches(agent.route))
-            way = ways[agent.route]
+        for agent, row in zip(driving, driver_rows(driving, seed, law), strict=True):
+            way = find_way(agent.route)
             row["route"], road.behaviors[agent.id] = road.route_number(way), agent.behavior
             if way[:2] not in self._queues:
-                network, then = road.network, way[1] if len(way) > 1 else None
+                then = way[1] if len(way) > 1 else None
                 lanes = [network.number[lane] for lane in network.lanes_towards(way[0], then)]
                 leads_to = -1 if then is None else network.stretch_number[then]
                 self._queues[way[:2]] = _Queue(deque(), np.array(lanes, np.int64), leads_to)
@@ -155,12 +148,8 @@ class Demand:
         road, now = self.road, self.road.time_s
         while self._walking and self._walking[0][0] <= now:
             road.add(self._walking.popleft()[1])
-        ready = [
-            (q.waiting[0][0].depart_s, q.waiting[0][0].id, q)
-            for q in self._queues.values()
-            if q.waiting and q.waiting[0][0].depart_s <= now
-        ]
-        for _, _, queue in sorted(ready, key=lambda one: one[:2]):
+        due = [q for q in self._queues.values() if q.waiting and q.waiting[0][0].depart_s <= now]
+        for queue in sorted(due, key=lambda q: (q.waiting[0][0].depart_s, q.waiting[0][0].id)):
             while queue.waiting and queue.waiting[0][0].depart_s <= now:
                 agent, row = queue.waiting[0]
                 if now - agent.depart_s <= LONGEST_WAIT_S:
@@ -173,10 +162,7 @@ class Demand:
 
 @in_place()
 def begin(me: Any, lanes: IntArray, then: int, scene: Scene) -> bool:
-    """Place a vehicle at the beginning of the best of some lanes, if there is room on any.
-
-    From there it goes to the stretch ``then``, or -1.
-    """
+    """Place a vehicle that goes to a stretch, or -1, on the roomiest of some lanes, if any is."""
     most, found, found_speed = -np.inf, -1, 0.0
     for k in lanes:
         gap, ahead = _room(k, me.length, scene)
@@ -199,10 +185,7 @@ def begin(me: Any, lanes: IntArray, then: int, scene: Scene) -> bool:
 @in_place()
 def put(me: Any, k: int, s: float, speed: float, net: Net) -> None:
     """Place a vehicle in the middle of a lane, ``s`` m along it, at a speed in m/s."""
-    g = net.lanes[k].piece
-    while g + 1 < net.lanes[k].piece_end and net.pieces[g + 1].begin <= s:
-        g += 1
-    piece = net.pieces[g]
+    piece = net.pieces[last_begun(s, net.lanes[k].piece, net.lanes[k].piece_end, net.pieces)]
     me.x, me.y = piece.x + (s - piece.begin) * piece.dx, piece.y + (s - piece.begin) * piece.dy
     me.heading, me.speed, me.entry_speed = heading_at(s, k, net), speed, speed
     me.lane = me.target = me.wanted = k

@@ -12,14 +12,11 @@ from typing import Any, Final
 import numpy as np
 
 from sim.compiled import in_place
-from sim.frames import EventKind
 from sim.highway.decide import act
 from sim.highway.driving import STANDING_MPS
 from sim.highway.pedestrians import walk
 from sim.highway.places import along_lane, leg_at, locate, next_stretch, onward, project, record
-from sim.highway.state import EVENT_KINDS, Scene
-
-WRONG_WAY = EVENT_KINDS.index(EventKind.WRONG_WAY)
+from sim.highway.state import WRONG_WAY, Scene
 
 TOP_SPEED_MPS: Final = 40.0
 """Vehicles slow down to this speed (highway-env's MAX_SPEED)."""
@@ -36,37 +33,34 @@ this far from the ends of both do not meet in a junction (more than the longest 
 STAYS, ARRIVED, CLEARED, STUCK = range(4)
 """Whether an agent stays, or why it goes."""
 
-DONE, SOMEBODY_GOES, NO_ROOM, ASTRAY, DECIDED = range(5)
-"""How a step ends; see `advance`."""
-
 
 @in_place()
-def advance(dt: float, waits: bool, scene: Scene) -> int:
-    """Let everybody decide, and move for ``dt`` seconds; returns the code of `move`.
+def advance(dt: float, waits: bool, scene: Scene) -> bool:
+    """Let everybody decide, and move for ``dt`` seconds, as `move` does; returns whether they did.
 
-    Nobody has moved if there is `NO_ROOM` for all entries of ``on``, if somebody is `ASTRAY`, or at
-    `DECIDED`, if it ``waits`` for others to decide.
+    Nobody has moved if somebody is astray, or if it ``waits`` for others to decide.
     """
-    if not locate(scene):
-        return NO_ROOM
-    if act(scene) > 0:
-        return ASTRAY
-    return DECIDED if waits else move(dt, scene)
+    locate(scene)
+    act(scene)
+    if waits or scene.now[0].astray > 0:
+        return False
+    move(dt, scene)
+    return True
 
 
 @in_place()
-def move(dt: float, scene: Scene) -> int:
-    """Move everybody for ``dt`` seconds; returns `DONE`, or `SOMEBODY_GOES`, as ``leaves`` says."""
+def move(dt: float, scene: Scene) -> None:
+    """Move everybody for ``dt`` seconds; find who touches whom, and who goes."""
     now_s = scene.now[0].time_s + dt
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         if me.profiled:
             _drive(me, dt)
-            _update_lane(i, scene)
+            _update_lane(me, scene)
         lane = scene.net.lanes[me.lane]
-        front = project(me.x, me.y, me.lane, scene.net)[0] + me.length / 2
+        front = along_lane(me, me.lane, scene.net) + me.length / 2
         at_end = me.profiled and not lane.connector and front >= lane.length
-        me.arrives = at_end and next_stretch(i, me.lane, scene) < 0
+        me.arrives = at_end and next_stretch(me, me.lane, scene) < 0
         if abs(me.speed) > STANDING_MPS:
             me.standing_since = np.inf
         elif me.standing_since == np.inf:
@@ -74,7 +68,7 @@ def move(dt: float, scene: Scene) -> int:
     walk(dt, scene)
     scene.now[0].time_s = now_s
     _find_touching(scene)
-    return SOMEBODY_GOES if _leave(scene) else DONE
+    _leave(scene)
 
 
 @in_place(inner=True)
@@ -97,25 +91,24 @@ def _drive(me: Any, dt: float) -> None:
 
 
 @in_place(inner=True)
-def _update_lane(i: int, scene: Scene) -> None:
+def _update_lane(me: Any, scene: Scene) -> None:
     """Put a vehicle on the nearer of its lane and its target, or on the next at its lane's end."""
-    net, me = scene.net, scene.vehicles[i]
-    s, aside, _ = project(me.x, me.y, me.lane, net)
+    s, aside, _ = project(me.x, me.y, me.lane, scene.net)
     if me.target != me.lane:
-        then_s, then_aside, _ = project(me.x, me.y, me.target, net)
+        then_s, then_aside, _ = project(me.x, me.y, me.target, scene.net)
         if abs(then_aside) < abs(aside):
             me.lane, s = me.target, then_s
-    if s > net.lanes[me.lane].length:
-        then = onward(i, me.lane, scene)
-        if then >= 0:
-            me.lane = me.target = me.wanted = then
-            me.leg = max(me.leg, leg_at(i, then, me.leg + 1, scene))
+    then = onward(me, me.lane, scene) if s > scene.net.lanes[me.lane].length else -1
+    if then >= 0:
+        me.lane = me.target = me.wanted = then
+        me.leg = max(me.leg, leg_at(me, then, me.leg + 1, scene))
 
 
 @in_place(inner=True)
-def _leave(scene: Scene) -> bool:
+def _leave(scene: Scene) -> None:
     """Note why each one goes, if it does, and who has come onto the wrong side."""
-    somebody, now_s = False, scene.now[0].time_s
+    now = scene.now[0]
+    now.leaving = 0
     for i in range(scene.vehicles.size):
         me = scene.vehicles[i]
         me.leaves = STAYS
@@ -127,20 +120,19 @@ def _leave(scene: Scene) -> bool:
         me.wrong_way = wrong
         if wrong and me.standing_since < np.inf and me.clock - me.standing_since > STUCK_S:
             me.leaves = STUCK
-        elif now_s - me.crashed_at > CLEAR_AFTER_S:
+        elif now.time_s - me.crashed_at > CLEAR_AFTER_S:
             me.leaves = CLEARED
         elif me.arrives:
             me.leaves = ARRIVED
-        somebody = somebody or me.leaves != STAYS
+        now.leaving += me.leaves != STAYS
     for w in range(scene.walkers.size):
         person = scene.walkers[w]
         person.leaves = STAYS
-        if now_s - person.crashed_at > CLEAR_AFTER_S:
+        if now.time_s - person.crashed_at > CLEAR_AFTER_S:
             person.leaves = CLEARED
         elif person.s >= scene.footways.ways[person.way].length - 1e-6:
             person.leaves = ARRIVED
-        somebody = somebody or person.leaves != STAYS
-    return bool(somebody)
+        now.leaving += person.leaves != STAYS
 
 
 @in_place(inner=True)
@@ -155,47 +147,33 @@ def _one(i: int, scene: Scene) -> tuple[float, float, float, float, float]:
 
 
 @in_place(inner=True)
-def _cell(x: float, y: float, scene: Scene) -> tuple[int, int]:
-    """Column and row of the cell of a place; places outside belong to the nearest cell."""
-    cells = scene.net.cells
-    column = min(max((x - cells.x0) / cells.size, 0.0), cells.columns - 1.0)
-    row = min(max((y - cells.y0) / cells.size, 0.0), cells.rows - 1.0)
-    return int(column), int(row)
-
-
-@in_place(inner=True)
 def _find_touching(scene: Scene) -> None:
     """List every two vehicles, and every vehicle and pedestrian, whose outlines overlap.
 
     Those that arrive in this step are gone from the road's end before they reach anybody there.
     """
-    cells, n = scene.net.cells, scene.vehicles.size
-    many = n + scene.walkers.size
-    scene.now[0].pairs = 0
-    for i in range(many):
-        x, y, _, _, _ = _one(i, scene)
-        column, row = _cell(x, y, scene)
-        cell = row * cells.columns + column
-        scene.cell_link[i], scene.cell_head[cell] = scene.cell_head[cell], i
-    for i in range(n):
-        if scene.vehicles[i].arrives:
-            continue
-        column, row = _cell(scene.vehicles[i].x, scene.vehicles[i].y, scene)
-        for r in range(max(row - 1, 0), min(row + 2, cells.rows)):
-            for c in range(max(column - 1, 0), min(column + 2, cells.columns)):
-                j = scene.cell_head[r * cells.columns + c]
-                while j >= 0:
-                    stays = j >= n or not scene.vehicles[j].arrives
-                    touch = j > i and stays and _overlap(i, j, scene) and _on_one_level(i, j, scene)
-                    if touch and scene.now[0].pairs < scene.pairs.size:
-                        pair = scene.pairs[scene.now[0].pairs]
-                        pair.one, pair.other = i, j
-                        scene.now[0].pairs += 1
-                    j = scene.cell_link[j]
-    for i in range(many):
-        x, y, _, _, _ = _one(i, scene)
-        column, row = _cell(x, y, scene)
-        scene.cell_head[row * cells.columns + column] = -1
+    by_x, n, now, widest = scene.by_x, scene.vehicles.size, scene.now[0], 0.0
+    for k in range(by_x.size):
+        i, at = by_x[k], k
+        x, _, _, length, width = _one(i, scene)
+        widest = max(widest, length + width)  # no less than its diagonal
+        while at > 0 and _one(by_x[at - 1], scene)[0] > x:
+            by_x[at] = by_x[at - 1]
+            at -= 1
+        by_x[at] = i
+    now.pairs = 0
+    for k in range(by_x.size):
+        x = _one(by_x[k], scene)[0]
+        for m in range(k + 1, by_x.size):
+            if _one(by_x[m], scene)[0] - x > widest:
+                break
+            i, j = min(by_x[k], by_x[m]), max(by_x[k], by_x[m])
+            if i >= n or scene.vehicles[i].arrives or (j < n and scene.vehicles[j].arrives):
+                continue
+            touch = _overlap(i, j, scene) and _on_one_level(i, j, scene)
+            if touch and now.pairs < scene.pairs.size:
+                scene.pairs[now.pairs].one, scene.pairs[now.pairs].other = i, j
+                now.pairs += 1
 
 
 @in_place(inner=True)
@@ -230,7 +208,7 @@ def _on_one_level(i: int, j: int, scene: Scene) -> bool:
     if abs(math.sin(vehicles[i].heading - vehicles[j].heading)) < CROSSWISE:
         return True
     for k in (i, j):
-        lane, s = lanes[vehicles[k].lane], along_lane(k, vehicles[k].lane, scene)
+        lane, s = lanes[vehicles[k].lane], along_lane(vehicles[k], vehicles[k].lane, scene.net)
         if lane.connector or min(s, lane.length - s) < FROM_JUNCTION_M:
             return True
     return False
