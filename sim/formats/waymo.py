@@ -175,8 +175,8 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
     """A scenario in Waymo's own message."""
     if not scenario.tracks:
         raise InputError(
-            f"record {number}: found no tracks, expected a Waymo scenario: those are in the "
-            "dataset's folder scenario, not tf_example"
+            f"record {number}: found no tracks, as in a tf.Example, expected a Waymo scenario: "
+            "those are in the dataset's folder scenario, not tf_example"
         )
     name = scenario.scenario_id[:100] or f"{stem(path)}-{number}"
     scene = DrivingScene(path, name, np.array(scenario.timestamps_seconds, dtype=np.float64))
