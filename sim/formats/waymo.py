@@ -28,6 +28,7 @@ from typing import Any, Final
 import google_crc32c
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+from google.protobuf.message import DecodeError
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording
@@ -63,7 +64,14 @@ def read(path: Path) -> Iterator[Recording]:
         yield recording_of(_from_json(path))
         return
     for number, record in enumerate(read_records(path), 1):
-        yield recording_of(_from_message(path, scenario_class().FromString(record), number))
+        try:
+            scenario = scenario_class().FromString(record)
+        except DecodeError:
+            raise InputError(
+                f"{path}: record {number}: found another message, such as a tf.Example, expected "
+                "a Waymo scenario"
+            ) from None
+        yield recording_of(_from_message(path, scenario, number))
 
 
 # --- records ------------------------------------------------------------------------------------
