@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from behaviors.labels import PROFILES
 from behaviors.populations import NUMBERS, Population
 from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
-from experiments.score.rows import Cell, Row
+from experiments.score.rows import Row
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
 from graphrqi.calibrate.following import RecordedDriver, recorded_drivers
 from sim.files import new_folder
@@ -72,6 +72,30 @@ class Calibrated:
             correlation=fitted.covariance / np.outer(spread, spread),
         )
 
+    def table(self) -> pa.Table:
+        """A row for each law, driver and number; columns as `SCHEMA`."""
+        drivers = pd.DataFrame({
+            "recording": self.recording,
+            "agent": [driver.agent for driver in self.drivers],
+            "name": [driver.name for driver in self.drivers],
+            "seconds": [driver.seconds for driver in self.drivers],
+        })  # fmt: skip
+        each = drivers.loc[drivers.index.repeat(len(NUMBERS))].reset_index(drop=True)
+        parts = [
+            each.assign(
+                law=str(law),
+                error_m=np.repeat(fitted.error_m, len(NUMBERS)),
+                number=list(NUMBERS) * len(drivers),
+                median=np.exp(fitted.logs).ravel(),
+                low=np.exp(fitted.logs - NORMAL_90 * fitted.deviation).ravel(),
+                high=np.exp(fitted.logs + NORMAL_90 * fitted.deviation).ravel(),
+                known=fitted.known.ravel(),
+            )
+            for law, fitted in self.laws.items()
+        ]
+        rows = pa.Table.from_pandas(pd.concat(parts), SCHEMA, preserve_index=False)
+        return rows.replace_schema_metadata(None)
+
 
 def write_calibration(
     source: Path, out: Path, format: str | None = None, net: Path | None = None, quiet: bool = False
@@ -80,9 +104,9 @@ def write_calibration(
 
     Format and net are those of `experiments.data.exchange.as_dataset`.
     """
+    names: list[str] = []
+    drivers: list[RecordedDriver] = []
     with new_folder(out) as folder:
-        names: list[str] = []
-        drivers: list[RecordedDriver] = []
         with as_dataset(source, format, net) as data:
             dataset = open_dataset(data)
             episodes = list(dataset.episodes())
@@ -102,39 +126,12 @@ def write_calibration(
         with Progress("calibrating drivers", len(Law) * ROUNDS * len(drivers), quiet) as shown:
             laws = {law: calibrate(law, stretches, shown.advance) for law in Law}
         calibrated = Calibrated(label, tuple(names), tuple(drivers), laws)
-        pq.write_table(_drivers_table(calibrated), folder / "drivers.parquet")
+        pq.write_table(calibrated.table(), folder / "drivers.parquet")
         populations = {f"population_{law}": calibrated.population(law) for law in Law}
         populations["population"] = calibrated.population(calibrated.better)
         for name, population in populations.items():
             (folder / f"{name}.toml").write_text(population.to_toml())
     return calibrated
-
-
-def _drivers_table(calibrated: Calibrated) -> pa.Table:
-    """A row for each law, driver and number; columns as `SCHEMA`."""
-    drivers, parts = calibrated.drivers, []
-    for law, fitted in calibrated.laws.items():
-        margin = NORMAL_90 * fitted.deviation
-        of_drivers = {
-            "recording": calibrated.recording,
-            "agent": [driver.agent for driver in drivers],
-            "name": [driver.name for driver in drivers],
-            "seconds": [driver.seconds for driver in drivers],
-            "law": [str(law)] * len(drivers),
-            "error_m": fitted.error_m,
-        }
-        columns = {
-            **{
-                name: np.repeat(np.asarray(each), len(NUMBERS)) for name, each in of_drivers.items()
-            },
-            "number": list(NUMBERS) * len(drivers),
-            "median": np.exp(fitted.logs).ravel(),
-            "low": np.exp(fitted.logs - margin).ravel(),
-            "high": np.exp(fitted.logs + margin).ravel(),
-            "known": fitted.known.ravel(),
-        }
-        parts.append(pa.table(columns, schema=SCHEMA))
-    return pa.concat_tables(parts)
 
 
 def population_rows(calibrated: Calibrated) -> list[Row]:
@@ -143,12 +140,9 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
     ``error_m`` is the median position error, ``second_half_m`` that of gaps predicted from the
     first half. None if no driver follows one leader for 10 s.
     """
-    halved = []
-    for driver in calibrated.drivers:
-        behind = [one for one in driver.stretches if np.isfinite(one.leader[0])]
-        longest = max(behind, key=lambda one: one.seconds, default=None)
-        if longest is not None and longest.seconds >= 2.0 * LEAST_HALF_S:
-            halved.append(longest)
+    behind = [[s for s in d.stretches if np.isfinite(s.leader[0])] for d in calibrated.drivers]
+    longest = [max(some, key=lambda one: one.seconds) for some in behind if some]
+    halved = [one for one in longest if one.seconds >= 2.0 * LEAST_HALF_S]
     rows: list[Row] = []
     for law, fitted in calibrated.laws.items():
         population = calibrated.population(law)
@@ -166,29 +160,4 @@ def population_rows(calibrated: Calibrated) -> list[Row]:
             }
             for k, number in enumerate(NUMBERS)
         ]
-    return rows
-
-
-def quantile_rows(population: Population) -> list[Row]:
-    """The quantiles of a population at which the median driver of each behaviour lies.
-
-    A desired speed has none: profiles have a factor of the limit instead.
-
-    Examples:
-        >>> from behaviors.populations import read_population
-        >>> rows = quantile_rows(read_population("profiles"))
-        >>> rows[0]["number"], rows[0]["timid"]
-        ('time_headway_s', 1.0)
-    """
-    from scipy.stats import norm
-
-    rows: list[Row] = []
-    for number, median, spread in zip(
-        NUMBERS[1:], population.median[1:].tolist(), population.log_spread[1:].tolist(), strict=True
-    ):
-        row: dict[str, Cell] = {"number": number, "median": median, "log_spread": spread}
-        for behavior, profile in PROFILES.items():
-            z = np.log(getattr(profile, number) / median) / max(spread, 1e-12)
-            row[str(behavior)] = round(float(norm.cdf(z)), 3)
-        rows.append(row)
     return rows

@@ -28,17 +28,13 @@ PREDICTORS: Final = (
     "constant-velocity", "car-following-blind", "car-following", "graphrqi-predict",
 )  # fmt: skip
 BEST_METHOD: Final = "graphrqi-plus"
-EPISODES: Final = 20
-"""Per scenario: 12 to train, 4 to validate, 4 to test."""
-DURATION_S: Final = 150.0
-HORIZON_S: Final = 5.0
 
 
 def run_demo(
     out: Path,
     seed: int = 0,
-    episodes: int = EPISODES,
-    duration_s: float = DURATION_S,
+    episodes: int = 20,
+    duration_s: float = 150.0,
     jobs: int | None = None,
     quiet: bool = False,
 ) -> list[Row]:
@@ -46,8 +42,8 @@ def run_demo(
 
     Methods learn from training episodes, are stopped and calibrated on validation episodes, and are
     scored on test episodes by their last answers. Predictors are given the classifier's beliefs,
-    never the truth. What is in the folder already and fits is kept; there are at least 3 episodes
-    of each scenario.
+    never the truth. What is in the folder already and fits is kept. There are at least 3 episodes
+    of each scenario, three fifths of them to train.
     """
     data = out / "data"
     config = GenerateConfig(
@@ -61,7 +57,7 @@ def run_demo(
         save_model(model, out / ("model" if method == BEST_METHOD else f"models/{method}"))
         answered = answer_episodes(model, [dataset], split="test", jobs=jobs, quiet=quiet)
         scores += [{**row, "method": method} for row in scored_answers(answered, method)]
-    errors = predict_dataset(data, PREDICTORS, HORIZON_S, str(out / "model"), jobs=jobs, quiet=True)
+    errors = predict_dataset(data, PREDICTORS, 5.0, str(out / "model"), jobs=jobs, quiet=True)
     known = dataset_id(dataset)
     rows = [*stamped(scores, "train", seed, known), *stamped(errors, "predict", seed, known)]
     write_rows(rows, out / "rows.json")

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import pandas as pd
 
-from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS, Behavior
+from behaviors.labels import BEHAVIORS
 from experiments.console.progress import Progress
 from experiments.generate.configuration import GenerateConfig
-from experiments.generate.dataset import generate
 from experiments.generate.episode import Task
 from experiments.score.answers import known_answers, score_answers
 from experiments.score.labels import note_unknown
 from experiments.score.predictions import EVERY_S, WARM_UP_S, score_episode, score_predictions
 from experiments.score.rows import Cell, Row, tidy_row
 from sim.engines import get_engine
-from sim.episode.live import DEFAULT_RADIUS_M, Window
 from sim.frames import EventKind, Frame, Tracks
 from sim.scenario import sample_agents
-from sim.store.dataset import open_dataset
 
 if TYPE_CHECKING:
     from graphrqi.posterior import Posterior
@@ -35,9 +29,10 @@ COMPARED: Final = ("constant-velocity", "graphrqi-predict")
 SHOWN: Final = (
     "agents", "mean_speed_mps", "collisions", "drivers", "weighted_accuracy",
     "majority_weighted_accuracy", "balanced_accuracy", "style_balanced_accuracy", "answered_share",
-    "domain", "recall", "ade_m", "fde_m", "simulated_s", "real_time_factor", "ms_per_frame",
+    "domain", "recall", "simulated_s", "real_time_factor", "ms_per_frame",
 )  # fmt: skip
-"""Figures of the table for people."""
+ERRORS: Final = ("ade_m", "fde_m")
+"""Figures of the table for people: of traffic and drivers, and of predictions."""
 
 
 def run_scenario(
@@ -45,14 +40,11 @@ def run_scenario(
     model: str | None = None,
     predict: bool = False,
     quiet: bool = False,
-    window: Window | None = None,
-    out: Path | None = None,
 ) -> list[Row]:
     """Run the first episode that a configuration generates.
 
     Without a model, the name or folder of one, nothing is classified; ``predict`` scores
-    predictions, too. Only agents in the window, if there is one, are classified and predicted. The
-    episode is kept as a dataset in the folder ``out``, if it is given.
+    predictions, too.
 
     Returns:
         Tidy rows of the traffic and of the time per frame, then the scores of the last answers and
@@ -65,21 +57,15 @@ def run_scenario(
     if model is not None:
         from graphrqi.stream import load_stream
 
-        stream = load_stream(model, window)
+        stream = load_stream(model)
     latest: dict[int, tuple[Posterior, int]] = {}
     beliefs: dict[int, Posterior] = {}
     entered, kept, driven = set[int](), list[Frame](), np.zeros(2)  # m and s, without the step
     frames = collisions = 0
     started, spent_s, due_s, time_s = time.monotonic(), 0.0, WARM_UP_S, 0.0
     steps = round(scenario.duration_s / scenario.step_s)
-    if out is None:
-        made = get_engine(config.engine)(scenario, agents, task.seed)
-    else:
-        generate(config, out, 1, True)
-        dataset = open_dataset(out)
-        made = dataset.read(dataset.episodes()[0]).tracks.frames()
     with Progress(f"{scenario.name}: frames", steps, quiet) as progress:
-        for frame in made:
+        for frame in get_engine(config.engine)(scenario, agents, task.seed):
             frames, time_s = frames + 1, frame.time_s
             entered.update(frame.ids.tolist())
             collisions += sum(event.kind is EventKind.COLLISION for event in frame.events)
@@ -89,7 +75,7 @@ def run_scenario(
                 posterior = stream.update(frame)
                 latest |= {agent: (posterior, i) for i, agent in enumerate(posterior.ids.tolist())}
                 if predict:
-                    kept.append(frame if window is None else window.of(frame))
+                    kept.append(frame)
                 if predict and time_s >= due_s - 1e-6:
                     beliefs[len(kept)] = posterior
                     due_s += EVERY_S
@@ -107,9 +93,16 @@ def run_scenario(
     rows = [tidy_row(keys, name, value) for name, value in figures.items()]
     truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:
-        classes = next((p.classes for p, _ in latest.values()), BEHAVIORS)
+        last = list(latest.values())
+        classes = last[0][0].classes if last else BEHAVIORS
         note_unknown(str(model), truth.values(), classes, "not scored")
-        answers = _last_answers(latest, truth, classes)
+        code = [classes.index(b) if (b := truth[agent]) in classes else -1 for agent in latest]
+        probability = np.array([p.probability[row] for p, row in last]).reshape(-1, len(classes))
+        nothing = np.zeros(len(last), dtype=np.int64)
+        answers = known_answers(probability, np.array(code, dtype=np.int64), nothing, classes)
+        labelled = np.array([p.labelled[row] for p, row in last], dtype=bool)
+        answers["behavior"] = answers["behavior"].where(labelled)
+        answers["domain"] = np.array([p.domain for p, _ in last], dtype=np.float64)
         rows += score_answers(answers, {**keys, "model": model}, classes=classes)
     if predict and kept:
         errors = score_episode(Tracks.from_frames(kept, truth), beliefs, scenario.road, COMPARED)
@@ -117,54 +110,15 @@ def run_scenario(
     return rows
 
 
-def _last_answers(
-    latest: Mapping[int, tuple[Posterior, int]], truth: Mapping[int, Behavior | None],
-    classes: Sequence[Behavior],
-) -> pd.DataFrame:  # fmt: skip
-    """The last answer about every driver: its row of a posterior."""
-    found = list(latest.values())
-    code = [classes.index(b) if (b := truth[agent]) in classes else -1 for agent in latest]
-    probability = np.array([p.probability[row] for p, row in found]).reshape(-1, len(classes))
-    none = np.zeros(len(found), dtype=np.int64)
-    answers = known_answers(probability, np.array(code, dtype=np.int64), none, classes)
-    labelled = np.array([p.labelled[row] for p, row in found], dtype=bool)
-    domain = np.array([p.domain for p, _ in found], dtype=np.float64)
-    return answers.assign(behavior=answers["behavior"].where(labelled), domain=domain)
-
-
 def shown(rows: Sequence[Row]) -> list[Row]:
     """The main figures from `run_scenario` for people: a line with what, and how much, for each."""
     lines: list[Row] = []
     for row in rows:
-        predicted = "predictor" in row
-        wanted = row["metric"] in SHOWN and predicted == (row["metric"] in ("ade_m", "fde_m"))
-        if wanted and not (predicted and row["behavior"] != "all"):
-            named = [row.get(key) for key in ("predictor", "behavior") if row.get(key) != "all"]
-            ahead = f"{row['horizon_s']:g} s" if predicted else None
-            words = [word for word in (*named, row["metric"], ahead) if word is not None]
-            lines.append({"what": " ".join(map(str, words)), "value": row["value"]})
+        what = [row.get("behavior"), row["metric"]]
+        if "predictor" in row:
+            what = [row["predictor"], row["metric"], f"{row['horizon_s']:g} s"]
+        wanted = SHOWN if "predictor" not in row else ERRORS if row["behavior"] == "all" else ()
+        if row["metric"] in wanted:
+            words = " ".join(str(word) for word in what if word not in (None, "all"))
+            lines.append({"what": words, "value": row["value"]})
     return lines
-
-
-def read_window(text: str | None) -> Window | None:
-    """A window as an option says it; None where it says nothing.
-
-    The text is an agent's id, with an optional distance, m, or an area's bounds, m.
-
-    Examples:
-        >>> read_window("17:80").around, read_window("0,0,100,50").region
-        (17, (0.0, 0.0, 100.0, 50.0))
-    """
-    if text is None:
-        return None
-    try:
-        if "," in text:
-            x0, y0, x1, y1 = (float(word) for word in text.split(","))
-            return Window(region=(x0, y0, x1, y1))
-        agent, _, far = text.partition(":")
-        return Window(around=int(agent), radius_m=float(far or DEFAULT_RADIUS_M))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        expected = "expected AGENT, AGENT:METRES or X0,Y0,X1,Y1"
-        raise InputError(f"--window: found {text!r}, {expected}") from None

@@ -6,22 +6,20 @@ drive. Intervals are by bootstrap over episodes. A conflict counts for both of i
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import numpy as np
-import pyarrow.compute as pc
+import pandas as pd
 
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
-from behaviors.traits import ShownTrait
+from experiments.report.tables import with_interval
 from experiments.score.metrics import ratio, row_of
 from experiments.score.rows import Cell, Row, pivoted, tidy_row
 from sim.episode.annotate import annotated_parts
 from sim.formats import FORMATS
-from sim.frames import KINDS, PEDESTRIAN, Event, EventKind, FloatArray, IntArray, Tracks
-from sim.road import Road
+from sim.frames import KINDS, PEDESTRIAN, EventKind, IntArray
 from sim.safety import CONFLICT_KINDS, Conflicts
 from sim.store.dataset import Dataset, Episode
 
@@ -44,8 +42,8 @@ LEGEND: Final = (
 )
 """Text below the table for people."""
 
-_BASES: Final = ("drivers", "km", "hours", "headway", "follows", "close")
-"""Sums that are no counts of what happened."""
+_EXPOSURE: Final = ("drivers", "km", "hours")
+_HEADWAYS: Final = ("headway", "follows", "close")
 
 
 def _behaviors(episode: Episode) -> Sequence[str]:
@@ -80,128 +78,100 @@ def summary(dataset: Dataset, by: str | None = None) -> list[Row]:
         InputError: if ``by`` is not known, or an episode cannot be read.
     """
     groups = None if by is None else lookup(BY, by, "--by")
-    found: dict[str, dict[str, FloatArray]] = defaultdict(
-        lambda: defaultdict(lambda: np.zeros(len(dataset)))
-    )
-    for number, entry in enumerate(dataset.manifest.episodes):
+    parts = []
+    for entry in dataset.manifest.episodes:
         episode = dataset.read(entry)
+        amounts = _amounts(dataset, episode)
+        amounts["group"] = groups(episode) if groups else "all"
         counts = (episode.tracks.kind != PEDESTRIAN) | (by == "kind")
-        named = np.array(groups(episode) if groups else ["all"] * counts.size, dtype=object)
-        for metric, amount in _amounts(dataset, episode):
-            for name in dict.fromkeys(named[counts].tolist()):
-                found[name][metric][number] += float(amount[counts & (named == name)].sum())
+        parts.append(amounts[counts].groupby("group").sum())
+    sums = pd.concat(parts)  # a row for each group of each episode
     known = (*BEHAVIORS, *KINDS)
     order = {str(word): place for place, word in enumerate(known)}
     return [
         row
-        for name in sorted(found, key=lambda name: (order.get(name, len(known)), name))
-        for row in _rows({} if by is None else {by: name}, found[name])
+        for name in sorted({*sums.index}, key=lambda name: (order.get(name, len(known)), name))
+        for row in _rows({} if by is None else {by: name}, sums.loc[[name]])
     ]
 
 
-def _rows(keys: dict[str, Cell], sums: dict[str, FloatArray]) -> Iterator[Row]:
+def _rows(keys: dict[str, Cell], sums: pd.DataFrame) -> Iterator[Row]:
     """The figures of one group from what was summed in each episode."""
-    many = int((sums["drivers"] > 0).sum())
-    for name in _BASES[:3]:
-        yield tidy_row(keys, name, float(sums[name].sum()), n=many)
+    sums = sums.dropna(axis=1, how="all").fillna(0.0)
+    for name in _EXPOSURE:
+        yield tidy_row(keys, name, float(sums[name].sum()), n=len(sums))
     shares = {"speed_mean_mps": (1000.0 * sums["km"], 3600.0 * sums["hours"])}
     if "follows" in sums:
         shares["headway_mean_s"] = sums["headway"], sums["follows"]
         shares["headway_close_share"] = sums["close"], sums["follows"]
-    for metric in sorted(sums.keys() - set(_BASES)):
+    for metric in sorted({*sums} - {*_EXPOSURE, *_HEADWAYS}):
         for end, base in RATES.items():
             shares[metric + end] = sums[metric], sums[base]
     for metric, (top, below) in shares.items():
-        seen = below > 0
-        if not seen.any():
+        columns = np.stack([top, below], axis=1)[below > 0]
+        if len(columns):
+            yield row_of(keys, metric, ratio, columns, len(columns))
+        else:
             yield tidy_row(keys, metric, None, n=0)
-            continue
-        yield row_of(keys, metric, ratio, np.stack([top, below], axis=1)[seen], int(seen.sum()))
 
 
-def _amounts(dataset: Dataset, episode: Episode) -> Iterator[tuple[str, FloatArray]]:
-    """By metric, (N,) how much of it each agent of an episode has."""
+def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:
+    """How much of each metric, in the columns, each agent of an episode has."""
     tracks, entry = episode.tracks, episode.entry
-    agent, n = tracks.index.agent, tracks.ids.size
-    goes = ~tracks.index.begins
+    road, n = dataset.road(entry), tracks.ids.size
+    agent, goes = tracks.index.agent, ~tracks.index.begins
     moved = np.zeros(agent.size)
     moved[1:] = np.hypot(*np.diff(tracks.row_xy, axis=0).T)
     lasts = np.diff(tracks.time_s[tracks.index.step], prepend=0.0)
-    yield "drivers", np.ones(n)
-    yield "km", np.bincount(agent, np.where(goes, moved, 0.0), n) / 1000.0
-    yield "hours", np.bincount(agent, np.where(goes, lasts, 0.0), n) / 3600.0
-    yield from _conflicts(tracks.ids, dataset.conflicts(entry))
-    road = dataset.road(entry)
+    found = pd.DataFrame({
+        "drivers": np.ones(n),
+        "km": np.bincount(agent, np.where(goes, moved, 0.0), n) / 1000.0,
+        "hours": np.bincount(agent, np.where(goes, lasts, 0.0), n) / 3600.0,
+        **_conflicts(tracks.ids, dataset.conflicts(entry)),
+    }, index=tracks.ids)  # fmt: skip
     if road is None:
-        return
-    events: Sequence[Event]
-    shown: Sequence[ShownTrait]
+        return found
     if entry.engine in FORMATS:
-        events, shown, gaps = _annotated(tracks, road)
+        annotated = list(annotated_parts(tracks, road))
+        events = [event for _, part in annotated for event in part.events]
+        traits = [trait for _, part in annotated for trait in part.shown_traits]
+        gaps = pd.concat([
+            pd.DataFrame({"agent": part.ids[part.index.agent], "speed_mps": part.row_speed,
+                          "gap_m": seen.inputs.gap})
+            for part, seen in annotated
+        ] or [pd.DataFrame(columns=["agent", "speed_mps", "gap_m"], dtype=float)])  # fmt: skip
     else:
-        events, shown = tracks.events, episode.shown_traits
-        own = dataset.rows(entry, "steps", ["agent", "speed_mps", "gap_m"])
-        known = own.filter(pc.is_valid(own["gap_m"]))
-        speed, gap = known["speed_mps"].to_numpy(), known["gap_m"].to_numpy()
-        gaps = [(known["agent"].to_numpy(), speed, gap)]
-    yield from _headways(tracks.ids, gaps)
-    yield from _counts(tracks.ids, events, shown)
-
-
-_Gaps = tuple[IntArray, FloatArray, FloatArray]
-
-
-def _annotated(tracks: Tracks, road: Road) -> tuple[list[Event], list[ShownTrait], list[_Gaps]]:
-    """Events, shown traits, and (ids, speeds, gaps) of the parts of a recording."""
-    events, shown, gaps = list[Event](), list[ShownTrait](), list[_Gaps]()
-    for part, found in annotated_parts(tracks, road):
-        events += found.events
-        shown += found.shown_traits
-        near = np.isfinite(found.gap)
-        gaps.append((part.ids[part.index.agent][near], part.row_speed[near], found.gap[near]))
-    return events, shown, gaps
-
-
-def _headways(ids: IntArray, gaps: Sequence[_Gaps]) -> Iterator[tuple[str, FloatArray]]:
-    """Sums of the headways of each agent that follows another one, and of how many are close."""
-    total = np.zeros((3, ids.size))
-    for agents, speed, gap in gaps:
-        moves = speed > MOVES_MPS
-        agent, headway = np.searchsorted(ids, agents[moves]), gap[moves] / speed[moves]
-        kept = headway < FOLLOWS_S
-        for row, weight in enumerate((headway, headway < CLOSE_S, headway >= 0.0)):
-            total[row] += np.bincount(agent[kept], weight[kept].astype(float), ids.size)
-    yield from zip(("headway", "close", "follows"), total, strict=True)
-
-
-def _conflicts(ids: IntArray, met: Conflicts) -> Iterator[tuple[str, FloatArray]]:
-    """Conflicts of each agent by kind and severity."""
-    both = np.searchsorted(ids, np.concatenate([met.first, met.second]))
-    severe = met.near_miss & (met.delta_v_mps > SEVERE_MPS)
-    every = np.ones(len(met), dtype=bool)
-    for name, some in (("conflicts", every), ("near_misses", met.near_miss), ("severe", severe)):
-        for code, kind in enumerate(CONFLICT_KINDS):
-            weight = np.tile(some & (met.kind == code), 2).astype(float)
-            yield f"{name}_{kind.value}", np.bincount(both, weight, ids.size).astype(float)
-
-
-def _counts(
-    ids: IntArray, events: Sequence[Event], shown: Sequence[ShownTrait]
-) -> Iterator[tuple[str, FloatArray]]:
-    """Events and traits of each agent; near misses are among the conflicts."""
-    counted: dict[str, FloatArray] = {"collisions_caused": np.zeros(ids.size)}
-    row = {int(agent): number for number, agent in enumerate(ids.tolist())}
-    named = [(trait.agent, f"trait {trait.trait.value}") for trait in shown]
-    for event in events:
+        events, traits = list(tracks.events), list(episode.shown_traits)
+        gaps = dataset.rows(entry, "steps", ["agent", "speed_mps", "gap_m"]).to_pandas()
+    headway = (gaps["gap_m"] / gaps["speed_mps"])[gaps["speed_mps"] > MOVES_MPS]
+    headway = headway[headway < FOLLOWS_S].astype(float)
+    follows = pd.DataFrame({
+        "headway": headway, "close": (headway < CLOSE_S).astype(float), "follows": 1.0
+    }).groupby(gaps["agent"]).sum()  # fmt: skip
+    named = [(trait.agent, f"trait {trait.trait.value}") for trait in traits]
+    for event in events:  # near misses are among the conflicts
         if event.kind is EventKind.COLLISION:
             named.append((event.agent, "collisions_caused"))
         elif event.kind is not EventKind.NEAR_MISS:
             named.append((event.agent, f"event {event.kind.value}"))
-    for agent, words in named:
-        if agent in row:
-            name = words.replace(" ", "_")
-            counted.setdefault(name, np.zeros(ids.size))[row[agent]] += 1.0
-    yield from counted.items()
+    who = pd.DataFrame(named, columns=["agent", "what"])
+    counts = pd.crosstab(who["agent"], who["what"].str.replace(" ", "_")).astype(float)
+    if "collisions_caused" not in counts:
+        counts["collisions_caused"] = 0.0
+    return found.join([part.reindex(tracks.ids, fill_value=0.0) for part in (follows, counts)])
+
+
+def _conflicts(ids: IntArray, met: Conflicts) -> dict[str, np.ndarray]:
+    """Conflicts of each agent by kind and severity."""
+    both = np.searchsorted(ids, np.concatenate([met.first, met.second]))
+    severe = met.near_miss & (met.delta_v_mps > SEVERE_MPS)
+    every = np.ones(len(met), dtype=bool)
+    return {
+        f"{name}_{kind.value}": np.bincount(both[np.tile(some & (met.kind == code), 2)],
+                                            minlength=ids.size).astype(float)
+        for name, some in (("conflicts", every), ("near_misses", met.near_miss), ("severe", severe))
+        for code, kind in enumerate(CONFLICT_KINDS)
+    }  # fmt: skip
 
 
 def table(rows: Sequence[Row], by: str | None) -> list[dict[str, Cell]]:
@@ -209,20 +179,12 @@ def table(rows: Sequence[Row], by: str | None) -> list[dict[str, Cell]]:
 
     Rates per hour are left out, and figures that are 0 in every group.
     """
-
-    def group(row: Row) -> str:
-        return "all" if by is None else str(row[by])
-
-    def cell(row: Row) -> str:
-        if row["low"] is None or not row["value"]:
-            return f"{row['value'] or 0.0:.3g}"
-        return f"{row['value']:.3g} [{row['low']:.3g}, {row['high']:.3g}]"
-
-    shown = [row for row in rows if not str(row["metric"]).endswith("_per_h")]
-    some = {row["metric"] for row in shown if row["value"]}
+    some = {row["metric"] for row in rows if row["value"]}
     kinds = ("near", "severe", "collisions", "conflicts", "event", "trait")
     order = {kind: place for place, kind in enumerate(kinds)}
-    shown = [row for row in shown if row["metric"] in some]
+    shown = [r for r in rows if r["metric"] in some and not str(r["metric"]).endswith("_per_h")]
     shown.sort(key=lambda row: order.get(str(row["metric"]).split("_")[0], -1))
-    lines = pivoted(shown, ["metric"], group, cell)
+    lines = pivoted(
+        shown, ["metric"], lambda row: "all" if by is None else str(row[by]), with_interval
+    )
     return [{"figure": str(line.pop("metric")).replace("_", " "), **line} for line in lines]

@@ -17,7 +17,7 @@ import pytest
 from behaviors.errors import LONGEST, InputError
 from behaviors.populations import read_population
 from experiments.generate.configuration import read_config
-from experiments.replay.layers import read_beliefs
+from experiments.replay.scene import read_beliefs
 from scenarios import get_scenario
 from sim.formats import get_reader
 from sim.frames import Frame, Tracks

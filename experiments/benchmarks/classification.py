@@ -39,6 +39,7 @@ from experiments.generate.dataset import generate
 from experiments.rival import PlainRival, whole_track_samples, whole_tracks
 from experiments.score.answers import known_answers, score_answers, scores_table
 from experiments.score.labels import beliefs
+from experiments.score.predictions import spaced
 from experiments.score.rows import Cell, Row
 from experiments.training.classifier import (
     TRAINING_EVERY_S,
@@ -178,6 +179,13 @@ class Recordings:
             driver=drivers(samples),
         )  # fmt: skip
 
+    def answered(
+        self, model: Model, windows_s: Sequence[float] = MAIN_S, everything: bool = False
+    ) -> pd.DataFrame:
+        """A trained method's answers to windows of the test episodes, or of all."""
+        samples = self.scored(model.method.name, windows_s, everything)
+        return self.answers(model.classifier.posterior(samples.features.astype("f8")), samples)
+
     def streamed(self, model: Model, given: tuple[str, float] | None = None) -> pd.DataFrame:
         """A stream's answers about all drivers, who are seen with a disturbance of a level."""
         entries = self.dataset.manifest.episodes
@@ -248,20 +256,6 @@ def _rows(
     return rows
 
 
-def _model_rows(
-    data: Recordings, model: Model, majority: int, rival: PlainRival | None, protocol: str,
-    variation: str = "", windows_s: Sequence[float] = MAIN_S, everything: bool = False,
-    scenarios: Sequence[str] = (),
-) -> list[Row]:  # fmt: skip
-    """Rows of a trained method, and of the rival beside it, in each scenario."""
-    samples = data.scored(model.method.name, windows_s, everything)
-    probability = model.classifier.posterior(samples.features.astype(np.float64))
-    answers = data.answers(probability, samples)
-    if scenarios:
-        answers = answers[answers["scenario"].isin(scenarios)]
-    return _rows(data, answers, protocol, variation, model.method.name, majority, rival)
-
-
 def _streamed(
     folder: Path, entry: EpisodeEntry, number: int, model: Model, given: tuple[str, float] | None
 ) -> tuple[Samples, FloatArray]:
@@ -272,11 +266,7 @@ def _streamed(
     tracks = measured(open_dataset(folder).read(entry))
     if given is not None:
         tracks = NOISE[given[0]][0](tracks, given[1], np.random.default_rng(number))
-    stops, due_s = [], -np.inf
-    for stop, time_s in enumerate(tracks.time_s, start=1):
-        if time_s >= due_s - 1e-6:
-            stops.append(stop)
-            due_s = time_s + ASKED_EVERY_S
+    stops = list(spaced(tracks.time_s, 0.0, ASKED_EVERY_S))
     asked = beliefs(tracks, model, stops).values()
     probability = np.concatenate([one.probability for one in asked])
     row = np.searchsorted(tracks.ids, np.concatenate([one.ids for one in asked]))
@@ -314,7 +304,8 @@ def inductive(data: Data) -> Iterator[list[Row]]:
     rival: PlainRival | None = PlainRival(base.training_tracks)
     for method in data.methods:
         model, majority = base.fitted(method)
-        yield _model_rows(base, model, majority, rival, "inductive", windows_s=WINDOWS_S)
+        answers = base.answered(model, WINDOWS_S)
+        yield _rows(base, answers, "inductive", "", method, majority, rival)
         rival = None
     yield ceiling(base)
 
@@ -355,14 +346,13 @@ def _profiles(data: Recordings, split: Split) -> Samples:
 
 def across_scenarios(data: Data) -> Iterator[list[Row]]:
     """Trained on each scenario alone, scored on every other one."""
-    base = data["base"]
+    base, method = data["base"], data.methods[0]
     for source in base.dataset.scenarios:
-        others = [name for name in base.dataset.scenarios if name != source]
-        model, majority = base.fitted(data.methods[0], source)
+        model, majority = base.fitted(method, source)
         rival, about = PlainRival(base.of(source, base.training_tracks)), f"trained on {source}"
-        yield _model_rows(
-            base, model, majority, rival, "across-scenarios", about, scenarios=others
-        )  # fmt: skip
+        answers = base.answered(model)
+        others = answers[answers["scenario"] != source]
+        yield _rows(base, others, "across-scenarios", about, method, majority, rival)
 
 
 def across_engines(data: Data) -> Iterator[list[Row]]:
@@ -383,7 +373,8 @@ def across_engines(data: Data) -> Iterator[list[Row]]:
         model = train(method, training, Samples.join(held) if held else None)
         rival = PlainRival(Samples.join([source.training_tracks for source in sources]))
         majority, about = _majority_of(training), f"trained on {name}"
-        yield _model_rows(other, model, majority, rival, "across-engines", about, everything=True)
+        answers = other.answered(model, everything=True)
+        yield _rows(other, answers, "across-engines", about, method, majority, rival)
 
 
 def noise(data: Data) -> Iterator[list[Row]]:

@@ -43,6 +43,12 @@ DEVICE: Final = (
 MEASURES: Final = {"ttc_s": "minTTC", "drac_mps2": "maxDRAC", "pet_s": "PET"}
 """What is compared, and SUMO's element of each."""
 
+KINDS: Final = {
+    **dict.fromkeys((1, 2, 3, 18), ConflictKind.FOLLOWING), 20: ConflictKind.ONCOMING,
+    **dict.fromkeys(range(9, 18), ConflictKind.CROSSING),
+}  # fmt: skip
+"""Our kinds of SUMO's encounter types (``MSDevice_SSM.h``); all others are merging."""
+
 PLACE: Final = ("first", "second", "begin_s", "end_s")
 COLUMNS: Final = ["kind", "found_by", "measure", *MEASURES]
 """Columns that say which pair a conflict is of and when, and those of a comparison."""
@@ -62,20 +68,12 @@ def _read_ssm(path: Path) -> pd.DataFrame:
                 old |= {**values, **old}  # the report of the other vehicle's device
                 break
         else:
-            kind = _kind(int(next(known[tag] for tag in MEASURES.values() if tag in known)["type"]))
+            code = int(next(known[tag] for tag in MEASURES.values() if tag in known)["type"])
+            kind = KINDS.get(code, ConflictKind.MERGING)
             found.append({"first": first, "second": second, "begin_s": begin_s, "end_s": end_s,
                           "kind": kind.value, **values})  # fmt: skip
     table = pd.DataFrame(found, columns=[*PLACE, "kind", *MEASURES])
     return table.astype(dict.fromkeys((*PLACE, *MEASURES), np.float64))
-
-
-def _kind(code: int) -> ConflictKind:
-    """Our kind of an encounter type of SUMO (``MSDevice_SSM.h``)."""
-    if code in (1, 2, 3, 18):
-        return ConflictKind.FOLLOWING
-    if code == 20:
-        return ConflictKind.ONCOMING
-    return ConflictKind.CROSSING if 9 <= code <= 17 else ConflictKind.MERGING
 
 
 def _compared(ours: Conflicts, theirs: pd.DataFrame) -> list[dict[str, Any]]:

@@ -97,11 +97,9 @@ posteriors. Episodes are labelled, so the truth is known."""
 
 
 def measure(
-    episodes: int = 10,
-    duration_s: float | None = None,
-    predictors: Sequence[str] = (),
+    episodes: int = 10, duration_s: float | None = None, predictors: Sequence[str] = (),
     jobs: int | None = None,
-) -> Iterator[list[Row]]:
+) -> Iterator[list[Row]]:  # fmt: skip
     """Rows of each scenario: errors with the road and without it, ratios, and who yields.
 
     Predictors are keys of ``PREDICTORS``, or "module:function"; () for all. Episodes have a

@@ -18,11 +18,13 @@ from scipy.stats import spearmanr
 from behaviors.errors import InputError
 from experiments.data.disturbances import pieces
 from experiments.data.parallel import in_parallel
+from experiments.score.labels import beliefs
 from experiments.score.rows import Cell, Row, tidy_row
 from experiments.training.recordings import RecordedPlace, by_dataset
+from graphrqi.model_files import load_model
 from graphrqi.posterior import aggressive_share
 from graphrqi.predict.recorded.features import inferred_leaders
-from graphrqi.stream import DEFAULT_MODEL, load_stream
+from graphrqi.stream import DEFAULT_MODEL
 from sim.frames import PEDESTRIAN, FloatArray, IntArray, Tracks
 
 LEAST_TRACK_S, LEAST_SEEN_S = 10.0, 3.0
@@ -38,17 +40,15 @@ LEAST_DRIVERS, RESAMPLES = 10, 500
 
 def _last_beliefs(tracks: Tracks) -> tuple[FloatArray, FloatArray]:
     """(N,) last probability of the aggressive style, NaN if unknown, and whether it is labelled."""
-    stream, (_, last) = load_stream(traffic="recorded"), _ends(tracks)
     style, labelled = np.full(tracks.ids.size, np.nan), np.zeros(tracks.ids.size)
-    for step, frame in enumerate(tracks.frames()):
-        stream.push(frame)
-        leaving = np.flatnonzero((last == step) & tracks.valid[:, step])
-        if leaving.size:
-            posterior = stream.posterior()
-            here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
-            at = np.searchsorted(posterior.ids, tracks.ids[here])
-            style[here] = aggressive_share(posterior.probability[at])
-            labelled[here] = posterior.labelled[at]
+    _, last = _ends(tracks)
+    model, stops = load_model(DEFAULT_MODEL), (last + 1).tolist()
+    for stop, posterior in beliefs(tracks, model, stops, traffic="recorded").items():
+        leaving = np.flatnonzero((last == stop - 1) & tracks.valid[:, stop - 1])
+        here = leaving[np.isin(tracks.ids[leaving], posterior.ids)]
+        at = np.searchsorted(posterior.ids, tracks.ids[here])
+        style[here] = aggressive_share(posterior.probability[at])
+        labelled[here] = posterior.labelled[at]
     return style, labelled
 
 

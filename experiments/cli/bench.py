@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -52,65 +52,59 @@ OPTIONS: Final[dict[str, Any]] = {
 """Options of benchmarks by the name of the argument of ``measure`` that they are."""
 
 
-class Bench(NamedTuple):
-    """One benchmark: what it does, its own options with their defaults, and its quick arguments."""
-
-    about: str
-    options: dict[str, Any]
-    quick: dict[str, Any]
-
-
-BENCHES: Final = {
-    "behaviors": Bench(
+BENCHES: Final[dict[str, tuple[str, dict[str, Any], dict[str, Any]]]] = {
+    "behaviors": (
         "Measure which behaviour shows which trait, in every scenario.",
         {"scenarios": None, "engine": "sumo", "behaviors": None, "jobs": None},
         {"seeds": (0,), "duration_s": 60.0},
     ),
-    "attention": Bench(
+    "attention": (
         "Measure reactions, rear-end collisions, and what is overlooked.",
         {"behavior": "careful", "behaviors": None, "engine": "sumo-idm", "jobs": None},
         {"seeds": 1, "duration_s": 120.0},
     ),
-    "classification": Bench(
+    "classification": (
         "Score methods and the plain rival on unseen drivers, scenarios, engines, noise.",
         {"protocols": None, "methods": None, "out": None, "episodes": None, "jobs": None},
         {"protocols": ("inductive", "leak-probe"), "methods": ("graphrqi-plus", "majority"),
          "episodes": 5, "duration_s": 60.0},
     ),
-    "real-data": Bench(
+    "real-data": (
         "Score methods or predictors on recordings, each left out of the training in turn.",
         {"data": Parameter.empty, "task": "behavior", "jobs": None},
         {"views": ("majority", "leak-probe", "nine-numbers"), "classes": (2,), "epochs": 1,
          "simulate": False},
     ),
-    "prediction": Bench(
+    "prediction": (
         "Measure every predictor's errors on unseen episodes, and who is predicted to yield.",
         {"predictors": None, "episodes": None, "jobs": None},
         {"predictors": ("constant-velocity", "car-following", "lstm", "graphrqi-predict"),
          "episodes": 2, "duration_s": 30.0},
     ),
-    "spectrum": Bench(
+    "spectrum": (
         "Measure every eigenvalue algorithm on the same graphs, in one process.",
         {"graphs": None, "sizes": None, "solvers": None},
         {"sizes": (25,), "steps": 5},
     ),
-    "loop": Bench(
+    "loop": (
         "Time classifying and predicting while a simulation runs, stage by stage.",
         {"engines": None, "city": False},
         {"duration_s": 20.0, "repeats": 1, "blocks": (3,), "vehicles": (30, 90)},
     ),
-    "generate": Bench(
+    "generate": (
         "Measure the cost of generating data.",
         {},
         {"repeats": 1, "duration_s": 30.0, "episodes": 2},
     ),
-    "conflicts": Bench(
+    "conflicts": (
         "Compare our conflicts with those of SUMO's own device, in the same episodes.",
         {},
         {"seeds": (0,), "duration_s": 60.0},
     ),
 }  # fmt: skip
-"""The benchmarks; each is a module with a function ``measure``, and maybe a ``table`` of rows."""
+"""What each benchmark does, its options with their defaults, and its quick arguments.
+
+Each is a module with a function ``measure``, and maybe a ``table`` of rows."""
 
 
 @bench.callback()
@@ -120,7 +114,7 @@ def show_help(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def _add(name: str, one: Bench) -> None:
+def _add(name: str, about: str, options: dict[str, Any], quickly: dict[str, Any]) -> None:
     """Register a benchmark as a command; an option that is given counts more than ``--quick``."""
 
     def measure(quick: bool, json: Path | None, **given: Any) -> None:
@@ -128,17 +122,17 @@ def _add(name: str, one: Bench) -> None:
 
         module = import_module(f"experiments.benchmarks.{name.replace('-', '_')}")
         chosen = {option: value for option, value in given.items() if value not in (None, [])}
-        parts = module.measure(**{**(one.quick if quick else {}), **chosen})
+        parts = module.measure(**{**(quickly if quick else {}), **chosen})
         show_parts(f"bench {name}", parts, json, getattr(module, "table", None))
 
     shown = [
         Parameter(option, Parameter.KEYWORD_ONLY, default=default, annotation=OPTIONS[option])
-        for option, default in {**one.options, "quick": False, "json": None}.items()
+        for option, default in {**options, "quick": False, "json": None}.items()
     ]
-    needed = " --data FOLDER" if "data" in one.options else ""
+    needed = " --data FOLDER" if "data" in options else ""
     example = f"example: graphrqi bench {name}{needed} --quick --json rows.json"
-    bench.command(name, help=one.about, epilog=example)(as_command(measure, shown))
+    bench.command(name, help=about, epilog=example)(as_command(measure, shown))
 
 
-for _name, _one in BENCHES.items():
-    _add(_name, _one)
+for _name, _bench in BENCHES.items():
+    _add(_name, *_bench)

@@ -7,7 +7,6 @@ at once. Whatever a user can do wrong ends in one line on stderr and exit code 2
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -90,18 +89,14 @@ def run(
     stream: bool = option("Classify drivers as they go.", "--stream", default=False),
     predict: bool = option("Predict, and score it.", "--predict", default=False),
     model: ModelName = "graphrqi-plus",
-    window: str | None = option(
-        "Classify and predict only an agent and those within 100 m (or M), or an area.",
-        metavar="AGENT[:M] or X0,Y0,X1,Y1"),
-    out: Path | None = option("Keep the episode as a dataset, too.", metavar="FOLDER"),
     seed: Seed = 0, json: Json = None, quiet: Quiet = False, *, traffic: Traffic,
 ) -> None:  # fmt: skip
     """Run a scenario headless and sum up what happened."""
-    from experiments.run import read_window, run_scenario, shown
+    from experiments.run import run_scenario, shown
 
     config = traffic.config([scenario] if scenario else None, episodes=1, seed=seed)
     used = model if stream or predict else None
-    found = run_scenario(config, used, predict, quiet, read_window(window), out)
+    found = run_scenario(config, used, predict, quiet)
     _show("run", found, json, seed=seed, lines=shown(found))
 
 
@@ -440,16 +435,13 @@ def calibrate(
     format: FormatName = None, net: Net = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Infer every driver's car-following numbers, and the population they come from."""
-    from experiments.calibration import population_rows, quantile_rows, write_calibration
-    from experiments.score.rows import melted, show_table
+    from experiments.calibration import population_rows, write_calibration
+    from experiments.score.rows import melted
 
     calibrated = write_calibration(source, out, format, net, quiet)
     lines = population_rows(calibrated)
     title = f"{out}: {len(calibrated.drivers)} drivers"
     _show("calibrate", melted(lines, ["number"]), json, title=title, lines=lines)
-    if str(json) != "-":
-        places = quantile_rows(calibrated.population(calibrated.better))
-        show_table(places, title="quantiles at which each behaviour's median driver lies")
 
 
 @_command(
@@ -478,11 +470,10 @@ def what_if(
 ) -> None:  # fmt: skip
     """Drive one episode on from one instant with one driver different (Linux only)."""
     from behaviors.errors import InputError, lookup
-    from behaviors.labels import BEHAVIORS, read_behaviors
-    from experiments.figure_files import check_figure_file
-    from experiments.replay.pictures import write_paths
+    from behaviors.labels import BEHAVIORS, Behavior, read_behaviors
+    from experiments.replay.pictures import check_picture, write_paths
     from experiments.score.rows import dataset_id, melted
-    from experiments.what_if.branches import WhatIf, make_what_if
+    from experiments.what_if.branches import make_what_if
     from experiments.what_if.outcomes import outcomes
     from sim.store.dataset import open_dataset
     from sim.sumo.control import Action
@@ -496,14 +487,13 @@ def what_if(
         raise InputError(f"{missing}: found none, expected it, or --blame")
     known = (*BEHAVIORS, *read_behaviors(drawn.behaviors))
     behaviors, actions = {str(b): b for b in known}, {a.value: a for a in Action}
-    config = WhatIf(
-        episode=drawn, index=episode, at_s=at_s, agent=agent,
-        behaviors=tuple(lookup(behaviors, word, "behavior") for word in behavior or ()),
-        actions=tuple(lookup(actions, word, "action") for word in action or ()),
-    )  # fmt: skip
+    changes: list[Behavior | Action] = [
+        *(lookup(behaviors, word, "behavior") for word in behavior or ()),
+        *(lookup(actions, word, "action") for word in action or ()),
+    ]
     if picture is not None:
-        check_figure_file(picture, "--picture")
-    make_what_if(config, out, quiet)
+        check_picture(picture)
+    make_what_if(drawn, out, at_s=at_s, agent=agent, changes=changes, index=episode, quiet=quiet)
     dataset = open_dataset(out)
     lines = outcomes(dataset)
     rows = melted(lines, ["change"])
@@ -551,7 +541,7 @@ def drive(
     jobs: Jobs = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Test how driving policies do in every scenario among drivers of every kind."""
-    from experiments.drive.run import QUICK, LicenceTest, run_test, short_table
+    from experiments.drive.run import QUICK, run_test, short_table
     from experiments.score.rows import show_parts
 
     given: dict[str, Any] = {
@@ -560,8 +550,8 @@ def drive(
         "duration_s": duration_s, "warmup_s": warmup_s, "behaviors": behaviors,
     }  # fmt: skip
     chosen = {name: value for name, value in given.items() if value not in (None, ())}
-    test = dataclasses.replace(QUICK if quick else LicenceTest(), **chosen)
-    show_parts("drive", run_test(test, jobs, quiet), json, short_table)
+    given = {**(QUICK if quick else {}), **chosen}
+    show_parts("drive", run_test(**given, jobs=jobs, quiet=quiet), json, short_table)
 
 
 @_command(LOOK, "summary", "summary data --by behavior --out summary.csv")
@@ -593,7 +583,8 @@ def summary(
 @_command(LOOK, "replay", "replay data --episode straight_road --out replay.html")
 def replay(
     source: Source,
-    out: Path = file_option("The page.", metavar="FILE.html", default=Path("replay.html")),
+    out: Path = file_option(
+        "The page.", metavar="FILE.html", default=Path("replay.html"), callback=in_a_folder),
     episode: str | None = option(
         "A name as classify shows it, an id or its beginning, or a scenario (default: the first).",
         metavar="NAME"),
@@ -613,7 +604,7 @@ def replay(
 ) -> None:  # fmt: skip
     """Make a page that plays an episode in a browser."""
     from experiments.console.notices import say
-    from experiments.replay.write import write_replay
+    from experiments.replay.page import write_replay
 
     refuse_to_overwrite([source, labels, net], [out, picture])
     written = write_replay(

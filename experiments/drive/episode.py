@@ -7,12 +7,11 @@ time for the same goal in every crowd; only who drives how differs.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy.ndimage import convolve1d
 
 from behaviors.errors import lookup
 from behaviors.labels import BEHAVIORS
@@ -22,7 +21,7 @@ from experiments.what_if.outcomes import RULES
 from scenarios.environments import ENVIRONMENTS
 from scenarios.environments.environment import Ego, TrafficEnv
 from sim.episode.annotate import incidents
-from sim.frames import EventKind, FloatArray, Frame, Tracks
+from sim.frames import EventKind, Frame, Tracks
 from sim.highway.ego import Observation, distance_left_m, is_off_road
 from sim.road import Road
 from sim.safety import ConflictKind
@@ -47,38 +46,23 @@ def standard(agent: AgentSpec) -> AgentSpec:
     return dataclasses.replace(agent, behavior=None, profile=STANDARD)
 
 
-@dataclass(frozen=True, slots=True)
-class Crowd:
-    """The other drivers.
-
-    Attributes:
-        mix: share of each behaviour, as the environments take it.
-        changed: what becomes of each drawn agent.
-        population: of which drivers are drawn, as the environments take it.
-    """
-
-    mix: str | dict[str, float] | None = None
-    changed: Callable[[AgentSpec], AgentSpec] = lambda agent: agent
-    population: str | None = None
-
-
 HOMOGENEOUS, MIXED = "homogeneous", "mixed"
 
-CROWDS: Final[dict[str, Crowd]] = {
-    **{str(b): Crowd({str(b): 1.0}) for b in BEHAVIORS},
-    MIXED: Crowd(),
-    "recorded": Crowd(population="us101"),
-    HOMOGENEOUS: Crowd(None, standard),
+CROWDS: Final[dict[str, dict[str, Any]]] = {
+    **{str(b): {"mix": {str(b): 1.0}} for b in BEHAVIORS},
+    MIXED: {},
+    "recorded": {"population": "us101"},
+    HOMOGENEOUS: {},
 }
-"""By name: the behaviours alone, all of them in equal shares, the same with
-numbers drawn from a recorded population, and clones."""
+"""What crowds change in an environment's configuration: the behaviours alone, all of them in equal
+shares, the same with numbers drawn from a recorded population, and clones (`standard`)."""
 
 
-def crowd_of(name: str, own: Sequence[str] = ()) -> Crowd:
+def crowd_of(name: str, own: Sequence[str] = ()) -> dict[str, Any]:
     """The crowd of a name: of `CROWDS`, a behaviour of one's own, or a mix."""
     if "=" in name:
-        return Crowd(name)
-    return lookup({**CROWDS, **{one: Crowd({one: 1.0}) for one in own}}, name, "crowd")
+        return {"mix": name}
+    return lookup({**CROWDS, **{one: {"mix": {one: 1.0}} for one in own}}, name, "crowd")
 
 
 FORWARD_MPS2: Final = (-4.05, 2.40)
@@ -116,11 +100,10 @@ ROADS: Final[dict[str, dict[str, Any]]] = {
 
 
 class _Among(TrafficEnv):
-    """The environment of a scenario whose other drivers are a crowd; it keeps every frame."""
+    """The environment of a scenario, whose other drivers may be clones; it keeps every frame."""
 
-    def __init__(self, scenario: str, crowd: Crowd, config: Mapping[str, Any]) -> None:
-        self._crowd = crowd
-        self.looks = True
+    def __init__(self, scenario: str, config: Mapping[str, Any], clones: bool, looks: bool) -> None:
+        self._clones, self._looks = clones, looks
         self.on_frame: Callable[[Frame], object] | None = None
         self.frames: list[Frame] = []
         self.truth: Mapping[int, int] = {}
@@ -133,7 +116,8 @@ class _Among(TrafficEnv):
 
     def draw_agents(self, seed: int) -> tuple[AgentSpec, ...]:
         """Everybody but the ego vehicle: the crowd."""
-        agents = tuple(self._crowd.changed(agent) for agent in super().draw_agents(seed))
+        agents = super().draw_agents(seed)
+        agents = tuple(standard(agent) for agent in agents) if self._clones else agents
         self.truth = {a.id: a.behavior.base.code for a in agents if a.behavior is not None}
         self.frames = []
         return agents
@@ -151,7 +135,7 @@ class _Among(TrafficEnv):
 
     def observe(self, ego: Ego) -> Observation:
         """The policy's observation; nothing for one that does not look."""
-        return super().observe(ego) if self.looks else {}
+        return super().observe(ego) if self._looks else {}
 
 
 def drive(
@@ -164,9 +148,10 @@ def drive(
     """
     make, changes = get_policy(policy)
     others = crowd_of(crowd, [*(config.get("behaviors") or ())])
-    drawn = {"seed": seed, "mix": others.mix, "population": others.population}
-    env = _Among(scenario, others, {**drawn, **config, **changes})
-    env.looks = policy not in POLICIES  # ours see frames
+    looks = policy not in POLICIES  # ours see frames
+    env = _Among(
+        scenario, {"seed": seed, **others, **config, **changes}, crowd == HOMOGENEOUS, looks
+    )
     act = make(env)
     observation, _ = env.reset(seed=seed)
     begun = len(env.frames)
@@ -214,20 +199,15 @@ def _comfort(driven: Tracks, ego_id: int) -> dict[str, float]:
     speed, heading = driven.speed[row, seen], np.unwrap(driven.heading[row, seen])
     if speed.size < 4:
         return {"uncomfortable_share": 0.0, "rms_jerk_mps3": 0.0}
-    forward = _smooth(np.diff(speed)) / driven.step_s
-    sideways = speed[1:] * _smooth(np.diff(heading)) / driven.step_s
+    mean = np.full(3, 1 / 3)  # of neighbours, so that a single step's jump is no acceleration
+    forward = convolve1d(np.diff(speed), mean, mode="nearest") / driven.step_s
+    sideways = speed[1:] * convolve1d(np.diff(heading), mean, mode="nearest") / driven.step_s
     bad = (forward < FORWARD_MPS2[0]) | (forward > FORWARD_MPS2[1])
     bad |= np.abs(sideways) > SIDEWAYS_MPS2
     jerk = np.diff(forward) / driven.step_s
     return {
-        "uncomfortable_share": float(bad.mean()),
-        "rms_jerk_mps3": math.sqrt(float((jerk**2).mean())),
-    }
-
-
-def _smooth(values: FloatArray) -> FloatArray:
-    """The mean of three neighbours, so that a single step's jump is no acceleration."""
-    return np.convolve(np.pad(values, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
+        "uncomfortable_share": float(bad.mean()), "rms_jerk_mps3": float(np.sqrt((jerk**2).mean()))
+    }  # fmt: skip
 
 
 def score(figures: Mapping[str, float]) -> float:

@@ -16,11 +16,9 @@ References:
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behaviors.labels import BEHAVIORS, PROFILES
 from graphrqi.predict.prediction import STEP_S
@@ -28,9 +26,7 @@ from graphrqi.predict.rollout.car_following import Rollout
 from graphrqi.predict.rollout.driver_table import DriverParameters, DriverTable, expected_parameters
 from graphrqi.predict.rollout.rollout import centre_ahead, on_lane_beside, positions, roll
 from graphrqi.predict.scene.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from sim.frames import FloatArray
 
 WISHES: Final = ((0.0, 1.0), (0.5, 1.0), (1.0, 0.8), (1.0, 1.4), (1.0, 2.2))
 """Wished speeds, as shares of the limit, and time headways, s, that are tried."""
@@ -80,97 +76,61 @@ ACT_S: Final = 0.5
 """Time between two decisions, s."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """A manoeuvre until the next decision.
+def plan(
+    scene: Scene, ego: int, probability: FloatArray, table: DriverTable
+) -> tuple[float, FloatArray]:
+    """The best manoeuvre of the vehicle in row ``ego`` until the next decision.
 
-    Attributes:
-        accel: m/s2.
-        centre: (H, 2) the centre line to steer along, from here on, m.
-        side: 0: in the same lane, 1: one to the left, -1: one to the right.
-    """
-
-    accel: float
-    centre: FloatArray
-    side: int
-
-
-def plan(scene: Scene, ego: int, probability: FloatArray, table: DriverTable) -> Plan:
-    """The best manoeuvre's beginning for the vehicle in row ``ego``, on the path it is to take.
-
-    Beliefs (n, 6) are about the drivers' behaviours; the table has the numbers of these.
+    Beliefs (n, 6) are about the drivers' behaviours; the table has the numbers of these. Returned
+    are an acceleration, m/s2, and the centre line (H, 2) to steer along from here on, m.
     """
     drivers = expected_parameters(scene, probability, table)
+    following, ignores = drivers.following.copy(), drivers.ignores.copy()
+    ignores[ego] = False
     length = scene.history.length.copy()
     length[ego] += 2.0 * STOP_MARGIN_M
     scene = dataclasses.replace(scene, history=dataclasses.replace(scene.history, length=length))
+    own = np.arange(scene.ids.size) == ego
     best, chosen = -np.inf, None
     for side in (0, 1, -1):
-        moved = _moved(scene, ego, side)
-        if moved is None:
-            continue
+        moved = scene
+        if side:
+            other, there = on_lane_beside(scene, side, other_ways=False)
+            if not there[ego]:
+                continue
+            changed = {
+                name: np.where(own, getattr(other, name), getattr(scene, name))
+                for name in ("lane", "path", "offset", "lateral_speed")
+            }
+            moved = dataclasses.replace(scene, **changed)
         for wish, headway_s in WISHES:
-            driven = _driving(drivers, ego, wish, headway_s)
+            following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)
+            driven = DriverParameters(following, ignores)
             rollout = roll(moved, driven, table.decay_s, planned=ego)
             worth = _worth(moved, rollout, ego, probability) - CHANGE_WEIGHT * abs(side)
             if worth > best:
-                best, chosen = worth, (side, moved, rollout)
+                best, chosen = worth, (moved, rollout)
     assert chosen is not None
-    side, moved, rollout = chosen
+    moved, rollout = chosen
     speed = float(max(scene.speed[ego], 0.0))
     accel = (rollout.speed[ego, round(ACT_S / STEP_S) - 1] - speed) / ACT_S
-    return Plan(float(accel), centre_ahead(moved, ego), side)
-
-
-def _moved(scene: Scene, ego: int, side: int) -> Scene | None:
-    """The scene with the planned vehicle on its way to a lane beside; None if there is none."""
-    if side == 0:
-        return scene
-    other, there = on_lane_beside(scene, side, other_ways=False)
-    if not there[ego]:
-        return None
-    one = np.arange(scene.ids.size) == ego
-    changed = {
-        name: np.where(one, getattr(other, name), getattr(scene, name))
-        for name in ("lane", "path", "offset", "lateral_speed")
-    }
-    return dataclasses.replace(scene, **changed)
-
-
-def _driving(
-    drivers: DriverParameters, ego: int, wish: float, headway_s: float
-) -> DriverParameters:
-    """The drivers with the planned vehicle's own: it wants that speed and keeps that headway."""
-    following, ignores = drivers.following.copy(), drivers.ignores.copy()
-    following[ego] = (max(wish, 1e-3), headway_s, *EGO_FOLLOWING)
-    ignores[ego] = False
-    return dataclasses.replace(drivers, following=following, ignores=ignores)
+    return float(accel), centre_ahead(moved, ego)
 
 
 def _worth(scene: Scene, rollout: Rollout, ego: int, probability: FloatArray) -> float:
-    """Distance driven over the distance that the limit allows, less the cost of the risk."""
+    """Distance driven over the distance that the limit allows, less the cost of the risk.
+
+    The risk is summed over instants, `EVERY` steps apart: nearness of collision, overlap, and near
+    misses expected from stops and cut-ins without a reason. Who is far away does not count.
+    """
     limit = float(scene.states.limit[ego])
     limit = max(limit, 1.0) if np.isfinite(limit) else 10.0
     progress = float(rollout.travelled[ego, -1]) / (limit * scene.steps * STEP_S)
     near = np.hypot(*(scene.xy - scene.xy[ego]).T) < 100.0
     near[ego] = True
     rows = np.flatnonzero(near)
-    me = int(np.searchsorted(rows, ego))
+    me, probability = int(np.searchsorted(rows, ego)), probability[rows]
     xy = positions(scene, rollout)[rows, EVERY - 1 :: EVERY]
-    risk, overlap, surprise = risks(xy, scene, rows, me, probability[rows])
-    cost = RISK_WEIGHT * risk + OVERLAP_WEIGHT * overlap + SURPRISE_WEIGHT * surprise
-    return progress - cost * EVERY * STEP_S
-
-
-def risks(
-    xy: FloatArray, scene: Scene, rows: IntArray, me: int, probability: FloatArray
-) -> tuple[float, float, float]:
-    """How dangerous a joint future is for the agent ``me``.
-
-    Given are places (m, H, 2) of the agents of some rows (m,), `EVERY` steps apart, m, the present,
-    and beliefs (m, 6) about how they drive. Returned are sums over steps: nearness of collision,
-    steps with an overlap, and near misses expected from stops and cut-ins without a reason, 1/s.
-    """
     span = EVERY * STEP_S
     before = np.concatenate([scene.xy[rows][:, None], xy[:, :-1]], axis=1)
     velocity = (xy - before) / span
@@ -202,4 +162,5 @@ def risks(
     surprise = (
         tight * (probability @ STOPS)[:, None] + cut * (probability @ CUTS_IN)[:, None]
     ).sum()
-    return float(danger.sum()), float(overlap.any(axis=0).sum()), float(surprise)
+    cost = RISK_WEIGHT * float(danger.sum()) + OVERLAP_WEIGHT * float(overlap.any(axis=0).sum())
+    return progress - (cost + SURPRISE_WEIGHT * float(surprise)) * EVERY * STEP_S

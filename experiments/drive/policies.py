@@ -22,13 +22,13 @@ from behaviors.driver_models import krauss_safe_speed
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS
 from behaviors.registry import own_function
-from experiments.drive.planner import ACT_S, Plan, plan
+from experiments.drive.planner import ACT_S, plan
 from graphrqi.model_files import load_model
 from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
 from sim.episode.live import FrameBuffer
-from sim.episode.observables import leaders
+from sim.episode.observables import observe
 from sim.frames import FloatArray, Frame
 from sim.road import Road
 
@@ -47,38 +47,26 @@ EMERGENCY_DECEL_MPS2, EMERGENCY_S, EMERGENCY_GAP_M = 7.0, 0.2, 0.5
 is as hard as dry asphalt allows, so the plan and not the brake avoids near misses."""
 
 
-def do_nothing(env: Any) -> Act:
-    """Keep speed and lane, whatever happens."""
-    return lambda observation: 1
-
-
-def idm_mobil(env: Any) -> Act:
-    """highway-env's own driver: IDM and MOBIL, no signals, no pedestrians."""
-    return lambda observation: 0
-
-
 _model = functools.lru_cache(maxsize=2)(load_model)
 
 
 class Planner:
-    """Our planner at the wheel, which knows nothing, beliefs or the truth of the other drivers.
+    """Our planner at the wheel for one episode, of which it sees every frame.
 
-    It ``knows`` "nothing", "beliefs" or "truth", and sees every frame of the environment.
+    It ``knows`` "nothing", "beliefs" or "truth" of the other drivers.
     """
 
     def __init__(self, knows: str, env: Any) -> None:
         self._knows, self._env = knows, env
         self._frame: Frame | None = None
+        self._buffer = FrameBuffer(HISTORY_STEPS)
+        self._stream = BehaviorStream(_model(DEFAULT_MODEL)) if knows == "beliefs" else None
+        self._plan: tuple[float, FloatArray] | None = None
+        self._next_s = 0.0
         env.on_frame = self._see
 
     def _see(self, frame: Frame) -> None:
-        """Remember and classify a frame; one from before the last begins a new episode."""
-        if self._frame is None or frame.time_s <= self._frame.time_s:
-            self._buffer = FrameBuffer(HISTORY_STEPS)
-            classifies = self._knows == "beliefs"
-            self._stream = BehaviorStream(_model(DEFAULT_MODEL)) if classifies else None
-            self._plan: Plan | None = None
-            self._next_s = 0.0
+        """Remember and classify a frame."""
         self._frame = frame
         self._buffer.push(frame)
         if self._stream is not None:
@@ -100,11 +88,9 @@ class Planner:
             self._next_s = self._env.time + ACT_S
         if self._plan is None:
             return action
-        turn = steering(
-            self._plan.centre, frame.xy[me], float(frame.heading[me]), float(frame.speed[me]),
-            float(frame.length[me]),
-        )  # fmt: skip
-        action[0] = min(self._plan.accel, safe_accel(frame, road, me)) / MOST_ACCEL_MPS2
+        accel, centre = self._plan
+        turn = steering(centre, frame, me)
+        action[0] = min(accel, safe_accel(frame, road, me)) / MOST_ACCEL_MPS2
         action[1] = -turn / (math.pi / 4)  # highway-env's y points to the right
         return np.clip(action, -1.0, 1.0)
 
@@ -120,21 +106,19 @@ class Planner:
         return known
 
 
-def steering(
-    centre: FloatArray, xy: FloatArray, heading: float, speed: float, length: float
-) -> float:
-    """The front wheels' angle that leads onto a centre line, rad, positive to the left.
+def steering(centre: FloatArray, frame: Frame, me: int) -> float:
+    """The front wheels' angle that leads row ``me`` onto a centre line, rad, positive to the left.
 
-    Pure pursuit: a circle through a point on the line (H, 2), m, ahead of the place (2,), m, driven
-    by highway-env's bicycle. Headings are in rad, speeds in m/s and the vehicle's length in m.
+    Pure pursuit: a circle through a point on the line (H, 2), m, ahead of the vehicle, driven by
+    highway-env's bicycle.
     """
-    away = np.hypot(*(centre - xy).T)
-    ahead = np.flatnonzero(away >= max(LOOK_AHEAD_M, LOOK_AHEAD_S * speed))
+    away = np.hypot(*(centre - frame.xy[me]).T)
+    ahead = np.flatnonzero(away >= max(LOOK_AHEAD_M, LOOK_AHEAD_S * float(frame.speed[me])))
     ahead = ahead[ahead > int(away.argmin())]
-    goal = centre[ahead[0] if ahead.size else -1] - xy
-    angle = math.atan2(goal[1], goal[0]) - heading
+    goal = centre[ahead[0] if ahead.size else -1] - frame.xy[me]
+    angle = math.atan2(goal[1], goal[0]) - float(frame.heading[me])
     curvature = 2.0 * math.sin(angle) / max(float(np.hypot(*goal)), 1.0)
-    slip = math.asin(max(-0.7, min(0.7, curvature * length / 2.0)))
+    slip = math.asin(max(-0.7, min(0.7, curvature * float(frame.length[me]) / 2.0)))
     return math.atan(2.0 * math.tan(slip))
 
 
@@ -143,11 +127,11 @@ def safe_accel(frame: Frame, road: Road, me: int) -> float:
 
     It is the emergency brake of every planner, as beliefs may be wrong. The safe speed is Krauss's.
     """
-    every, gaps = leaders(frame, road)
-    leader, speed = int(every[me]), float(frame.speed[me])
+    seen = observe(frame, road)
+    leader, speed = int(seen.leader[me]), float(frame.speed[me])
     if leader < 0:
         return math.inf
-    room = max(float(gaps[me]) - EMERGENCY_GAP_M, 0.0)
+    room = max(float(seen.gap[me]) - EMERGENCY_GAP_M, 0.0)
     safe = krauss_safe_speed(room, float(frame.speed[leader]), EMERGENCY_S, EMERGENCY_DECEL_MPS2)
     return (safe - speed) / EMERGENCY_S
 
@@ -163,17 +147,16 @@ STEERED: Final[dict[str, Any]] = {
 BLIND: Final = "planner-blind"
 """The planner that knows nothing of the other drivers; what knowledge gains is counted from it."""
 
-POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
-    "do-nothing": (do_nothing, {}),
-    "idm-mobil": (idm_mobil, {"action": {"type": "StockDriver"}}),
-    BLIND: (functools.partial(Planner, "nothing"), STEERED),
-    "planner-told": (functools.partial(Planner, "beliefs"), STEERED),
-    "planner-true": (functools.partial(Planner, "truth"), STEERED),
-}
-"""Our policies, with what each changes in an environment's configuration."""
+KNOWS: Final = {BLIND: "nothing", "planner-told": "beliefs", "planner-true": "truth"}
+"""What each planner knows of the other drivers."""
 
-PLANNERS: Final = tuple(name for name, (_, config) in POLICIES.items() if config is STEERED)
-"""Names of the planner, whatever it knows."""
+POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {
+    "do-nothing": (lambda env: lambda observation: 1, {}),
+    "idm-mobil": (lambda env: lambda observation: 0, {"action": {"type": "StockDriver"}}),
+    **{name: (functools.partial(Planner, knows), STEERED) for name, knows in KNOWS.items()},
+}
+"""Our policies, with what each changes in an environment's configuration: one that keeps speed and
+lane, highway-env's own driver (IDM and MOBIL, no signals, no pedestrians), and the planners."""
 
 
 def get_policy(name: str) -> tuple[Callable[..., Act], dict[str, Any]]:

@@ -169,16 +169,15 @@ class Sensor:
         Headings and speeds follow from the positions, as in most recordings. Names begin with the
         agent's id; behind a slash follows the number of the track where an agent has several.
         """
-        seen = tracks
-        if self.noise_m and self.noise_correlation_s:
-            seen = disturbances.correlated_noise(seen, self.noise_m, rng, self.noise_correlation_s)
-        elif self.noise_m:
-            seen = disturbances.position_noise(seen, self.noise_m, rng)
-        if self.lost_per_min:
-            lose = (
-                disturbances.renamed_tracks if self.found_as == "new" else disturbances.lost_tracks
-            )
-            seen = lose(seen, self.lost_per_min, rng)
+        seen, noise_m = tracks, self.noise_m
+        if noise_m and self.noise_correlation_s:
+            seen = disturbances.correlated_noise(seen, noise_m, rng, self.noise_correlation_s)
+        elif noise_m:
+            seen = disturbances.position_noise(seen, noise_m, rng)
+        if self.lost_per_min and self.found_as == "new":
+            seen = disturbances.renamed_tracks(seen, self.lost_per_min, rng)
+        elif self.lost_per_min:
+            seen = disturbances.lost_tracks(seen, self.lost_per_min, rng)
         if self.lost_detections:
             seen = disturbances.lost_detections(seen, self.lost_detections, rng)
         if self.lost_frames:

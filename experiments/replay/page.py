@@ -11,25 +11,31 @@ import base64
 import hashlib
 import json
 import zlib
-from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
+from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS, COLORS, TRAITS, UNKNOWN_COLOR
-from behaviors.profiles import PROFILE_FIELDS
-from experiments.replay.scene import ReplayScene
+from behaviors.profiles import PROFILE_FIELDS, Profile
+from experiments.console.notices import LOGGER
+from experiments.data.exchange import as_dataset
+from experiments.replay.pictures import check_picture, ramp_color, write_picture
+from experiments.replay.scene import DEFAULT_PREDICTOR, ReplayScene, chosen_entry, gather
 from graphrqi.posterior import LABEL_PROBABILITY
+from graphrqi.predict import PREDICTORS
+from graphrqi.stream import DEFAULT_MODEL
 from sim.files import write_whole
 from sim.formats import FORMATS
-from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, IntArray, Tracks
+from sim.frames import KINDS, SIGNALS, EventKind, FloatArray, Tracks
+from sim.road import Road
 from sim.road.shapes import road_shapes
+from sim.store.dataset import open_dataset
 
 SCRIPTS: Final = (
     "data.js", "view.js", "colors.js", "road.js", "draw.js", "timeline.js", "panel.js", "player.js",
@@ -42,25 +48,66 @@ UNITS: Final = {"x": 0.01, "y": 0.01, "heading": 0.0015, "speed": 0.05, "future"
 MODES: Final = ("true", "predicted", "confidence", "speed", "w")
 """Colourings of agents."""
 
-RAMP_STOPS: Final = 17
-
-RAMP_BEGIN: Final = 0.12
-"""Where in viridis the ramp begins (darker colours could not be seen on a dark road)."""
-
-
-def ramp_color(share: float) -> str:
-    """The colour of a share, 0 to 1, as in HTML: viridis without its darkest end."""
-    place = RAMP_BEGIN + (1.0 - RAMP_BEGIN) * min(max(share, 0.0), 1.0)
-    return str(to_hex(colormaps["viridis"](place)))
-
-
-def ramp() -> list[str]:
-    """Colours of a scale from low to high; the page interpolates between them."""
-    return [ramp_color(share) for share in np.linspace(0.0, 1.0, RAMP_STOPS)]
-
+RAMP: Final = [ramp_color(share) for share in np.linspace(0.0, 1.0, 17)]
+"""Colours of a scale from low to high; the page interpolates between them."""
 
 DTYPES: Final = {"u1": "Uint8", "u2": "Uint16", "i4": "Int32", "f4": "Float32"}
 """Little-endian numbers that a browser reads as typed arrays."""
+
+
+def write_replay(
+    source: Path,
+    out: Path,
+    *,
+    episode: str | None = None,
+    format: str | None = None,
+    net: Path | None = None,
+    labels: Path | None = None,
+    model: str = DEFAULT_MODEL,
+    predictor: str = DEFAULT_PREDICTOR,
+    color: str | None = None,
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    picture: Path | None = None,
+    quiet: bool = False,
+) -> list[Path]:
+    """Implement ``graphrqi replay``: write the page of an episode, and return all files written.
+
+    Source, format and net are those of `experiments.data.exchange.as_dataset`, the episode that of
+    `chosen_entry`, and labels, model and predictor those of `gather`. The colour is one of
+    ``MODES``; None for the truth where it is known. The picture (.png, .pdf or .svg) or film (.mp4
+    or .gif) is drawn beside the page.
+
+    By default a page opens when the road has filled to half and there are beliefs, a film lasts as
+    long as the episode, and a picture shows the fullest moment. Other times are in s.
+
+    Raises:
+        InputError: if an option or a file is wrong.
+        OSError: if something cannot be written.
+    """
+    if color is not None:
+        lookup({mode: mode for mode in MODES}, color, "color")
+    if predictor != "none":
+        PREDICTORS[predictor]
+    if picture is not None:
+        check_picture(picture, films=True)
+    with as_dataset(source, format, net) as folder:
+        dataset = open_dataset(folder)
+        entry, many = chosen_entry(dataset, episode), len(dataset.manifest.episodes)
+        if episode is None and many > 1:
+            LOGGER.info("%s: showing %s, the first of %d episodes", source, entry.name, many)
+        scene = gather(dataset, entry, model=model, labels=labels, predictor=predictor, quiet=quiet)
+    first_s, last_s = float(scene.tracks.time_s[0]), float(scene.tracks.time_s[-1])
+    if begin_s is not None and not min(first_s, 0.0) <= begin_s <= last_s:
+        raise InputError(
+            f"--begin-s: found {begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
+        )
+    mode = color or ("predicted" if scene.tracks.behavior is None else "true")
+    write_page(scene, out, mode, begin_s)
+    if picture is None:
+        return [out]
+    write_picture(scene, picture, mode, begin_s, end_s, quiet)
+    return [out, picture]
 
 
 def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None = None) -> None:
@@ -71,98 +118,25 @@ def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None =
     """
     folder = resources.files("experiments.replay") / "page"
     style = (folder / "style.css").read_text()
-    script = (
-        '"use strict";\n(() => {\n'
-        + "\n".join((folder / name).read_text() for name in SCRIPTS)
-        + "\n})();\n"
-    )
+    script = "\n".join((folder / name).read_text() for name in SCRIPTS)
+    script = f'"use strict";\n(() => {{\n{script}\n}})();\n'
+    shown = {"mode": mode, "at": _opening_s(scene) if begin_s is None else begin_s}
+    data = json.dumps({**_data(scene), "open": shown}, allow_nan=False, separators=(",", ":"))
+    for mark in "&<>":  # no HTML parser takes a string in the data for markup
+        data = data.replace(mark, f"\\u{ord(mark):04x}")
     environment = Environment(
         loader=PackageLoader("experiments.replay", "page"), autoescape=True,
         undefined=StrictUndefined, trim_blocks=True,
     )  # fmt: skip
     page = environment.get_template("page.html").render(
         title=scene.entry.name, style=style, script=script, style_hash=_csp_hash(style),
-        script_hash=_csp_hash(script), data=_json(_data(scene, mode, begin_s)),
+        script_hash=_csp_hash(script), data=data,
     )  # fmt: skip
     write_whole(out, page.encode())
 
 
 def _csp_hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _json(value: object) -> str:
-    """JSON that no HTML parser takes for markup, whatever the strings in it say."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-def _data(scene: ReplayScene, mode: str, begin_at_s: float | None) -> dict[str, Any]:
-    """All that the page's script reads."""
-    tracks = scene.tracks
-    begin_s = float(tracks.time_s[0])
-    arrays: dict[str, NDArray[Any]] = {"time": (tracks.time_s - begin_s).astype("f4")}
-    _places(tracks, arrays)
-    _beliefs(scene, arrays)
-    _graph(scene, arrays)
-    meta: dict[str, Any] = {"ghosts": _ghosts(scene, arrays), "ahead": _forecasts(scene, arrays)}
-    if tracks.signals.size:
-        meta["signals"] = _signal_changes(tracks.signals)
-    index, packed = pack(arrays)
-    entry = scene.entry
-    made: dict[str, Any] = {"engine": entry.engine, "seed": entry.seed, "split": entry.split}
-    facts = {
-        "episode": entry.id,
-        **({"format": entry.engine} if entry.engine in FORMATS else made),
-        "beliefs": scene.believer,
-        "predictor": scene.predictor or "none",
-        "agents": int(tracks.ids.size),
-    }
-    return meta | {
-        "title": scene.entry.name,
-        "facts": facts,
-        "notes": list(scene.notes),
-        "unit": scene.unit,
-        "begin": begin_s,
-        "units": UNITS,
-        "extent": _extent(scene),
-        "open": {"mode": mode, "at": _opening_s(scene) if begin_at_s is None else begin_at_s},
-        "behaviors": [
-            {"name": str(b), "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
-        ],
-        "labelled": {"style": LABEL_PROBABILITY},
-        "unknown": UNKNOWN_COLOR,
-        "ramp": ramp(),
-        "kinds": [k.value for k in KINDS],
-        "signalNames": [s.value for s in SIGNALS],
-        "agents": _agents(scene),
-        "road": _road(scene),
-        "events": [
-            {
-                "kind": e.kind.value,
-                "time": round(e.time_s - begin_s, 3),
-                "agent": _row(tracks.ids, e.agent),
-                "other": -1 if e.other is None else _row(tracks.ids, e.other),
-                "rule": e.words if e.kind is EventKind.NEAR_MISS else e.rule,
-            }
-            for e in tracks.events
-        ],
-        "grave": [k.value for k in (EventKind.COLLISION, EventKind.NEAR_MISS)],
-        "traits": [
-            {"name": trait.value, "behavior": behavior.code} for trait, behavior in TRAITS.items()
-        ],
-        "shownTraits": [
-            [
-                list(TRAITS).index(x.trait),
-                _row(tracks.ids, x.agent),
-                round(x.begin_s - begin_s, 2),
-                round(x.end_s - begin_s, 2),
-            ]
-            for x in scene.shown_traits
-        ],
-        "index": index,
-        "packed": packed,
-    }
 
 
 def _opening_s(scene: ReplayScene) -> float:
@@ -175,125 +149,93 @@ def _opening_s(scene: ReplayScene) -> float:
     return float(beliefs.time_s[int(wanted.argmax())]) if wanted.any() else half_full_s
 
 
-def _row(ids: IntArray, agent: int) -> int:
-    """Index of an id among the page's agents; -1 for one that is never seen."""
-    at = int(np.searchsorted(ids, agent))
-    return at if at < ids.size and ids[at] == agent else -1
-
-
-def _agents(scene: ReplayScene) -> list[dict[str, Any]]:
-    tracks = scene.tracks
-    found = []
-    for i, agent in enumerate(tracks.ids.tolist()):
-        spec = scene.agents.get(agent)
-        profile = None if spec is None else spec.profile
-        numbers = [
-            [name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS if profile
-        ]
-        found.append({
-            "name": tracks.names[i],
-            **_size(tracks.kind[i], tracks.length[i], tracks.width[i]),
-            "truth": -1 if tracks.behavior is None else int(tracks.behavior[i]),
-            "profile": numbers or None,
-        })  # fmt: skip
-    return found
-
-
-def _size(kind: int, length: float, width: float) -> dict[str, Any]:
+def _data(scene: ReplayScene) -> dict[str, Any]:
+    """All that the page's script reads."""
+    entry, tracks = scene.entry, scene.tracks
+    begin_s = float(tracks.time_s[0])
+    row: dict[int | None, int] = {agent: i for i, agent in enumerate(tracks.ids.tolist())}
+    made: dict[str, Any] = {"engine": entry.engine, "seed": entry.seed, "split": entry.split}
+    specs = [scene.agents.get(agent) for agent in tracks.ids.tolist()]
+    agents = _sizes(tracks).assign(
+        name=tracks.names,
+        truth=-1 if tracks.behavior is None else tracks.behavior,
+        profile=[_numbers(None if spec is None else spec.profile) for spec in specs],
+    )
+    xy = tracks.row_xy
+    extent = scene.road.bounds if scene.road else (*xy.min(axis=0), *xy.max(axis=0))
+    index, packed = pack(_arrays(scene))
     return {
-        "kind": int(kind), "length": round(float(length), 2), "width": round(float(width), 2)
+        "title": entry.name,
+        "facts": {
+            "episode": entry.id,
+            **({"format": entry.engine} if entry.engine in FORMATS else made),
+            "beliefs": scene.believer,
+            "predictor": scene.predictor or "none",
+            "agents": int(tracks.ids.size),
+        },
+        "notes": list(scene.notes),
+        "unit": scene.unit,
+        "begin": begin_s,
+        "units": UNITS,
+        "extent": _flat(np.array(extent)),
+        "behaviors": [
+            {"name": str(b), "style": b.style.value, "color": COLORS[b]} for b in BEHAVIORS
+        ],
+        "labelled": {"style": LABEL_PROBABILITY},
+        "unknown": UNKNOWN_COLOR,
+        "ramp": RAMP,
+        "kinds": [k.value for k in KINDS],
+        "signalNames": [s.value for s in SIGNALS],
+        "agents": agents.to_dict("records"),
+        "ghosts": [] if scene.ghosts is None else _sizes(scene.ghosts).to_dict("records"),
+        "ahead": [] if scene.futures is None else scene.futures.ahead_s.tolist(),
+        "signals": [  # the steps at which each group's state changes, with the new state
+            [[int(step), int(states[step])] for step in np.flatnonzero(np.diff(states, prepend=-1))]
+            for states in tracks.signals
+        ],
+        "road": None if scene.road is None else _road(scene.road),
+        "events": [
+            {
+                "kind": e.kind.value,
+                "time": round(e.time_s - begin_s, 3),
+                "agent": row.get(e.agent, -1),
+                "other": row.get(e.other, -1),
+                "rule": e.words if e.kind is EventKind.NEAR_MISS else e.rule,
+            }
+            for e in tracks.events
+        ],
+        "grave": [k.value for k in (EventKind.COLLISION, EventKind.NEAR_MISS)],
+        "traits": [
+            {"name": trait.value, "behavior": behavior.code} for trait, behavior in TRAITS.items()
+        ],
+        "shownTraits": [
+            [list(TRAITS).index(x.trait), row.get(x.agent, -1),
+             round(x.begin_s - begin_s, 2), round(x.end_s - begin_s, 2)]
+            for x in scene.shown_traits
+        ],
+        "index": index,
+        "packed": packed,
     }  # fmt: skip
 
 
-def _places(tracks: Tracks, arrays: dict[str, NDArray[Any]]) -> None:
-    """The agents' places, one after another, and the runs of steps without a gap."""
-    agent, step = tracks.index.agent, tracks.index.step
-    columns = {
-        "x": tracks.row_xy[:, 0], "y": tracks.row_xy[:, 1],
-        "heading": np.unwrap(tracks.row_heading), "speed": tracks.row_speed,
-    }  # fmt: skip
-    for name, values in columns.items():
-        arrays[name] = differences(values, UNITS[name])
-    begins = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
-    arrays["runAgent"] = agent[begins].astype("u2")
-    arrays["runStep"] = step[begins].astype("i4")
-    arrays["runSize"] = np.diff(begins, append=agent.size).astype("i4")
+def _sizes(tracks: Tracks) -> pd.DataFrame:
+    columns = {"length": tracks.length.round(2), "width": tracks.width.round(2)}
+    return pd.DataFrame({"kind": tracks.kind, **columns})
 
 
-def _extent(scene: ReplayScene) -> list[float]:
-    """x0, y0, x1, y1 of what is worth showing."""
-    if scene.road is not None:
-        return [round(v, 2) for v in scene.road.bounds]
-    xy = scene.tracks.row_xy
-    return _flat(np.stack([xy.min(axis=0), xy.max(axis=0)]))
-
-
-def _beliefs(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
-    """(N, S, 6) probabilities in 255ths; all 0 where nothing is believed."""
-    probability = scene.beliefs.probability
-    arrays["beliefTime"] = (scene.beliefs.time_s - scene.tracks.time_s[0]).astype("f4")
-    arrays["belief"] = np.rint(np.nan_to_num(probability) * 255.0).astype("u1").ravel()
-
-
-def _graph(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> None:
-    """|w| as roots in 254ths of the largest, 255 for nobody; edges by sample."""
-    w = scene.graph.w
-    largest = np.nan_to_num(w).max(axis=0, initial=0.0)
-    share = np.sqrt(np.nan_to_num(w) / np.maximum(largest, 1e-12)[None])
-    shown = np.where(np.isfinite(w), np.rint(share * 254.0), 255)
-    arrays["graphTime"] = (scene.graph.time_s - scene.tracks.time_s[0]).astype("f4")
-    arrays["w"] = shown.astype("u1").ravel()
-    arrays["wLargest"] = largest.astype("f4")
-    edges = scene.graph.edges[np.argsort(scene.graph.edges[:, 2], kind="stable")]
-    arrays["edgeA"], arrays["edgeB"] = edges[:, 0].astype("u2"), edges[:, 1].astype("u2")
-    arrays["edgeBegin"], arrays["edgeEnd"] = edges[:, 2].astype("i4"), edges[:, 3].astype("i4")
-
-
-def _ghosts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
-    """Sizes of the agents of the factual episode; their places where these differ."""
-    ghosts = scene.ghosts
-    if ghosts is None:
-        return []
-    arrays["ghostOf"] = ghosts.index.agent.astype("u2")
-    arrays["ghostStep"] = ghosts.index.step.astype("i4")
-    arrays["ghostXY"] = differences(ghosts.row_xy, UNITS["x"])
-    arrays["ghostHeading"] = ghosts.row_heading.astype("f4")
-    return [_size(*one) for one in zip(ghosts.kind, ghosts.length, ghosts.width, strict=True)]
-
-
-def _forecasts(scene: ReplayScene, arrays: dict[str, NDArray[Any]]) -> list[float]:
-    """Times ahead of the places of futures, s; futures one after another."""
-    if not scene.forecasts:
-        return []
-    xy = np.concatenate([f.xy for f in scene.forecasts])
-    arrays["future"] = differences(xy.reshape(-1, 2), UNITS["future"])
-    arrays["futureAgent"] = np.concatenate([f.agent for f in scene.forecasts]).astype("u2")
-    likely = np.concatenate([f.probability for f in scene.forecasts])
-    arrays["futureProbability"] = np.rint(likely * 255.0).astype("u1")
-    times = np.array([f.time_s for f in scene.forecasts]) - scene.tracks.time_s[0]
-    arrays["forecastTime"] = times.astype("f4")
-    begins = np.cumsum([0, *(f.agent.size for f in scene.forecasts)])
-    arrays["forecastBegin"] = begins.astype("i4")
-    return [float(each) for each in scene.forecasts[0].ahead_s]
-
-
-def _signal_changes(signals: NDArray[np.int8]) -> list[list[list[int]]]:
-    """Of each signal group, the steps at which its state changes and the new state."""
-    found = []
-    for states in signals:
-        at = np.flatnonzero(np.diff(states, prepend=-1) != 0)
-        found.append([[int(step), int(states[step])] for step in at])
-    return found
+def _numbers(profile: Profile | None) -> list[list[Any]] | None:
+    """The numbers of a driver, by name."""
+    if profile is None:
+        return None
+    return [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS]
 
 
 def _flat(shape: FloatArray) -> list[float]:
     return [round(v, 2) for v in shape.ravel().tolist()]
 
 
-def _road(scene: ReplayScene) -> dict[str, Any] | None:
-    if scene.road is None:
-        return None
-    shapes = road_shapes(scene.road)
+def _road(road: Road) -> dict[str, Any]:
+    shapes = road_shapes(road)
     lines = ("paving", "asphalt", "dashes", "edges", "middles", "bars")
     return {
         **{name: [_flat(shape) for shape in getattr(shapes, name)] for name in lines},
@@ -301,22 +243,71 @@ def _road(scene: ReplayScene) -> dict[str, Any] | None:
     }
 
 
-def pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]:
+def _arrays(scene: ReplayScene) -> dict[str, NDArray[Any]]:
+    """What changes with time.
+
+    Agents' places are one after another, in runs of steps without a gap. Probabilities are in
+    255ths, all 0 where nothing is believed. |w| is given as roots in 254ths of the largest, 255 for
+    nobody.
+    """
+    tracks, graph, futures = scene.tracks, scene.graph, scene.futures
+    begin_s, agent, step = tracks.time_s[0], tracks.index.agent, tracks.index.step
+    runs = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
+    largest = np.nan_to_num(graph.w).max(axis=0, initial=0.0)
+    share = np.sqrt(np.nan_to_num(graph.w) / np.maximum(largest, 1e-12)[None])
+    edges = graph.edges[np.argsort(graph.edges[:, 2], kind="stable")]
+    found = {
+        "time": (tracks.time_s - begin_s).astype("f4"),
+        "x": differences(tracks.row_xy[:, 0], UNITS["x"]),
+        "y": differences(tracks.row_xy[:, 1], UNITS["y"]),
+        "heading": differences(np.unwrap(tracks.row_heading), UNITS["heading"]),
+        "speed": differences(tracks.row_speed, UNITS["speed"]),
+        "runAgent": agent[runs].astype("u2"),
+        "runStep": step[runs].astype("i4"),
+        "runSize": np.diff(runs, append=agent.size).astype("i4"),
+        "beliefTime": (scene.beliefs.time_s - begin_s).astype("f4"),
+        "belief": np.rint(np.nan_to_num(scene.beliefs.probability) * 255.0).astype("u1"),
+        "graphTime": (graph.time_s - begin_s).astype("f4"),
+        "w": np.where(np.isfinite(graph.w), np.rint(share * 254.0), 255).astype("u1"),
+        "wLargest": largest.astype("f4"),
+        "edgeA": edges[:, 0].astype("u2"),
+        "edgeB": edges[:, 1].astype("u2"),
+        "edgeBegin": edges[:, 2].astype("i4"),
+        "edgeEnd": edges[:, 3].astype("i4"),
+    }
+    if scene.ghosts is not None:
+        ghosts = scene.ghosts
+        found |= {
+            "ghostOf": ghosts.index.agent.astype("u2"),
+            "ghostStep": ghosts.index.step.astype("i4"),
+            "ghostXY": differences(ghosts.row_xy, UNITS["x"]),
+            "ghostHeading": ghosts.row_heading.astype("f4"),
+        }
+    if futures is not None:
+        instants, begins = np.unique(futures.time_s, return_index=True)
+        found |= {
+            "future": differences(futures.xy.reshape(-1, 2), UNITS["future"]),
+            "futureAgent": futures.agent.astype("u2"),
+            "futureProbability": np.rint(futures.probability * 255.0).astype("u1"),
+            "forecastTime": (instants - begin_s).astype("f4"),
+            "forecastBegin": np.append(begins, futures.agent.size).astype("i4"),
+        }
+    return found
+
+
+def pack(arrays: dict[str, NDArray[Any]]) -> tuple[dict[str, list[Any]], str]:
     """Put arrays, each of a type in ``DTYPES``, into one text.
 
     Also returned is what is where, by name: type, offset in bytes, count.
     """
     index: dict[str, list[Any]] = {}
-    parts: list[bytes] = []
-    offset = 0
+    packed = b""
     for name, array in arrays.items():
         kind = array.dtype.newbyteorder("<").str.lstrip("<|")
-        data = np.ascontiguousarray(array, dtype=f"<{kind}").tobytes()
-        index[name] = [DTYPES[kind], offset, array.size]
-        data += bytes(-len(data) % 4)  # a typed array begins at a multiple of its size
-        parts.append(data)
-        offset += len(data)
-    return index, base64.b64encode(zlib.compress(b"".join(parts), 9)).decode()
+        index[name] = [DTYPES[kind], len(packed), array.size]
+        packed += array.astype(f"<{kind}").tobytes()
+        packed += bytes(-len(packed) % 4)  # a typed array begins at a multiple of its size
+    return index, base64.b64encode(zlib.compress(packed, 9)).decode()
 
 
 def differences(values: FloatArray, unit: float) -> NDArray[np.int32]:

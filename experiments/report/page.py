@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import base64
-import itertools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,21 +14,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from behaviors.errors import InputError, lookup
-from experiments.figure_files import figure_bytes
+from experiments.replay.pictures import figure_bytes
 from experiments.report.findings import findings
 from experiments.report.pictures import Picture, pictures_of
 from experiments.report.tables import tables_of
-from experiments.report.worst_cases import Excerpt, take_excerpts
+from experiments.report.worst_cases import take_excerpts
 from experiments.score.rows import MADE, checked_rows, read_rows
 from graphrqi.model_files import FILE, load_model
 from sim.files import write_whole
 from sim.store.dataset import is_dataset
-
-MARK: Final = b"GraphRQI"
-"""Mark in the head of every page that is written here; another page is not overwritten."""
-
-HEAD_BYTES: Final = 2000
-"""Bytes of a page in which this mark is looked for."""
 
 FORMATS: Final = {"svg": ".svg", "pdf": ".pdf"}
 """Formats of pictures in files of their own, and their endings."""
@@ -78,8 +71,6 @@ def write_report(
     if out is None:
         out = path / "report.html" if path.is_dir() else path.with_suffix(".html")
         out = Path("comparison.html") if many else out
-    if out.is_file() and MARK not in out.read_bytes()[:HEAD_BYTES]:
-        raise InputError(f"{out}: found a page that is not a report, expected none; move it away")
     rows = tables[0]
     if many:
         runs = names if len(set(names)) == len(names) else [str(path) for path in paths]
@@ -93,10 +84,9 @@ def write_report(
         }
         for name, part in rows.groupby("command", sort=False)
     ]
-    excerpts = list[Excerpt]()
     is_run = (path / "model" / FILE).is_file() and is_dataset(path / "data")
-    if is_run and not many and out.parent.samefile(path):
-        excerpts = take_excerpts(path, jobs, quiet)
+    looked = is_run and not many and out.parent.samefile(path)
+    excerpts = list(take_excerpts(path, jobs, quiet)) if looked else []
     environment = Environment(
         loader=PackageLoader("experiments.report", "."), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
@@ -111,8 +101,12 @@ def write_report(
     )
     write_whole(out, page.encode())
     if ending is not None:
-        parts = [*(section["pictures"] for section in shown), *(e.pictures for e in excerpts)]
-        _write_pictures(out, ending, itertools.chain(*parts))
+        folder = out.with_name(f"{out.stem}-figures")
+        folder.mkdir(exist_ok=True)
+        pictures = [picture for part in (*shown, *excerpts) for picture in part["pictures"]]
+        for number, (title, figure) in enumerate(pictures, start=1):
+            name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:80]
+            write_whole(folder / f"{number:02d}-{name}{ending}", figure_bytes(figure, ending))
     return out
 
 
@@ -121,12 +115,3 @@ def _drawn(picture: Picture) -> Markup:
     data = base64.b64encode(figure_bytes(picture.figure, ".svg")).decode()
     image = '<img alt="{}" src="data:image/svg+xml;base64,{}">'
     return Markup(image).format(picture.title, data)
-
-
-def _write_pictures(page: Path, ending: str, pictures: Iterable[Picture]) -> None:
-    """Write the pictures into a folder beside the page, numbered and named by their titles."""
-    folder = page.with_name(f"{page.stem}-figures")
-    folder.mkdir(exist_ok=True)
-    for number, picture in enumerate(pictures, start=1):
-        name = re.sub(r"[^a-z0-9]+", "-", picture.title.lower()).strip("-")[:80]
-        write_whole(folder / f"{number:02d}-{name}{ending}", figure_bytes(picture.figure, ending))

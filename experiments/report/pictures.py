@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
-from experiments.report.tables import FIRST, is_everyone, name_of, subject_of, varying
+from experiments.report.tables import FIRST, is_everyone, name_of, subject_of, tested, varying
 
 CYCLE: Final = ("#4477AA", "#EE6677", "#228833", "#CCBB44", "#66CCEE", "#AA3377", UNKNOWN_COLOR)
 """Colours of series that are not behaviours: the scheme "bright" of Tol (2021, SRON technical note
@@ -47,19 +47,10 @@ def pictures_of(rows: pd.DataFrame) -> Iterator[Picture]:
         over = next((key for key in NUMBERS if key in varying(chosen)), None)
         for title, part in _parts(chosen, over):
             yield _lines(title, part, over) if over else _bars(title, part)
-    for title, part in _parts(_tested(rows[rows["metric"] == "reliability"]), "confidence"):
+    for title, part in _parts(tested(rows[rows["metric"] == "reliability"]), "confidence"):
         yield _lines(title, part, "confidence")
-    for title, part in _parts(_tested(rows[rows["metric"] == "confusion"]), "behavior", True):
+    for title, part in _parts(tested(rows[rows["metric"] == "confusion"]), "behavior", True):
         yield _confusion(title, part)
-
-
-def _tested(rows: pd.DataFrame) -> pd.DataFrame:
-    """Rows of many drivers: of the test split where there is one."""
-    if "name" in rows:
-        rows = rows[rows["name"].isna()]
-    if "split" in rows and (rows["split"] == "test").any():
-        return rows[rows["split"] == "test"]
-    return rows
 
 
 def _parts(

@@ -105,24 +105,30 @@ def is_everyone(rows: pd.DataFrame) -> pd.Series[bool]:
     return rows["behavior"].isna() | (rows["behavior"] == "all")
 
 
+def tested(rows: pd.DataFrame) -> pd.DataFrame:
+    """Rows that are not of one episode: of the test split where there is one."""
+    if "name" in rows:
+        rows = rows[rows["name"].isna()]
+    if "split" in rows and (rows["split"] == "test").any():
+        rows = rows[rows["split"].isna() | (rows["split"] == "test")]
+    return rows
+
+
 def _pivot(rows: pd.DataFrame, title: str, across: Sequence[str]) -> Table:
     """Rows as a table with a column for each value of ``across``; keys of one value are hidden."""
     down = varying(rows, across)
-    frame = rows.assign(cell=[_cell(row) for row in rows.to_dict("records")])
     down = down or ["metric" if "metric" not in across else (subject_of(rows) or "command")]
+    frame = rows.assign(cell=[with_interval(row) for row in rows.to_dict("records")])
     frame[down] = frame[down].astype(object).fillna("")
     cells = frame.pivot_table(
         index=down, columns=list(across), values="cell", aggfunc="first", sort=False
     )
+    heads = cells.columns.to_frame().to_numpy(object).tolist()
     places = {name: place for place, name in enumerate((*FIRST, *map(str, BEHAVIORS)))}
-    order = sorted(
-        range(cells.shape[1]),
-        key=lambda at: min((places[w] for w in _words(cells.columns[at]) if w in places),
-                           default=len(places)),
-    )  # fmt: skip
+    first = [min(places.get(word, len(places)) for word in words) for words in heads]
+    order = sorted(range(len(heads)), key=lambda at: first[at])
     cells = cells.iloc[:, order]
-    cells.columns = pd.Index([", ".join(map(_head, _words(c))) for c in cells.columns])
-    cells.columns.name = None
+    cells.columns = pd.Index([", ".join(map(_head, heads[at])) for at in order])
     n = rows["n"].dropna().astype(int)
     many = "" if n.empty else f"n = {n.min()}" + (f" to {n.max()}" if n.max() > n.min() else "")
     intervals = "in brackets: 95 % intervals" if rows["low"].notna().any() else ""
@@ -130,16 +136,13 @@ def _pivot(rows: pd.DataFrame, title: str, across: Sequence[str]) -> Table:
     return Table(title, "; ".join(part for part in (many, intervals) if part), text)
 
 
-def _words(column: Any) -> tuple[Any, ...]:
-    return column if isinstance(column, tuple) else (column,)
-
-
 def _head(word: Any) -> str:
     return f"{word:g} s" if isinstance(word, float) else name_of(str(word))
 
 
-def _cell(row: Mapping[Any, Any]) -> str:
-    value = number(float(row["value"]))
+def with_interval(row: Mapping[Any, Any]) -> str:
+    """The figure of a tidy row as text, with its interval where it has one."""
+    value = number(float(row["value"] or 0.0))
     if pd.isna(row["low"]):
         return value
     return f"{value} [{number(row['low'])}, {number(row['high'])}]"

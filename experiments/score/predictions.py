@@ -92,12 +92,19 @@ def instants(tracks: Tracks, horizon_s: float, every_s: float = EVERY_S) -> Iter
     known = tracks.time_s[tracks.time_s + horizon_s <= tracks.time_s[-1:] + 1e-6]
     if not known.size:
         return
-    warm_up_s = min(WARM_UP_S, horizon_s, max(LEAST_SEEN_S, known[-1] - known[0]))
-    due = known[0] + warm_up_s
-    for column, time_s in enumerate(known):
-        if time_s >= due - 1e-6:
-            yield column + 1
-            due = time_s + every_s
+    longest_s = max(LEAST_SEEN_S, known[-1] - known[0])
+    yield from spaced(known, min(WARM_UP_S, horizon_s, longest_s), every_s)
+
+
+def spaced(
+    time_s: FloatArray, after_s: float, every_s: float, slack_s: float = 1e-6
+) -> Iterator[int]:
+    """Indices one past each time that is due, the first one ``after_s`` after the beginning."""
+    due_s = -np.inf if not time_s.size else time_s[0] + after_s
+    for stop, now_s in enumerate(time_s, start=1):
+        if now_s >= due_s - slack_s:
+            yield stop
+            due_s = now_s + every_s
 
 
 def future(tracks: Tracks, rows: IntArray, stop: int, time_s: FloatArray) -> FloatArray:

@@ -41,9 +41,6 @@ def train_model(
         seed: the same seed and data give the same model.
         jobs: processes; None for one per core.
         quiet: whether to show no progress.
-
-    Returns:
-        The model, with the data and the split in its card.
     """
     classes = tuple(dict.fromkeys(one for dataset in datasets for one in dataset.behaviors))
     observe = partial(

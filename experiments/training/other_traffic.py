@@ -89,11 +89,7 @@ def _gathered(
     datasets: Sequence[Dataset], split: Split, part: int, seed: int, jobs: int | None, quiet: bool
 ) -> Samples:
     """Samples of the episodes of a split; no two datasets' or parts' episodes share a number."""
-    arguments = [
-        (dataset.path, entry, part, seed)
-        for dataset in datasets
-        for entry in dataset.episodes(split)
-    ]
+    arguments = [(each.path, e, part, seed) for each in datasets for e in each.episodes(split)]
     what = f"{PARTS[part]}: observing {split} episodes"
     found = list(in_parallel(_observed, arguments, jobs, what, quiet))
     return Samples.join([samples for samples in found if samples is not None])

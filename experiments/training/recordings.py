@@ -19,7 +19,7 @@ import numpy as np
 from behaviors.errors import InputError
 from experiments.console.notices import LOGGER
 from experiments.console.progress import Progress
-from experiments.score.predictions import HISTORY_S, future
+from experiments.score.predictions import HISTORY_S, future, spaced
 from graphrqi.predict.networks import TIME_S
 from graphrqi.predict.recorded.features import inferred_leaders
 from sim.formats import get_reader, recognise, recording_files
@@ -118,21 +118,6 @@ def _read(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
             LOGGER.warning("left out: %s", error)
 
 
-def recorded_instants(tracks: Tracks, every_s: float) -> list[int]:
-    """Indices one past each present, `PAST_S` after the start and `AHEAD_S` before the end."""
-    time_s = tracks.time_s
-    if time_s.size < 2:
-        return []
-    due, found = time_s[0] + PAST_S, []
-    for column, now in enumerate(time_s):
-        if now + AHEAD_S > time_s[-1] + 1e-3:
-            break
-        if now >= due - 1e-3:
-            found.append(column + 1)
-            due = now + every_s
-    return found
-
-
 def moving_s(places: Sequence[RecordedPlace]) -> float:
     """For how long vehicles move in recordings, all together, s."""
     tracks = [one.tracks for one in places if one.tracks.time_s.size > 1]
@@ -151,7 +136,8 @@ def cases(tracks: Tracks, every_s: float) -> Iterator[tuple[int, Tracks, FloatAr
 
     Counted (n,) are vehicles seen for `PAST_S` whose future (n, KNOTS, 2), m, is known.
     """
-    for stop in recorded_instants(tracks, every_s):
+    known_s = tracks.time_s[tracks.time_s + AHEAD_S <= tracks.time_s[-1:] + 1e-3]
+    for stop in spaced(known_s, PAST_S, every_s, 1e-3):
         history = history_of(tracks, stop)
         truth = future(tracks, np.searchsorted(tracks.ids, history.ids), stop, TIME_S)
         counts = _scored(history) & np.isfinite(truth).all(axis=(1, 2))

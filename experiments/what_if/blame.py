@@ -63,34 +63,41 @@ def judge(
     end_s = scenario.steps * scenario.step_s
     with Trunk(scenario, agents, seed, engine) as trunk:
         frames = trunk.advance(end_s)
-    found = [e for e in _incidents(frames, scenario) if e.kind in INCIDENTS]
-    if not found:
-        return
+    found = incidents(Tracks.from_frames(frames), scenario.road)
+    kept = round(2.0 * LEAD_S / scenario.step_s)  # as much as a cause may lie back
+    before: list[Frame] = []
+
+    def prevents(event: Event, agent: int, to: Behavior, until_s: float) -> bool | None:
+        """Whether an incident does not happen if a driver goes on with a behaviour."""
+        with trunk.branch(until_s, agent, to) as branch:
+            try:
+                after = tuple(branch)
+            except InputError:
+                return None
+        return not _same_again(event, [*before[-kept:], *after], scenario)
+
     with Trunk(scenario, agents, seed, engine) as trunk:
-        before: list[Frame] = []
         for event in found:
-            steps = max(1, round((event.time_s - LEAD_S) / scenario.step_s))
-            at_s = steps * scenario.step_s
+            until_s = min(event.time_s + AFTER_S, end_s)
+            happened = frames[: round(until_s / scenario.step_s)]
+            if event.kind not in INCIDENTS or not _same_again(event, happened, scenario):
+                continue  # some are seen only with the rest of the episode in sight
+            at_s = max(1, round((event.time_s - LEAD_S) / scenario.step_s)) * scenario.step_s
             if not before or at_s > before[-1].time_s + 1e-9:
                 before += trunk.advance(at_s)
-            until_s = min(event.time_s + AFTER_S, end_s)
-            happened = _same_again(event, frames[: round(until_s / scenario.step_s)], scenario)
-            if not happened:
-                continue  # it is seen only with the rest of the episode in sight
             for agent, role in _candidates(event, frames, scenario, trunk, bystanders):
-                behavior, *answers = _tried(event, agent, trunk, before, until_s, scenario)
+                behavior = trunk.driver(agent).behavior
+                assert behavior is not None
+                careful = behavior is not Behavior.CAREFUL and prevents(
+                    event, agent, Behavior.CAREFUL, until_s
+                )
+                chance = None if careful is None else prevents(event, agent, behavior, until_s)
                 yield {
                     "time_s": round(event.time_s, 2), "incident": event.kind.value,
                     "agent": event.agent, "other": event.other, "rule": event.words,
                     "driver": agent, "role": role, "behavior": behavior.value,
-                    "prevents": answers[0], "placebo": answers[1],
+                    "prevents": careful, "placebo": chance,
                 }  # fmt: skip
-
-
-def _incidents(frames: Sequence[Frame], scenario: Scenario) -> tuple[Event, ...]:
-    if len(frames) < 2:
-        return ()
-    return incidents(Tracks.from_frames(frames), scenario.road)
 
 
 def _same_again(event: Event, frames: Sequence[Frame], scenario: Scenario) -> bool:
@@ -103,7 +110,7 @@ def _same_again(event: Event, frames: Sequence[Frame], scenario: Scenario) -> bo
         one.kind in grave
         and {one.agent, one.other} == {event.agent, event.other}
         and one.time_s > event.time_s - LEAD_S
-        for one in _incidents(frames, scenario)
+        for one in incidents(Tracks.from_frames(frames), scenario.road)
     )
 
 
@@ -122,24 +129,3 @@ def _candidates(
         rows = [row for row in order.tolist() if not there[row] and frame.driving[row]]
         near = [(int(frame.ids[row]), "bystander") for row in rows[:bystanders]]
     return [(agent, role) for agent, role in (*parties, *near) if agent in trunk.drivers]
-
-
-def _tried(
-    event: Event, agent: int, trunk: Trunk, before: Sequence[Frame], until_s: float,
-    scenario: Scenario,
-) -> tuple[Behavior, bool | None, bool | None]:  # fmt: skip
-    """How a driver drives, and whether care and chance prevent an incident."""
-    behavior = trunk.driver(agent).behavior
-    assert behavior is not None
-    kept = round(2.0 * LEAD_S / scenario.step_s)  # as much as a cause may lie back
-
-    def prevented(to: Behavior) -> bool | None:
-        with trunk.branch(until_s, agent, to) as branch:
-            try:
-                after = tuple(branch)
-            except InputError:
-                return None
-        return not _same_again(event, [*before[-kept:], *after], scenario)
-
-    careful = False if behavior is Behavior.CAREFUL else prevented(Behavior.CAREFUL)
-    return behavior, careful, None if careful is None else prevented(behavior)

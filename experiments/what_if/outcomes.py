@@ -7,12 +7,12 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from behaviors.errors import InputError
 from experiments.score.rows import Row
 from experiments.what_if.branches import branch_of, change_of
-from sim.frames import Event, EventKind, FloatArray, Tracks
-from sim.geometry import distances_along
+from sim.frames import Event, EventKind, Tracks
 from sim.store.dataset import Dataset
 from sim.store.schema import EpisodeEntry
 
@@ -29,68 +29,69 @@ SAME_S: Final = 3.0
 of one collision)."""
 
 
-def same_incident(one: Event, other: Event) -> bool:
-    """Whether events of two continuations are the same incident of the same two agents."""
-    return (
-        one.kind is other.kind
-        and {one.agent, one.other} == {other.agent, other.other}
-        and abs(one.time_s - other.time_s) <= SAME_S
-    )
-
-
 def new_incidents(events: Iterable[Event], known: Sequence[Event]) -> list[Event]:
-    """The incidents among some events that are not among the known ones."""
+    """The incidents among some events that are not among the known ones, by pair and time."""
     return [
         event
         for event in events
-        if event.kind in INCIDENTS and not any(same_incident(event, old) for old in known)
+        if event.kind in INCIDENTS
+        and not any(
+            event.kind is old.kind
+            and {event.agent, event.other} == {old.agent, old.other}
+            and abs(event.time_s - old.time_s) <= SAME_S
+            for old in known
+        )
     ]
+
+
+def paths_since(since_s: float, factual: Tracks, tracks: Tracks) -> pd.DataFrame:
+    """Where everyone goes from the instant of a branch on, by agent, then by time.
+
+    Returns:
+        Columns ``id``, ``time_s`` (s), ``x``, ``y`` (m) and ``way_m`` (m), the way since the
+        instant. It begins where the agent is then, in the factual tracks, or where it first
+        appears.
+    """
+    columns = ["id", "time_s", "x", "y"]
+    before, after = factual.to_pandas()[columns], tracks.to_pandas()[columns]
+    before = before[np.abs(before["time_s"] - since_s) < 1e-6]
+    paths = pd.concat([before, after[after["time_s"] > since_s + 1e-6]], ignore_index=True)
+    paths = paths.sort_values(["id", "time_s"], ignore_index=True)
+    moved = paths.groupby("id")[["x", "y"]].diff().fillna(0.0)
+    paths["way_m"] = np.hypot(moved["x"], moved["y"]).groupby(paths["id"]).cumsum()
+    return paths
 
 
 def delays(factual: Tracks, other: Tracks, since_s: float) -> dict[int, float]:
     """How much later everyone reaches the farthest point that it reaches in both continuations, s.
 
-    The way is measured along each agent's own path: from where it is at the instant of the branch,
-    which is in the factual tracks, or from where it first appears. Delays are by agent id, negative
-    for those who are earlier in the other one. An agent that enters in one of them only is later by
-    at least the time that is left: that much is counted.
+    The way is measured along each agent's own path, see `paths_since`. Delays are by agent id,
+    negative for those who are earlier in the other one. An agent that enters in one of them only is
+    later by at least the time that is left: that much is counted.
     """
     found = {}
     end_s = float(min(factual.time_s[-1], other.time_s[-1]))
-    for agent in np.union1d(factual.ids, other.ids).tolist():
-        start = path_of(factual, agent, since_s - 1e-3)
-        start = start[np.abs(start[:, 0] - since_s) < 1e-6]
-        one, two = (
-            np.concatenate([start, path_of(tracks, agent, since_s + 1e-6)])
-            for tracks in (factual, other)
-        )
-        if len(one) and len(two):
-            ways = [distances_along(path[:, 1:]) for path in (one, two)]
-            reached_m = min(ways[0][-1], ways[1][-1])
-            when = [_first_s(p[:, 0], w, reached_m) for p, w in zip((one, two), ways, strict=True)]
-            found[int(agent)] = when[1] - when[0]
-        elif len(one):
-            found[int(agent)] = end_s - float(one[0, 0])
-        elif len(two):
-            found[int(agent)] = float(two[0, 0]) - end_s
+    one, two = (
+        dict(list(paths_since(since_s, factual, tracks).groupby("id")))
+        for tracks in (factual, other)
+    )
+    for agent in sorted({*one, *two}):
+        if agent not in two:
+            found[agent] = end_s - float(one[agent]["time_s"].iloc[0])
+        elif agent not in one:
+            found[agent] = float(two[agent]["time_s"].iloc[0]) - end_s
+        else:
+            reached_m = min(one[agent]["way_m"].iloc[-1], two[agent]["way_m"].iloc[-1])
+            found[agent] = _first_s(two[agent], reached_m) - _first_s(one[agent], reached_m)
     return found
 
 
-def path_of(tracks: Tracks, agent: int, since_s: float) -> FloatArray:
-    """(k, 3) times and places of an agent from a time on."""
-    row = np.flatnonzero(tracks.ids == agent)
-    if not row.size:
-        return np.empty((0, 3))
-    own = tracks.index.rows(int(row[0]))
-    path = np.column_stack([tracks.time_s[tracks.index.step[own]], tracks.row_xy[own]])
-    return path[path[:, 0] > since_s]
-
-
-def _first_s(time_s: FloatArray, way_m: FloatArray, reached_m: float) -> float:
+def _first_s(path: pd.DataFrame, reached_m: float) -> float:
     """When a way was first gone, s."""
+    way_m = path["way_m"].to_numpy()
     after = int(np.searchsorted(way_m, reached_m - 1e-6))
     some = slice(max(after - 1, 0), after + 1)
-    return float(np.interp(reached_m, way_m[some], time_s[some]))
+    return float(np.interp(reached_m, way_m[some], path["time_s"].to_numpy()[some]))
 
 
 def factual_of(dataset: Dataset, branched: EpisodeEntry | None = None) -> EpisodeEntry:

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from scenarios import get_scenario
-from scenarios.environments import observation as seen
+from scenarios.environments import observation as observing
 from scenarios.environments.config import TrafficConfig, read_config
 from sim.episode.live import FrameBuffer
 from sim.frames import Event, EventKind, FloatArray, Frame
@@ -468,7 +468,7 @@ class TrafficEnv(EgoEnv):
         }
 
     def _make_observation_space(self) -> spaces.Dict:
-        return seen.observation_space(self.config["observation"], self.config["observed"])
+        return observing.observation_space(self.config["observation"], self.config["observed"])
 
     def _observe(self) -> Observation:
         return self.observe(self.egos[0])
@@ -480,15 +480,15 @@ class TrafficEnv(EgoEnv):
         """Current observation of an ego vehicle."""
         self.road.locate()
         vehicle, observed = ego.vehicle, self.config["observed"]
-        others = seen.observable_agents(self.road, vehicle)[:observed]
+        others = observing.observable_agents(self.road, vehicle)[:observed]
         found: Observation = {
-            "ego": seen.observe_ego(self.road, vehicle, ego.distance_left_m),
-            "agents": seen.observe_agents(vehicle, others, self._behaviors(others), observed),
+            "ego": observing.observe_ego(self.road, vehicle, ego.distance_left_m),
+            "agents": observing.observe_agents(vehicle, others, self._behaviors(others), observed),
         }
         if self.config["observation"] == "graph":
-            found |= seen.observe_graph(vehicle, others, observed)
+            found |= observing.observe_graph(vehicle, others, observed)
         if self.scenario.road.left_hand:
-            seen.exchange_sides(found)
+            observing.exchange_sides(found)
         return found
 
     def _behaviors(self, others: list[Any]) -> FloatArray | None:

@@ -14,9 +14,8 @@ from __future__ import annotations
 import io
 import math
 import pickle
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +29,7 @@ from sim.frames import KINDS, AgentKind, BoolArray, FloatArray, IntArray, Signal
 from sim.geometry import borders
 from sim.input_files import read_bytes, stem
 from sim.road import Road
-from sim.road.maps.lanelets import Lanelet
+from sim.road.maps.lanelets import Lanelet, followers
 from sim.units import in_si
 
 PERIOD_S: Final = 0.1
@@ -354,11 +353,7 @@ def _flat(points: FloatArray) -> FloatArray:
 def _map_features(road: Road) -> dict[str, Any]:
     """Lanes and crosswalks."""
     features: dict[str, Any] = {}
-    before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
-    for link in road.connections:
-        for one, two in pairwise((link.from_lane, *link.via, link.to_lane)):
-            after[one].add(two)
-            before[two].add(one)
+    before, after = followers(road)
     for lane in (lane for lane in road.lanes if not lane.walking):
         features[lane.id] = {
             "type": ACROSS if lane.internal else STREET,

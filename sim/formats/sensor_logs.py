@@ -213,6 +213,8 @@ def read_kitti(path: Path) -> Iterator[Recording]:
     ahead = np.stack([np.cos(angle), np.zeros(angle.size), -np.sin(angle)], axis=1)
     xyz = boxes[["x", "y", "z"]].to_numpy() @ to_car[:3, :3].T + to_car[:3, 3]
     time_s, at = PERIOD_S * np.arange(len(turn), dtype=np.float64), whole(boxes, "frame")
+    if at.max(initial=0) >= time_s.size:
+        raise InputError(f"found frame {at.max()}, expected one of the {time_s.size} poses")
     rows = _rows(EGO, turn, place, time_s, facts, at, xyz, ahead @ to_car[:3, :3].T)
     notes = (
         "the recording car's motion is undone with its poses; it is the agent ego",

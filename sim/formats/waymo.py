@@ -28,6 +28,7 @@ from typing import Any, Final
 import google_crc32c
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+from google.protobuf.message import DecodeError
 
 from behaviors.errors import InputError
 from sim.formats.common.recording import Recording
@@ -63,7 +64,14 @@ def read(path: Path) -> Iterator[Recording]:
         yield recording_of(_from_json(path))
         return
     for number, record in enumerate(read_records(path), 1):
-        yield recording_of(_from_message(path, scenario_class().FromString(record), number))
+        try:
+            scenario = scenario_class().FromString(record)
+        except DecodeError:
+            raise InputError(
+                f"{path}: record {number}: found another message, such as a tf.Example, expected "
+                "a Waymo scenario"
+            ) from None
+        yield recording_of(_from_message(path, scenario, number))
 
 
 # --- records ------------------------------------------------------------------------------------
@@ -175,8 +183,8 @@ def _from_message(path: Path, scenario: Any, number: int) -> DrivingScene:
     """A scenario in Waymo's own message."""
     if not scenario.tracks:
         raise InputError(
-            f"record {number}: found no tracks, expected a Waymo scenario: those are in the "
-            "dataset's folder scenario, not tf_example"
+            f"record {number}: found no tracks, as in a tf.Example, expected a Waymo scenario: "
+            "those are in the dataset's folder scenario, not tf_example"
         )
     name = scenario.scenario_id[:100] or f"{stem(path)}-{number}"
     scene = DrivingScene(path, name, np.array(scenario.timestamps_seconds, dtype=np.float64))

@@ -118,7 +118,9 @@ def _steer(me: Any, scene: Scene) -> None:
         me.steering = driving.turning_angle(me, guided, lateral, heading_at(s, k, net))
         return
     s, lateral, _ = project(me.x, me.y, me.wanted, net)
-    heading, bend = heading_at(s, me.wanted, net), places.curvature_at(s, me.wanted, net)
+    after = heading_at(s + places.BLEND_M / 2, me.wanted, net)
+    bend = (after - heading_at(s - places.BLEND_M / 2, me.wanted, net)) / places.BLEND_M
+    heading = heading_at(s, me.wanted, net)
     me.steering = driving.steering_angle(me, lateral, heading, bend)
 
 
@@ -199,17 +201,14 @@ def _lane_to_get_over_to(me: Any, scene: Scene) -> int:
 @in_place(inner=True)
 def _towards(lane: int, then: int, scene: Scene) -> int:
     """The lane beside another one towards the nearest that leads to a stretch; or -1."""
-    lanes = scene.net.lanes
-    left, right = lanes[lane].left, lanes[lane].right
+    lanes, left, right = scene.net.lanes, lane, lane
     while left >= 0 or right >= 0:
-        if left >= 0:
-            if path_to(left, then, scene.net) >= 0:
-                return int(lanes[lane].left)
-            left = lanes[left].left
-        if right >= 0:
-            if path_to(right, then, scene.net) >= 0:
-                return int(lanes[lane].right)
-            right = lanes[right].right
+        left = lanes[left].left if left >= 0 else -1
+        if left >= 0 and path_to(left, then, scene.net) >= 0:
+            return int(lanes[lane].left)
+        right = lanes[right].right if right >= 0 else -1
+        if right >= 0 and path_to(right, then, scene.net) >= 0:
+            return int(lanes[lane].right)
     return -1
 
 

@@ -144,11 +144,15 @@ def driver_rows(agents: Sequence[AgentSpec], seed: int, law: CarFollowing = "IDM
     ]  # fmt: skip
     for name in drivers[0] if drivers else ():
         rows[name] = [driver[name] for driver in drivers]
-    for kind in RATES:
-        rates = zip(rows["key"], rows["rate_per_min"][:, kind].tolist(), strict=True)
-        rows["due"][:, kind] = [wait_s(key, kind, 0, rate) for key, rate in rates]
-        rows["drawn"][:, kind] = 1
+    _plan_first(rows)
     return rows
+
+
+@in_place()
+def _plan_first(rows: Records) -> None:
+    for i in range(rows.size):
+        for kind in range(KINDS_DRAWN):
+            plan_next(rows[i], kind, 0.0)
 
 
 @in_place()
@@ -349,14 +353,6 @@ def chance(key: np.uint64, kind: int, number: int) -> float:
 
 
 @in_place()
-def wait_s(key: np.uint64, kind: int, number: int, per_minute: float) -> float:
-    """Time until the next event of a Poisson process, s; infinite where nothing happens."""
-    if per_minute <= 0.0:
-        return np.inf
-    return -60.0 / per_minute * math.log1p(-chance(key, kind, number))
-
-
-@in_place()
 def draw(me: Any, kind: int) -> float:
     """A driver's next draw of a kind, from 0 to 1."""
     me.drawn[kind] += 1
@@ -365,6 +361,10 @@ def draw(me: Any, kind: int) -> float:
 
 @in_place(inner=True)
 def plan_next(me: Any, kind: int, after_s: float) -> None:
-    """Draw when something that a driver does by itself happens next, after a time, s."""
-    me.due[kind] = after_s + wait_s(me.key, kind, me.drawn[kind], me.rate_per_min[kind])
-    me.drawn[kind] += 1
+    """Draw when something that a driver does by itself happens next, after a time, s.
+
+    Such events are a Poisson process; where the rate is 0, nothing happens.
+    """
+    rate, me.due[kind] = me.rate_per_min[kind], np.inf
+    if rate > 0.0:
+        me.due[kind] = after_s - 60.0 / rate * math.log1p(-draw(me, kind))

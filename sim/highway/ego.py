@@ -234,19 +234,15 @@ def is_on_route(road: TrafficRoad, ego: Vehicle) -> bool:
 
 
 def is_off_road(road: TrafficRoad, ego: Vehicle) -> bool:
-    """Whether the ego vehicle is beside its lane, or past an end of the road."""
+    """Whether the ego vehicle is beside its lane, or as a whole past an end of the road."""
+    network, lane, length = road.network, ego.lane_index, ego.lane.length
     s, lateral = ego.lane.local_coordinates(ego.position)
-    return bool(abs(lateral) > ego.lane.width_at(s) / 2 + 1.0 or _is_past_an_end(road, ego, s))
-
-
-def _is_past_an_end(road: TrafficRoad, ego: Vehicle, s: float) -> bool:
-    """Whether the whole ego vehicle is before or past a lane where the road begins or ends."""
-    network, lane = road.network, ego.lane_index
+    if abs(lateral) > ego.lane.width_at(s) / 2 + 1.0:
+        return True
     if lane in network.exit_of or (lane[:2] == ego.stretches[-1] and s > 0.0):
         return False
     own = (lane[0].removeprefix("~"), lane[1].removeprefix("~"))  # on the wrong side, too
     if s < -ego.LENGTH / 2:
         return all(entered[:2] != own for entered in network.exit_of.values())
-    if s > ego.lane.length + ego.LENGTH / 2:
-        return all(left[:2] != own for left, _ in network.onward)
-    return False
+    past = s > length + ego.LENGTH / 2
+    return past and all(left[:2] != own for left, _ in network.onward)

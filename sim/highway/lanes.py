@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from highway_env.road.lane import AbstractLane
@@ -71,17 +71,12 @@ class PolylineLane(AbstractLane):  # type: ignore[misc]
         x, y = position
         return project_on(float(x), float(y), 0, len(self.pieces), self.pieces)[:2]
 
-    def positions(self, along: FloatArray, lateral: float = 0.0) -> FloatArray:
-        """(n, 2) the places at (n,) distances along the lane and so far to the right of it, m."""
-        i = np.maximum(np.searchsorted(self.pieces["begin"], along, side="right") - 1, 0)
+    def position(self, longitudinal: Any, lateral: float) -> FloatArray:
+        """(2,) or (n, 2) places at a distance or (n,) along the lane and to the right of it, m."""
+        i = np.maximum(np.searchsorted(self.pieces["begin"], longitudinal, side="right") - 1, 0)
         x, y, dx, dy, begin = (self.pieces[name][i] for name in ("x", "y", "dx", "dy", "begin"))
-        beyond = along - begin
+        beyond = longitudinal - begin
         return np.stack([x + beyond * dx - lateral * dy, y + beyond * dy + lateral * dx], axis=-1)
-
-    def position(self, longitudinal: float, lateral: float) -> FloatArray:
-        """The place at a distance along the lane and to the right of it, m."""
-        place: FloatArray = self.positions(np.array([longitudinal]), lateral)[0]
-        return place
 
     def heading_at(self, longitudinal: float) -> float:
         """The lane's heading, rad, clockwise from +x as seen from above."""

@@ -372,7 +372,7 @@ def _conflicts(made: HighwayNetwork, entry: IntArray) -> list[list[tuple[Any, ..
     ways, numbers = list(made.links.values()), [made.number[key] for key in made.links]
     paths = [made.lanes[key] for key in made.links]
     at = [np.linspace(0.0, p.length, max(int(p.length / SAMPLE_M), 1) + 1) for p in paths]
-    xy = [path.positions(s) for path, s in zip(paths, at, strict=True)]
+    xy = [path.position(s, 0.0) for path, s in zip(paths, at, strict=True)]
     boxes, swing = boxes_of(xy, WIDEST_M / 2), [_swing(each) for each in xy]
     for a, b in near_pairs(boxes, boxes, CELL_M).tolist():
         if a >= b or entry[numbers[a]] == entry[numbers[b]]:

@@ -112,8 +112,7 @@ def _orient(lines: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
             to = after[0] if far[0] <= far[1] else after[-1]
             turned = math.dist(b, to) > math.dist(a, to)
         else:
-            before = found[-1][1] if found else a
-            turned = math.dist(a, before) > math.dist(b, before)
+            turned = bool(found) and math.dist(a, found[-1][1]) > math.dist(b, found[-1][1])
         found.append((b, a) if turned else (a, b))
     return found
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sim.compiled import in_place
+from sim.frames import FloatArray, IntArray
 from sim.highway.driving import Beside
 from sim.highway.state import LONGEST_M, Net, Records, Scene
 
@@ -78,13 +79,6 @@ def heading_at(s: float, k: int, net: Net) -> float:
     then = net.turns[at + 1]
     slope = (then.heading - one.heading) / (then.begin - one.begin)
     return float(slope * (s - one.begin) + one.heading)
-
-
-@in_place(inner=True)
-def curvature_at(s: float, k: int, net: Net) -> float:
-    """How fast a lane's heading turns around a place, rad/m."""
-    after, before = heading_at(s + BLEND_M / 2, k, net), heading_at(s - BLEND_M / 2, k, net)
-    return (after - before) / BLEND_M
 
 
 @in_place()
@@ -227,3 +221,23 @@ def beside(me: Any, lane: int, scene: Scene) -> Beside:
         while at >= 0 and on[at].s <= max(-offset, -JOINED_M):
             at = on[at].then
     return Beside(-1, np.inf, 0.0, rear, rear_gap, rear_speed)
+
+
+@in_place()
+def read_motion(order: IntArray, scene: Scene, motion: FloatArray) -> None:
+    """Read how everybody moves, in the axes of a `Frame`, in the order of (n,) rows.
+
+    ``motion``, (4 n,), receives all places, x and y, then headings, then speeds.
+    """
+    n = order.size
+    for k in range(n):
+        i = order[k] - scene.vehicles.size
+        if i < 0:
+            me = scene.vehicles[order[k]]
+            x, y, turned, speed = me.x, me.y, me.heading, me.speed
+        else:
+            person = scene.walkers[i]
+            x, y, turned, speed = person.x, person.y, person.heading, person.speed
+        motion[2 * k], motion[2 * k + 1] = x, -y
+        motion[2 * n + k] = math.pi - (math.pi + turned) % (2.0 * math.pi)
+        motion[3 * n + k] = speed

@@ -16,18 +16,22 @@ from highway_env.road.road import Road
 from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.objects import Landmark
 from numba import typeof
+from numpy.typing import NDArray
 
 from behaviors.labels import Behavior
 from sim.checked_arrays import frozen
-from sim.frames import AgentKind, Event, EventKind, FloatArray, Frame, IntArray, Signal
+from sim.frames import AgentKind, Event, EventKind, Frame, IntArray, Signal
 from sim.highway import move, state
 from sim.highway.decide import decide
 from sim.highway.driving import STOCK_DRIVER, profile_fields
-from sim.highway.lanes import LaneIndex, PolylineLane, Stretch
+from sim.highway.lanes import LaneIndex, Stretch
 from sim.highway.network import HighwayNetwork
 from sim.highway.pedestrians import Footway, find_footway, footways_of
-from sim.highway.places import locate
+from sim.highway.places import locate, read_motion
 from sim.highway.state import Footways, Records, Scene, blank_vehicles
+
+LEAST_ROOM: Final = 16
+"""There is room for this many agents at first."""
 
 PHASE_ROUNDING_S: Final = 1e-6
 """Signal plans are looked at again this long before a phase ends, s, because times are rounded."""
@@ -52,6 +56,7 @@ def typed_once(kernel: Any) -> Callable[..., Any]:
 
 
 _advance, _locate = typed_once(move.advance), typed_once(locate)
+_read_motion = typed_once(read_motion)
 
 
 def _column(name: str, kind: type) -> Any:
@@ -72,6 +77,7 @@ class RowView:
     LENGTH = _column("length", float)
     WIDTH = _column("width", float)
     crashed = _column("crashed", bool)
+    position = property(lambda self: np.array([self.field("x"), self.field("y")]))
 
     def __init__(self, road: Any, agent: int) -> None:
         self.road, self.agent = road, agent
@@ -80,11 +86,6 @@ class RowView:
         """A field of its row."""
         rows, row = self.road.row_of(self.agent)
         return rows[name][row]
-
-    @property
-    def position(self) -> FloatArray:
-        """(2,) its place, m, in highway-env's axes."""
-        return np.array([self.field("x"), self.field("y")])
 
 
 class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
@@ -98,18 +99,8 @@ class ProfileVehicle(RowView, ControlledVehicle):  # type: ignore[misc]
     target_lane_index = _lane_column("target")
     target_speed = _column("entry_speed", float)
     route = None
-
-    @property
-    def lane(self) -> PolylineLane:
-        """The lane it is on."""
-        found: PolylineLane = self.road.network.lanes[self.lane_index]
-        return found
-
-    @property
-    def behavior(self) -> Behavior | None:
-        """The driver's true behaviour, for colours and labels only."""
-        found: Behavior | None = self.road.behaviors.get(self.agent)
-        return found
+    lane = property(lambda self: self.road.network.lanes[self.lane_index])
+    behavior = property(lambda self: self.road.behaviors.get(self.agent))  # the true one
 
 
 class Walker(RowView, Landmark):  # type: ignore[misc]
@@ -155,7 +146,11 @@ class TrafficRoad(Road):  # type: ignore[misc]
         self._ways: tuple[IntArray, Footways] | None = None
         self._egos: dict[int, Any] = {}
         self._touching: set[tuple[int, int]] = set()
-        self._take(blank_vehicles(0), np.zeros(0, state.WALKER))
+        self._rooms = [np.zeros(LEAST_ROOM, kind) for kind in (state.VEHICLE, state.WALKER)]
+        lanes = network.arrays.lanes
+        self._most_lanes = int(np.diff(network.arrays.cells.first).max(initial=0))
+        self._most_strips = int((lanes["strip_end"] - lanes["strip"]).max(initial=0))
+        self._take(0, 0)
         self.update_signals()
         self.signal_since[:] = -math.inf
 
@@ -192,10 +187,13 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def add(self, row: Any) -> None:
         """Put an agent on the road, by its row of `VEHICLE` or `WALKER`."""
-        rows = self.cars if row.dtype == state.VEHICLE else self.people
-        more = np.empty(len(rows) + 1, rows.dtype)
-        more[:-1], more[-1] = rows, row
-        self._take(*((more, self.people) if rows is self.cars else (self.cars, more)))
+        walks = row.dtype != state.VEHICLE
+        n, room = len(self.people if walks else self.cars), self._rooms[walks]
+        if n == len(room):
+            room = self._rooms[walks] = np.zeros(2 * n, room.dtype)
+            room[:n] = self.people if walks else self.cars
+        room[n] = row
+        self._take(len(self.cars) + (not walks), len(self.people) + walks)
 
     def add_ego(self, ego: Any, agent: int, stretches: tuple[Stretch, ...]) -> None:
         """Put a vehicle of highway-env on the road, to drive over some stretches."""
@@ -210,13 +208,21 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def remove(self, vehicle: Any) -> None:
         """Take a vehicle off the road."""
-        self._take(self.cars[self.cars["agent"] != vehicle.agent], self.people)
+        self._keep(self.cars["agent"] != vehicle.agent, self.people["agent"] >= 0)
 
-    def _take(self, cars: Records, people: Records) -> None:
-        """Have these vehicles and pedestrians from now on."""
-        self.cars, self.people = cars, people
-        cars["row"], agents = np.arange(len(cars)), cars["agent"]
-        self._egos = {agent: ego for agent, ego in self._egos.items() if agent in agents}
+    def _keep(self, *stays: NDArray[np.bool_]) -> None:
+        """Keep some of the vehicles and some of the pedestrians."""
+        for room, those in zip(self._rooms, stays, strict=True):
+            if not those.all():
+                room[: those.sum()] = room[: len(those)][those]
+        self._take(*(int(those.sum()) for those in stays))
+
+    def _take(self, cars: int, people: int) -> None:
+        """Have the first of the rows that there is room for from now on."""
+        self.cars, self.people = self._rooms[0][:cars], self._rooms[1][:people]
+        self.cars["row"], agents = np.arange(cars), self.cars["agent"]
+        if self._egos:
+            self._egos = {agent: ego for agent, ego in self._egos.items() if agent in agents}
         self._rows, self._vehicles, self._scene = {}, None, None
         self.read_egos()
 
@@ -247,22 +253,25 @@ class TrafficRoad(Road):  # type: ignore[misc]
             order = self._order = np.argsort(everybody["agent"], kind="stable")
             self._lasting = {name: frozen(of[order]) for name, of in everybody.items()}
             if self._ways is None:
-                self._ways = self._route_table(), footways_of(self.footways)
+                longest = max(map(len, self.routes), default=0)
+                table = np.full((len(self.routes) + 1, longest + 1), -1)
+                for number, route in enumerate(self.routes):
+                    table[number, : len(route)] = [self.network.stretch_number[r] for r in route]
+                self._ways = table, footways_of(self.footways)
             routes, footways = self._ways
             n, many = len(cars), len(order)
-            strips = net.lanes["strip_end"] - net.lanes["strip"]
             self._scene = Scene(
                 net, routes, footways, self.signals, self.signal_since, cars, people, self._now,
-                on=np.zeros(n * int(np.diff(net.cells.first).max(initial=0)), state.ON),
+                on=np.empty(n * self._most_lanes, state.ON),
                 on_head=np.full(net.lanes.size, -1),
                 lane_head=np.full(net.lanes.size, -1),
                 lane_link=np.full(2 * n, -1),
                 spot_head=np.full(net.spots.size, -1),
                 crossing_head=np.full(net.crossings.size, -1),
                 by_x=np.argsort(everybody["x"], kind="stable"),
-                arrivals=np.zeros(2 * n * int(strips.max(initial=0)), state.ARRIVAL),
-                pairs=np.zeros(4 * many + 16, state.PAIR),
-                events=np.zeros(8 * many, state.EVENT),
+                arrivals=np.empty(2 * n * self._most_strips, state.ARRIVAL),
+                pairs=np.empty(4 * many + 16, state.PAIR),
+                events=np.empty(8 * many, state.EVENT),
             )  # fmt: skip
         return self._scene
 
@@ -278,30 +287,19 @@ class TrafficRoad(Road):  # type: ignore[misc]
             target = getattr(one, "target_lane_index", None) or one.lane_index
             row["lane"], row["target"] = number[one.lane_index], number[target]
 
-    def _route_table(self) -> IntArray:
-        """The numbers of the stretches on each route, -1 after the last."""
-        numbers = self.network.stretch_number
-        longest = max(map(len, self.routes), default=0)
-        table = np.full((len(self.routes) + 1, longest + 1), -1, dtype=np.int64)
-        for number, route in enumerate(self.routes):
-            table[number, : len(route)] = [numbers[one] for one in route]
-        return table
-
     def frame(self, events: tuple[Event, ...] | None = None) -> Frame:
         """Everybody on the road now, in the axes of a `Frame`, whose y is to the left.
 
         Args:
             events: what happened; by default the events since they were last taken.
         """
-        self.scene()
-        x, y, turned, speed = (
-            np.concatenate([self.cars[name], self.people[name]])[self._order]
-            for name in ("x", "y", "heading", "speed")
-        )
-        heading, lasting = np.pi - (np.pi + turned) % (2.0 * np.pi), self._lasting
+        scene, n, lasting = self.scene(), len(self._order), self._lasting
+        motion = np.empty(4 * n)
+        _read_motion(self._order, scene, motion)
+        motion.flags.writeable = False
         return Frame(
-            self.time_s, lasting["agent"], np.stack([x, -y], axis=1), heading, speed,
-            lasting["length"], lasting["width"], lasting["kind"], self._shown,
+            self.time_s, lasting["agent"], motion[: 2 * n].reshape(n, 2), motion[2 * n : 3 * n],
+            motion[3 * n :], lasting["length"], lasting["width"], lasting["kind"], self._shown,
             self.take_events() if events is None else events,
         )  # fmt: skip
 
@@ -411,4 +409,4 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 if code not in (move.STAYS, move.ARRIVED):
                     rule = "stuck on the wrong side" if code == move.STUCK else "crashed"
                     self._note(EventKind.REMOVAL, agent, rule=rule)
-        self._take(*(rows[rows["leaves"] == move.STAYS] for rows in (self.cars, self.people)))
+        self._keep(*(rows["leaves"] == move.STAYS for rows in (self.cars, self.people)))

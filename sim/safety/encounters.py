@@ -16,8 +16,9 @@ from behaviors.row_index import RowIndex
 from sim.compiled import in_place
 from sim.frames import BREAK_S, BREAK_STEPS, BoolArray, FloatArray, IntArray, Tracks
 from sim.geometry import Outlines
-from sim.safety.kernels import SLABS, least_shift, on_axes, reaches
+from sim.road.cells import Cells, cells_of
 from sim.safety.measures import Bodies
+from sim.safety.rectangles import SLABS, least_shift, on_axes, reaches
 
 SAME_WAY_RAD: Final = math.radians(30.0)
 """Bodies whose headings differ by less go the same way (SSAM: rear-end conflicts are below it)."""
@@ -97,25 +98,16 @@ def shared_places(driven: Driven, within_s: float) -> Shared:
     time counts. Among bodies that went the same way only the last counts, which is the leader.
     """
     rows, _ = driven.index.by_time
-    if not rows.size:
-        return Shared(*np.empty((2, 0), np.int64), *np.empty((2, 0)))
     outlines = driven.outlines(driven.piece_heading)
     pieces = _pieces(driven, outlines, driven.piece_mps, driven.piece_s)[rows]
-    boxes = pieces[:, 10:]
-    corner, cell_m = boxes[:, :2].min(axis=0), CELL_M
-    while np.prod((boxes[:, 2:].max(axis=0) - corner) / cell_m + 1.0) > 64 * rows.size + 16:
-        cell_m *= 2.0
-    cells = ((boxes - np.tile(corner, 2)) / cell_m).astype(np.int64)
-    columns, lines = cells[:, 2:].max(axis=0) + 1
-    touched = int((cells[:, 2:] - cells[:, :2] + 1).prod(axis=1).sum())
+    cells = cells_of(pieces[:, 10:], np.arange(rows.size), CELL_M)
     size = 4 * rows.size
     while True:
         pairs, times = np.empty((size, 2), np.int64), np.empty((size, 2))
         size = _find_shared(
-            pieces, driven.index.agent[rows], driven.walking[rows], cells,
-            np.full((lines, columns), -1), np.empty((touched, 2), np.int64), within_s,
-            within_s + pieces[:, 9].max(), np.full((driven.index.agents, 4), np.inf),
-            np.empty((SLABS, 3)), pairs, times,
+            pieces, driven.index.agent[rows], driven.walking[rows], cells, cells.first.copy(),
+            within_s, within_s + pieces[:, 9].max(initial=0.0),
+            np.full((driven.index.agents, 4), np.inf), np.empty((SLABS, 3)), pairs, times,
         )  # fmt: skip
         if size <= len(pairs):
             return Shared(*rows[pairs[:size].T], *times[:size].T)
@@ -123,43 +115,41 @@ def shared_places(driven: Driven, within_s: float) -> Shared:
 
 @in_place()
 def _find_shared(
-    pieces: FloatArray, agent: IntArray, walking: BoolArray, cells: IntArray, head: IntArray,
-    entries: IntArray, within_s: float, longest_s: float, best: FloatArray, slab: FloatArray,
-    pairs: IntArray, times: FloatArray,
+    pieces: FloatArray, agent: IntArray, walking: BoolArray, cells: Cells, upto: IntArray,
+    within_s: float, longest_s: float, best: FloatArray, slab: FloatArray, pairs: IntArray,
+    times: FloatArray,
 ) -> Any:  # fmt: skip
     """Find the moments of `Shared`; returns how many, of which those that fit are set.
 
     A piece is x, y, heading as a vector, velocity, half sizes, time, duration, and the box around
-    it. ``cells`` are the corners of that box among the cells. ``head`` has the last entry of each
-    cell; an entry is a piece and the entry before it. ``best`` holds each agent's least time and
-    its piece. Pieces are compared in the first cell that both touch.
+    it. ``upto`` are the cells' items that have been looked at. ``best`` holds each agent's least
+    time and its piece. Pieces are compared in the first cell that both touch.
     """
-    found, entry = 0, 0
+    found = 0
     for i in range(len(pieces)):
         seen, same_way_s, me = 0, np.inf, pieces[i]
-        for row in range(cells[i, 1], cells[i, 3] + 1):
-            for column in range(cells[i, 0], cells[i, 2] + 1):
-                at_entry = head[row, column]
-                entries[entry, 0], entries[entry, 1] = i, at_entry
-                head[row, column] = entry
-                entry += 1
-                while at_entry >= 0:
-                    j, at_entry = entries[at_entry, 0], entries[at_entry, 1]
+        first_column, first_row = _cell(me[10], me[11], cells)
+        last_column, last_row = _cell(me[12], me[13], cells)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                cell = row * cells.columns + column
+                at = upto[cell]
+                upto[cell] += 1
+                while at > cells.first[cell]:
+                    at -= 1
+                    j = cells.items[at]
                     one, other = agent[j], pieces[j]
                     since_s = me[8] - other[8]
                     if since_s > longest_s:
                         break
                     if one == agent[i] or since_s - other[9] >= min(best[one, 0], within_s):
                         continue
-                    if other[10] > me[12] or other[12] < me[10]:
+                    if _apart(me, other) or (walking[i] and walking[j]):
                         continue
-                    if other[11] > me[13] or other[13] < me[11] or (walking[i] and walking[j]):
+                    its_column, its_row = _cell(other[10], other[11], cells)
+                    if column > max(first_column, its_column) or row > max(first_row, its_row):
                         continue
-                    if column > max(cells[i, 0], cells[j, 0]):
-                        continue
-                    if row > max(cells[i, 1], cells[j, 1]):
-                        continue
-                    low, high, at = _shift_of(other, me, slab)
+                    low, high, at_s = _shift_of(other, me, slab)
                     low, high = low + since_s, high + since_s
                     gap_s = max(low, -high, 0.0)
                     if low > high or gap_s > within_s or gap_s >= best[one, 0]:
@@ -167,7 +157,7 @@ def _find_shared(
                     if best[one, 0] == np.inf:
                         best[seen, 3] = one
                         seen += 1
-                    best[one, 0], best[one, 1] = gap_s, other[8] + at + gap_s
+                    best[one, 0], best[one, 1] = gap_s, other[8] + at_s + gap_s
                     best[one, 2] = j if high >= 0.0 else -j - 1  # the other one comes later
         for k in range(seen):
             one = int(best[k, 3])
@@ -185,6 +175,19 @@ def _find_shared(
                 found += 1
             best[one, 0] = np.inf
     return found
+
+
+@in_place(inner=True)
+def _cell(x: Any, y: Any, cells: Any) -> Any:
+    """Column and row of the cell of a place."""
+    return int((x - cells.x0) / cells.size), int((y - cells.y0) / cells.size)
+
+
+@in_place(inner=True)
+def _apart(one: Any, other: Any) -> Any:
+    """Whether the boxes around two pieces do not touch."""
+    aside = other[11] > one[13] or other[13] < one[11]
+    return aside or other[10] > one[12] or other[12] < one[10]
 
 
 @in_place(inner=True)
@@ -216,25 +219,22 @@ def areas_ahead(driven: Driven, within_s: float) -> IntArray:
     size = 4 * rows.size
     while True:
         pairs = np.empty((size, 2), np.int64)
-        walking, slab = driven.walking[rows], np.empty((SLABS, 3))
-        size = _find_ahead(pieces[rows], driven.index.step[rows], walking, slab, pairs)
+        size = _find_ahead(pieces[rows], driven.walking[rows], np.empty((SLABS, 3)), pairs)
         if size <= len(pairs):
             return rows[pairs[:size]]
 
 
 @in_place()
-def _find_ahead(
-    pieces: FloatArray, step: IntArray, walking: BoolArray, slab: FloatArray, pairs: IntArray
-) -> Any:
+def _find_ahead(pieces: FloatArray, walking: BoolArray, slab: FloatArray, pairs: IntArray) -> Any:
     """Find the pairs of `areas_ahead`, as `_find_shared` does; pieces are by time, then by x."""
     found = 0
     for i in range(len(pieces)):
         me = pieces[i]
         for j in range(i + 1, len(pieces)):
             other = pieces[j]
-            if step[j] != step[i] or other[10] > me[12]:
+            if other[8] != me[8] or other[10] > me[12]:
                 break
-            if other[11] > me[13] or other[13] < me[11] or (walking[i] and walking[j]):
+            if _apart(me, other) or (walking[i] and walking[j]):
                 continue
             low, high, _ = _shift_of(me, other, slab)
             if low > high or (_same_way(me, other) and not low <= 0.0 <= high):

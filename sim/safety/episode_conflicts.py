@@ -197,8 +197,10 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     number, rows = _moments(tracks, agents, begin, end)
     one, other = (Bodies(*(each[r] for each in driven.bodies)) for r in rows)
     found = pair_measures(one, other)
-    holds = _straight(one, driven.turning[rows[0]], found.ttc_s)
-    holds &= _straight(other, driven.turning[rows[1]], found.ttc_s)
+    until_s = np.where(np.isfinite(found.ttc_s), found.ttc_s, 0.0)
+    holds = np.ones(number.size, bool)  # whether both stay on their straight paths until they meet
+    for bodies, row in ((one, rows[0]), (other, rows[1])):
+        holds &= np.abs(bodies.speed * driven.turning[row]) * until_s**2 <= bodies.width
     ttc = np.where(holds, found.ttc_s, np.inf)
     mttc = np.where(holds & ~np.isnan(found.mttc_s), found.mttc_s, np.inf)
     drac = np.where(holds & (found.gap_m > 0.0), found.drac_mps2, 0.0)
@@ -320,12 +322,6 @@ def _beside(outlines: Outlines, rows: IntArray, others: IntArray) -> tuple[Float
     cosine, sine = outlines.forward[rows].T
     long, wide = (outlines.half[rows] + outlines.half[others]).T
     return np.abs(dy * cosine - dx * sine), np.abs(dx * cosine + dy * sine), wide, long
-
-
-def _straight(bodies: Bodies, turning: FloatArray, ttc_s: FloatArray) -> BoolArray:
-    """Whether bodies stay on their straight paths until they meet, but for half their width."""
-    until_s = np.where(np.isfinite(ttc_s), ttc_s, 0.0)
-    return np.asarray(np.abs(bodies.speed * turning) * until_s**2 <= bodies.width)
 
 
 def _least(values: FloatArray, number: IntArray, k: int) -> IntArray:

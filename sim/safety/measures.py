@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from behaviors.errors import InputError
 from sim.frames import BoolArray, FloatArray
-from sim.safety.kernels import SLABS, measure
+from sim.safety.rectangles import SLABS, measure
 
 NEAR_MISS_TTC_S: Final = 1.5
 """A near miss has a time to collision below this, s (van der Horst 1990, A time-based analysis of
@@ -148,14 +148,10 @@ def is_near_miss(ttc_s: ArrayLike, approach_mps: ArrayLike, pet_s: ArrayLike = n
 
 def _columns(name: str, bodies: Bodies) -> FloatArray:
     """(7, n) the numbers of bodies, checked."""
-    xy = np.asarray(bodies.xy, np.float64)
+    xy, *others = (np.asarray(values, np.float64) for values in bodies)
     if xy.ndim != 2 or xy.shape[1] != 2:
         raise InputError(f"{name}.xy: found shape {xy.shape}, expected (n, 2)")
-    columns = np.empty((7, len(xy)))
-    columns[:2] = xy.T
-    for row, field in enumerate(Bodies._fields[1:], start=2):
-        values = np.asarray(getattr(bodies, field), np.float64)
+    for field, values in zip(Bodies._fields[1:], others, strict=True):
         if values.shape != (len(xy),):
             raise InputError(f"{name}.{field}: found shape {values.shape}, expected {(len(xy),)}")
-        columns[row] = values
-    return columns
+    return np.vstack([xy.T, *others])

@@ -47,22 +47,15 @@ def priorities(
 
     def entered(row: int, on: IntArray) -> int:
         """The row in which a body came to where it is in another row."""
-        agent = driven.index.agent[row]
-        while row > driven.index.first[agent] and on[row - 1] == on[row]:
+        first = driven.index.first[driven.index.agent[row]]
+        while row > first and on[row - 1] == on[row]:
             row -= 1
         return row
 
     def red(row: int, group: int) -> bool:
         """Whether a light was red in a row."""
-        if not road.knows.signals or not 0 <= group < tracks.signals.shape[0]:
-            return False
-        return bool(tracks.signals[group, driven.index.step[row]] == Signal.RED.code)
-
-    def walker_first(row: int) -> bool:
-        """Whether a pedestrian on a crossing has priority."""
-        place = road.crossings[crossing[row]]
-        goes = place.priority or place.signal >= 0
-        return goes and not red(entered(row, crossing), place.signal)
+        lit = road.knows.signals and 0 <= group < tracks.signals.shape[0]
+        return bool(lit and tracks.signals[group, driven.index.step[row]] == Signal.RED.code)
 
     def way_of(row: int) -> tuple[int, int, bool]:
         """A vehicle's connection, where it enters it, and whether it does while it is seen."""
@@ -99,9 +92,12 @@ def priorities(
         if not walking.any():
             return vehicle_first(pair)
         walker = int(walking.argmax())
-        if crossing[pair[walker]] < 0:
+        row = pair[walker]
+        if crossing[row] < 0:
             return -1
-        return walker if walker_first(pair[walker]) else 1 - walker
+        place = road.crossings[crossing[row]]
+        goes = place.priority or place.signal >= 0
+        return walker if goes and not red(entered(row, crossing), place.signal) else 1 - walker
 
     pairs = list(zip(first.tolist(), second.tolist(), strict=True))
     before = [(pair, has_priority(pair)) for pair in pairs]

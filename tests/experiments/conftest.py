@@ -9,8 +9,14 @@ import pytest
 
 from behaviors.labels import BEHAVIORS, PROFILES, Behavior, Trait
 from behaviors.traits import ShownTrait
-from experiments.replay.layers import Beliefs, Forecast, graph_history, kept_steps, sampled
-from experiments.replay.scene import ReplayScene
+from experiments.replay.scene import (
+    Beliefs,
+    Futures,
+    ReplayScene,
+    graph_history,
+    kept_steps,
+    sampled,
+)
 from scenarios import SCENARIOS
 from sim.frames import AgentKind, Event, EventKind, Tracks
 from sim.scenario import AgentSpec
@@ -64,20 +70,20 @@ def make_scene():
         probability[:, :2] = np.nan
         ahead = np.arange(1, 11) * 0.5
         unit = np.stack([np.cos(heading), np.sin(heading)], axis=2)
-        forecasts = []
-        for step in sampled(tracks, 1.0)[1:]:
-            rows = np.flatnonzero(valid[:, step])
-            way = unit[rows, step, None] * (speed[rows, step, None] * ahead[None])[..., None]
-            straight = xy[rows, step, None] + way
-            forecasts.append(
-                Forecast(
-                    time_s=float(time_s[step]),
-                    agent=np.repeat(rows, 2),
-                    probability=np.tile([0.75, 0.25], rows.size),
-                    ahead_s=ahead,
-                    xy=np.stack([straight, straight + 2.0], axis=1).reshape(-1, ahead.size, 2),
-                )
-            )
+        seconds = sampled(tracks, 1.0)[1:]
+        place, rows = np.nonzero(valid[:, seconds].T)
+        step = seconds[place]
+        straight = (
+            xy[rows, step, None]
+            + unit[rows, step, None] * ((speed[rows, step, None] * ahead)[..., None])
+        )
+        futures = Futures(
+            ahead_s=ahead,
+            time_s=np.repeat(time_s[step], 2),
+            agent=np.repeat(rows, 2),
+            probability=np.tile([0.75, 0.25], rows.size),
+            xy=np.stack([straight, straight + 2.0], axis=1).reshape(-1, ahead.size, 2),
+        )
         entry = EpisodeEntry(
             scenario=scenario, engine="sumo", id="0" * 16, frames=time_s.size, agents=agents,
             agent_steps=int(valid.sum()),
@@ -98,7 +104,7 @@ def make_scene():
             beliefs=Beliefs(ids, time_s[seen], probability),
             believer="a model",
             graph=graph_history(tracks),
-            forecasts=tuple(forecasts),
+            futures=futures,
             predictor="a predictor",
             notes=(HOSTILE,),
         )

@@ -17,9 +17,10 @@ from experiments.drive.episode import (
     STANDARD,
     drive,
     score,
+    standard,
 )
 from experiments.drive.policies import POLICIES
-from experiments.drive.run import LicenceTest, figure_rows, mean_row, run_test
+from experiments.drive.run import figure_rows, mean_row, run_test
 from scenarios import SCENARIOS
 from sim.scenario import sample_agents
 from tests.experiments.shared import call
@@ -30,9 +31,9 @@ SHORT = {"flow": "light", "duration_s": 3.0, "warmup_s": 2.0}
 
 def test_crowds_depart_alike_and_differ_by_their_drivers() -> None:
     def drawn(crowd: str):
-        mix = CROWDS[crowd].mix
-        scenario = SCENARIOS["straight_road"](flow="dense", duration_s=60.0, mix=mix)
-        return [CROWDS[crowd].changed(agent) for agent in sample_agents(scenario, 3)]
+        scenario = SCENARIOS["straight_road"](flow="dense", duration_s=60.0, **CROWDS[crowd])
+        agents = sample_agents(scenario, 3)
+        return [standard(agent) for agent in agents] if crowd == HOMOGENEOUS else agents
 
     timid, mixed, clones = (drawn(name) for name in (Behavior.TIMID.value, MIXED, HOMOGENEOUS))
     for one, two, three in zip(timid, mixed, clones, strict=True):
@@ -83,15 +84,16 @@ def test_the_pages_trained_policy_is_trained_loaded_and_measured(
     monkeypatch.syspath_prepend(tmp_path)
     exec(training, {})
     (tmp_path / "my_policy.py").write_text(policy)
-    test = LicenceTest(
-        policies=("my_policy:make",), scenarios=("straight_road", "all_way_stop"),
-        crowds=("timid",), episodes=1, flow="light", duration_s=3.0, warmup_s=2.0,
+    scenarios = ("straight_road", "all_way_stop")
+    parts = run_test(
+        policies=("my_policy:make",), scenarios=scenarios, crowds=("timid",), episodes=1,
+        flow="light", duration_s=3.0, warmup_s=2.0, jobs=1,
     )  # fmt: skip
-    rows = [row for part in run_test(test, 1, quiet=True) for row in part]
+    rows = [row for part in parts for row in part]
     driven = {row["scenario"]: row for row in rows if row["metric"] == "minutes"}
-    assert set(driven) == {*test.scenarios, "all"}
+    assert set(driven) == {*scenarios, "all"}
     assert all(row["policy"] == "my_policy:make" for row in driven.values())
-    assert all(0.0 < driven[name]["value"] <= 0.05 + 1e-9 for name in test.scenarios)
+    assert all(0.0 < driven[name]["value"] <= 0.05 + 1e-9 for name in scenarios)
 
 
 def test_ranks_and_what_is_gained_are_paired_by_seed() -> None:

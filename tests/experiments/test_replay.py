@@ -12,11 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from behaviors.labels import BEHAVIORS
-from experiments.replay.layers import graph_history, read_beliefs
-from experiments.replay.page import write_page
+from experiments.replay.page import write_page, write_replay
 from experiments.replay.pictures import write_picture
-from experiments.replay.scene import chosen_entry, gather
-from experiments.replay.write import write_replay
+from experiments.replay.scene import chosen_entry, gather, graph_history, read_beliefs
 from experiments.score.tables import LABELS
 from graphrqi.features.spectral import NEIGHBORS, RESET
 from graphrqi.graph import TrafficGraph
@@ -112,7 +110,7 @@ def test_recordings_without_a_road_say_so_and_pixels_stay_pixels(dataset, tmp_pa
     )  # fmt: skip
     assert scene.unit == "px"
     assert scene.entry.name == "pixels"
-    assert scene.forecasts
+    assert scene.futures is not None
     said = " ".join(scene.notes)
     assert "no road is known" in said
     assert "pixels" in said

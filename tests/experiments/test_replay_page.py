@@ -11,7 +11,7 @@ from PIL import Image
 from PIL.ImageColor import getrgb as rgb
 
 from behaviors.labels import BEHAVIORS, COLORS, UNKNOWN_COLOR
-from experiments.replay.page import MODES, ramp, write_page
+from experiments.replay.page import MODES, RAMP, write_page
 
 SIZES = {"wide": (1280, 800), "narrow": (390, 844)}
 CONTROLS = {
@@ -113,10 +113,11 @@ def test_what_is_packed_is_unpacked(open_page, scene):
 def test_futures_are_unpacked_too(open_page, scene):
     page = open_page()
     page.evaluate("replay.seek(7.0)")
+    made = scene.futures
     for row in (0, 3):
         shown = page.evaluate(f"replay.futures({row})")
-        made = next(f for f in scene.forecasts if f.time_s == pytest.approx(shown[0]["time"]))
-        mine = np.flatnonzero(made.agent == row)
+        now = np.abs(made.time_s - shown[0]["time"]) < 1e-3
+        mine = np.flatnonzero((made.agent == row) & now)
         assert [f["probability"] for f in shown] == pytest.approx([0.75, 0.25], abs=0.01)
         for future, m in zip(shown, mine, strict=True):
             assert np.abs(np.array(future["places"]) - made.xy[m]).max() < 0.06
@@ -144,7 +145,7 @@ def expected_color(scene, mode, row, time_s):
     """What an agent's colour should be, worked out from the scene."""
     look = int(np.searchsorted(scene.beliefs.time_s, time_s + 1e-6)) - 1
     probability = scene.beliefs.probability[row, look]
-    stops = np.array([rgb(color) for color in ramp()], dtype=float)
+    stops = np.array([rgb(color) for color in RAMP], dtype=float)
 
     def on_ramp(share):
         at = np.linspace(0.0, 1.0, len(stops))

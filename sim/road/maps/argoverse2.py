@@ -11,9 +11,7 @@ References:
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +21,7 @@ from sim.frames import FloatArray
 from sim.geometry import borders
 from sim.input_files import broken_as_one_line, read_bytes, read_once
 from sim.road import Crossing, Road
-from sim.road.maps.lanelets import Lanelet, between, road_of_lanelets
+from sim.road.maps.lanelets import Lanelet, between, followers, road_of_lanelets
 
 MAP_NOTE: Final = "limits, signals and who has priority are not in this format: unknown"
 """The note of recordings with such a map."""
@@ -91,15 +89,12 @@ def static_map(road: Road | None) -> dict[str, Any]:
     }
     if road is None:
         return archive
-    lanes = {lane.id: (i, lane) for i, lane in enumerate(road.lanes, 1) if not lane.walking}
-    before, after = defaultdict[int, set[int]](set), defaultdict[int, set[int]](set)
-    for link in road.connections:
-        for one, two in pairwise((link.from_lane, *link.via, link.to_lane)):
-            if lanes.keys() >= {one, two}:
-                after[lanes[one][0]].add(lanes[two][0])
-                before[lanes[two][0]].add(lanes[one][0])
-    by_place = {(lane.edge, lane.index): number for number, lane in lanes.values()}
-    for number, lane in lanes.values():
+    numbers = {lane.id: i for i, lane in enumerate(road.lanes, 1) if not lane.walking}
+    before, after = followers(road)
+    lanes = [lane for lane in road.lanes if not lane.walking]
+    by_place = {(lane.edge, lane.index): numbers[lane.id] for lane in lanes}
+    for lane in lanes:
+        number = numbers[lane.id]
         left, right = borders(lane.centerline, lane.width_m)
         beside = {
             "left": by_place.get((lane.edge, lane.index + 1)),
@@ -118,8 +113,8 @@ def static_map(road: Road | None) -> dict[str, Any]:
             "right_lane_boundary": _points(right),
             **{f"{side}_neighbor_id": other for side, other in beside.items()},
             **{f"{side}_lane_mark_type": mark for side, mark in marks.items()},
-            "predecessors": sorted(before[number]),
-            "successors": sorted(after[number]),
+            "predecessors": sorted(numbers[i] for i in before[lane.id] if i in numbers),
+            "successors": sorted(numbers[i] for i in after[lane.id] if i in numbers),
         }
         boundary = np.concatenate([left, right[::-1]])
         areas[str(number)] = {"id": number, "area_boundary": _points(boundary)}

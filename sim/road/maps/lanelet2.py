@@ -14,7 +14,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -106,7 +106,10 @@ def read_map(path: Path, name: str | None = None, origin: Origin | None = None) 
     found, broken = read_lanelets(path, relations, read)
     driven = {i: borders[i] for i, one in found.items() if not (one.walking or one.crossing)}
     found |= _related(found, driven)
-    left_hand = _oncoming(driven.values(), 1) > _oncoming(driven.values(), 0)
+    # oncoming lanelets share the border in the middle of the street
+    lefts, rights = ({sides[k] for sides in driven.values()} for k in (0, 1))
+    oncoming = [sum(one[::-1] in lines for one in lines) for lines in (lefts, rights)]
+    left_hand = oncoming[1] > oncoming[0]
     return road_of_lanelets(
         path, name, found, find_junctions=True, priority=bool(yields), left_hand=left_hand,
         broken=broken,
@@ -182,12 +185,6 @@ def _joined(one: Border, then: Border) -> Border:
     if one[-1] != then[0]:
         then = then[::-1]
     return (*one, *then[1:])
-
-
-def _oncoming(borders: Iterable[tuple[Border, Border]], side: int) -> int:
-    """How many lanelets have an oncoming one on their left (0) or right (1)."""
-    lines = {sides[side] for sides in borders}
-    return sum(line[::-1] in lines for line in lines)
 
 
 def _related(

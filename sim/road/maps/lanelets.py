@@ -11,6 +11,7 @@ References:
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -108,6 +109,16 @@ def between(left: FloatArray, right: FloatArray) -> tuple[FloatArray, float]:
     across = np.abs(np.sum(apart * normal, axis=1)) / 2
     total = float(np.sum(size**2))
     return middle, float(np.sum(across * size)) / total if total > 0 else 0.0
+
+
+def followers(road: Road) -> tuple[dict[str, set[str]], dict[str, set[str]]]:
+    """Ids of the lanes and paths before each lane of a road, and of those after it."""
+    before, after = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+    for link in road.connections:
+        for one, two in pairwise((link.from_lane, *link.via, link.to_lane)):
+            after[one].add(two)
+            before[two].add(one)
+    return before, after
 
 
 def read_lanelets(

@@ -145,8 +145,6 @@ def meeting_accelerated(
                     break
         if not jumped:
             return t
-        if end == np.inf:
-            break
         begin = end
     return np.inf
 
@@ -244,18 +242,13 @@ def measure(first: FloatArray, second: FloatArray, found: FloatArray, slab: Floa
             gap = math.sqrt(x * x + y * y)
             closing = -(vx * x + vy * y) / gap if gap > 0.0 else 0.0
             drac = math.sqrt(vx * vx + vy * vy) / (2.0 * ttc)
-        found[0, i], found[1, i], found[2, i], found[4, i] = gap, closing, ttc, drac
-
-        a, a_2 = first[4, i], second[4, i]
-        mttc = ttc
+        a, a_2, mttc, advantage = first[4, i], second[4, i], ttc, 0.0
         if not math.isfinite(a + a_2):
             mttc = np.nan
         elif ttc > 0.0 and (a != 0.0 or a_2 != 0.0):
             mttc = meeting_accelerated(place, unit, unit_2, reach, (v, a), (v_2, a_2))
-        found[3, i] = mttc
-
-        advantage = 0.0
         if ttc == np.inf:
             low, high, _ = least_shift(place, rate, rate_2, reach, np.inf, np.inf, slab)
             advantage = np.nan if low > high else max(low, -high, 0.0)
-        found[5, i] = advantage
+        for k, value in enumerate((gap, closing, ttc, mttc, drac, advantage)):
+            found[k, i] = value
