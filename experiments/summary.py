@@ -137,7 +137,7 @@ def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:
         traits = [trait for _, part in annotated for trait in part.shown_traits]
         gaps = pd.concat([
             pd.DataFrame({"agent": part.ids[part.index.agent], "speed_mps": part.row_speed,
-                          "gap_m": seen.gap})
+                          "gap_m": seen.inputs.gap})
             for part, seen in annotated
         ] or [pd.DataFrame(columns=["agent", "speed_mps", "gap_m"], dtype=float)])  # fmt: skip
     else:

@@ -28,7 +28,7 @@ from graphrqi.predict.rollout.driver_table import load_table
 from graphrqi.predict.scene.scene import make_scene
 from graphrqi.stream import DEFAULT_MODEL, HISTORY_STEPS, BehaviorStream
 from sim.episode.live import FrameBuffer
-from sim.episode.observables import leaders
+from sim.episode.observables import observe
 from sim.frames import FloatArray, Frame
 from sim.road import Road
 
@@ -127,11 +127,11 @@ def safe_accel(frame: Frame, road: Road, me: int) -> float:
 
     It is the emergency brake of every planner, as beliefs may be wrong. The safe speed is Krauss's.
     """
-    every, gaps = leaders(frame, road)
-    leader, speed = int(every[me]), float(frame.speed[me])
+    seen = observe(frame, road)
+    leader, speed = int(seen.leader[me]), float(frame.speed[me])
     if leader < 0:
         return math.inf
-    room = max(float(gaps[me]) - EMERGENCY_GAP_M, 0.0)
+    room = max(float(seen.gap[me]) - EMERGENCY_GAP_M, 0.0)
     safe = krauss_safe_speed(room, float(frame.speed[leader]), EMERGENCY_S, EMERGENCY_DECEL_MPS2)
     return (safe - speed) / EMERGENCY_S
 

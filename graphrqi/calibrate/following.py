@@ -161,7 +161,9 @@ def _leaders(tracks: Tracks, road: Road | None) -> tuple[IntArray, FloatArray, B
     inside = seen.stop_distance < 0.0
     nearer = (seen.gap <= seen.stop_distance) & (seen.gap <= seen.crossing_distance)
     counts = np.zeros((n, t), dtype=bool)
-    counts[at] = seen.on_road & np.where(has, clear | inside | nearer, clear & road.knows.limits)
+    counts[at] = (seen.lane >= 0) & np.where(
+        has, clear | inside | nearer, clear & road.knows.limits
+    )
     return leader, gap, counts
 
 

@@ -16,7 +16,7 @@ from behaviors.traits import DetectorInputs, RuleEncounter, ShownTrait, detect
 from sim.episode.collisions import collisions
 from sim.episode.observables import Observables, detector_inputs, observe
 from sim.episode.yielding import ROLLING_MPS, crossings_passed
-from sim.frames import Event, EventKind, FloatArray, IntArray, Signal, Tracks
+from sim.frames import Event, EventKind, FloatArray, Signal, Tracks
 from sim.road import Road
 from sim.safety import (
     CONFLICT_KINDS,
@@ -58,20 +58,14 @@ class Annotations:
         inputs: what the trait detectors read, with the rules that applied.
         events: rules kept and broken, near misses, collisions with their causes.
         shown_traits: the traits that were shown, with agent ids.
-        lane: (m,) index into ``Road.lanes``; -1 where unknown.
         lane_s: (m,) distance along the lane, m; NaN where unknown.
-        leader: (m,) row of the vehicle ahead; -1 where there is none.
-        gap: (m,) bumper to bumper to it, m; +inf where there is none.
         conflicts: the encounters of road users.
     """
 
     inputs: DetectorInputs
     events: tuple[Event, ...]
     shown_traits: tuple[ShownTrait, ...]
-    lane: IntArray
     lane_s: FloatArray
-    leader: IntArray
-    gap: FloatArray
     conflicts: Conflicts
 
 
@@ -81,7 +75,7 @@ def annotate(tracks: Tracks, road: Road, *, recorded: bool = False) -> Annotatio
     inputs = detector_inputs(tracks, road, observed)
     met = conflicts(tracks, road)
     events = _incidents(tracks, road, observed, inputs, met, recorded)
-    seen = observed.lane, observed.s, observed.leader, observed.gap
+    lane_s = observed.s
     del observed  # a fifth of the memory, which the detectors need
     index = {int(agent): i for i, agent in enumerate(tracks.ids)}
     encounters = tuple(
@@ -94,7 +88,7 @@ def annotate(tracks: Tracks, road: Road, *, recorded: bool = False) -> Annotatio
     shown = tuple(
         replace(one, agent=int(ids[one.agent]), other=int(ids[one.other])) for one in detect(inputs)
     )
-    return Annotations(inputs, events, shown, *seen, met)
+    return Annotations(inputs, events, shown, lane_s, met)
 
 
 def annotated_parts(tracks: Tracks, road: Road) -> Iterator[tuple[Tracks, Annotations]]:

@@ -28,7 +28,7 @@ from sim.frames import (
     Tracks,
     says_stop,
 )
-from sim.road import LanePosition, Road, lane_search
+from sim.road import Road, lane_search
 from sim.road.lane_graph import LaneGraph
 
 CROSSING_MARGIN_M: Final = 2.0
@@ -43,8 +43,7 @@ class Observables:
     Distances are +inf and indices -1 where there is nothing; for pedestrians everything is.
 
     Attributes:
-        on_road: (n,) whether the agent drives on a lane (its centre within the lane's width).
-        lane: (n,) index into ``Road.lanes``.
+        lane: (n,) index into ``Road.lanes`` of the lane within whose width the agent's centre is.
         s: (n,) distance along the lane, m.
         offset: (n,) signed distance to the left of the lane's centre line, m.
         lane_heading: (n,) heading relative to the lane's, rad in (-pi, pi]; near pi: the wrong way.
@@ -60,7 +59,6 @@ class Observables:
         crossing_waiting: (n,) whether one stands within reach of either end of it.
     """
 
-    on_road: BoolArray
     lane: IntArray
     s: FloatArray
     offset: FloatArray
@@ -126,27 +124,6 @@ def observe(traffic: Frame | Tracks, road: Road) -> Observables:
     return Observables(**whole)
 
 
-def leaders(frame: Frame, road: Road) -> tuple[IntArray, FloatArray]:
-    """(n,) row of the vehicle ahead of each in a frame, and gap to it, m, as in `Observables`."""
-    order, begins = np.arange(len(frame)), np.array([0, len(frame)])
-    _, view = _perceive(road, frame.xy, frame.heading, frame.length, frame.driving, order, begins)
-    return view.leader, view.gap
-
-
-def _perceive(
-    road: Road, xy: FloatArray, heading: FloatArray, length: FloatArray, driving: BoolArray,
-    by_time: IntArray, begins: IntArray,
-) -> tuple[LanePosition, lane_search.LaneView]:  # fmt: skip
-    """The lane that each row is on, and what it sees on its way; arguments as of `_observe`."""
-    xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
-    place = LaneGraph.of(road).project(xy, heading)
-    view = lane_search.perceive(
-        xy, heading, length, driving, place.lane, place.s, place.offset, by_time, begins,
-        LaneGraph.of(road),
-    )  # fmt: skip
-    return place, view
-
-
 def _crossing_people(
     road: Road, instant: IntArray, xy: FloatArray, instants: int
 ) -> tuple[BoolArray, BoolArray]:
@@ -173,7 +150,11 @@ def _observe(
     """Observables of m rows of T instants."""
     graph = LaneGraph.of(road)
     m = speed.size
-    place, view = _perceive(road, xy, heading, length, ~walking, by_time, begins)
+    xy, heading, length = xy.copy(), heading.copy(), length.copy()  # kernels compile once for these
+    place = graph.project(xy, heading)
+    view = lane_search.perceive(
+        xy, heading, length, ~walking, place.lane, place.s, place.offset, by_time, begins, graph
+    )
     on_road, leader = view.lane >= 0, view.leader
     has = leader >= 0
     closing = np.zeros(m)
@@ -190,7 +171,6 @@ def _observe(
     is_occupied[meets] = occupied[crossing[meets], instant[meets]]
     is_waiting[meets] = waiting[crossing[meets], instant[meets]]
     return Observables(
-        on_road=on_road,
         lane=view.lane,
         s=np.where(on_road, place.s, np.nan),
         offset=np.where(on_road, place.offset, np.nan),

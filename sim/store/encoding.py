@@ -149,13 +149,14 @@ def _conflict_columns(met: Conflicts) -> dict[str, pa.Array]:
 def road_columns(tracks: Tracks, found: Annotations, road: Road) -> dict[str, pa.Array]:
     """The columns of simulated steps that come from the road."""
     agent = tracks.ids[tracks.index.agent]
-    lane = pa.array(found.lane, pa.int32(), mask=found.lane < 0)
+    seen = found.inputs
+    lane = pa.array(seen.lane, pa.int32(), mask=seen.lane < 0)
     lane_ids = pa.array([lane.id for lane in road.lanes], pa.string())
     return {
         "lane": pa.DictionaryArray.from_arrays(lane, lane_ids),
         "lane_s_m": _derived(found.lane_s, exact=False),
-        "leader": pa.array(agent[found.leader], mask=found.leader < 0),
-        "gap_m": _derived(found.gap, exact=False),
+        "leader": pa.array(agent[seen.leader], mask=seen.leader < 0),
+        "gap_m": _derived(seen.gap, exact=False),
     }
 
 

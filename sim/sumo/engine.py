@@ -102,9 +102,8 @@ def run_with(
                         for step in range(index * steps + 1, (index + 1) * steps + 1):
                             sumo.simulation_step(0.0)
                             now_s = step * step_ms / 1000
-                            reader.note_collisions(now_s)
                             controls.step(now_s, *reader.names())
-                            reader.note_removed(controls.overtaking.removed, now_s)
+                            reader.note(now_s, controls.overtaking.removed)
                         frame = reader.read(time_s, controls.jaywalking.speeds)
                     except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
                         reason = _reason(log, str(error))

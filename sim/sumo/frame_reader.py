@@ -78,16 +78,16 @@ class FrameReader:
         self._letters = [""] * len(self._plans)
         self._signals = np.zeros(len(road.signal_groups), dtype=np.int8)
 
-    def note_collisions(self, time_s: float) -> None:
-        """Record the collisions of the last simulation step as events."""
+    def note(self, time_s: float, removed: Sequence[int]) -> None:
+        """Record the collisions of the last simulation step, and who was removed after it."""
         collisions = self._sumo.simulation_getCollisions()
-        if not collisions and not self._touching:
-            return
         touching = {(int(c.collider), int(c.victim)) for c in collisions}
         for pair in sorted(touching):
             kind = EventKind.CONTACT if pair in self._touching else EventKind.COLLISION
             self._events.append(Event(kind, time_s, *pair))
         self._touching = touching
+        rule = "stood on the wrong side"
+        self._events += [Event(EventKind.REMOVAL, time_s, agent, rule=rule) for agent in removed]
 
     def names(self) -> tuple[Sequence[str], Sequence[str]]:
         """Names of vehicles and pedestrians, the same two objects until an agent comes or goes."""
@@ -95,11 +95,6 @@ class FrameReader:
         if names != self._names:
             self._names, self._is_new = names, True
         return self._names
-
-    def note_removed(self, agents: Sequence[int], time_s: float) -> None:
-        """Record the agents that controllers removed as events."""
-        rule = "stood on the wrong side"
-        self._events += [Event(EventKind.REMOVAL, time_s, agent, rule=rule) for agent in agents]
 
     def read(self, time_s: float, walking_speeds: Mapping[str, float]) -> Frame:
         """The state at a simulated time, s, with the events since the last frame.

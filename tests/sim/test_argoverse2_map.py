@@ -159,7 +159,7 @@ def test_the_real_map(tmp_path: Path, shared_data: Path) -> None:
     x0, y0, x1, y1 = road.bounds
     moves &= ((steps.row_xy >= (x0, y0)) & (steps.row_xy <= (x1, y1))).all(axis=1)
     assert moves.sum() > 100
-    assert seen.on_road[moves].mean() > 0.8
+    assert (seen.lane[moves] >= 0).mean() > 0.8
     assert np.nanmedian(np.abs(seen.offset[moves])) < 0.7
     assert np.nanmedian(np.abs(seen.lane_heading[moves])) < 0.1
     events: list[Event] = list(annotate(steps, road, recorded=True).events)

@@ -102,6 +102,6 @@ def test_timid_drivers_keep_a_longer_headway_than_threatening_ones(engine):
     for behavior in (Behavior.TIMID, Behavior.THREATENING):
         rows = (seen.behavior == behavior.code)[steps.index.agent]
         gap, speed = facts.gap[rows], steps.row_speed[rows]
-        near = facts.on_road[rows] & (gap < 8.0 * speed) & (speed > 2.0)
+        near = (facts.lane[rows] >= 0) & (gap < 8.0 * speed) & (speed > 2.0)
         headway[behavior] = float(np.median(gap[near] / speed[near]))
     assert headway[Behavior.TIMID] > 1.5 * headway[Behavior.THREATENING]

@@ -113,7 +113,7 @@ def test_pedestrians_and_vehicles_off_the_road_have_no_lane(junction):
     seen = observe(
         frame([[60, 0], [70, 0], [80, 30]], [5, 1, 5], kind=[0, PEDESTRIAN, 0]), junction
     )
-    assert seen.on_road.tolist() == [True, False, False]
+    assert (seen.lane >= 0).tolist() == [True, False, False]
     assert seen.lane.tolist() == [0, -1, -1]
     assert seen.leader.tolist() == [-1, -1, -1]
 

@@ -116,13 +116,14 @@ class Controls:
         if action in (Action.CHANGE_LEFT, Action.CHANGE_RIGHT):
             side = 1 if action is Action.CHANGE_LEFT else -1
             lane = self._streets.lanes.get(sumo.vehicle_getLaneID(name))
-            if lane is None or (lane.edge, lane.index + side) not in self._streets.drivable:
+            beside = None if lane is None else self._streets.beside(lane, side)
+            if beside is None:
                 raise InputError(
                     f"agent {name}: found no lane for {action} at {time_s:g} s, expected one beside"
                 )
             sumo.vehicle_setSpeed(name, -1.0)
             sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
-            sumo.vehicle_changeLane(name, lane.index + side, ACTION_S)
+            sumo.vehicle_changeLane(name, beside.index, ACTION_S)
         else:
             speed = {
                 Action.BRAKE: 0.0,

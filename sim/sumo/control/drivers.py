@@ -74,10 +74,9 @@ class Streets:
         """The lanes for vehicles outside junctions, by id."""
         return {one.id: one for one in self.road.lanes if not (one.internal or one.walking)}
 
-    @cached_property
-    def drivable(self) -> frozenset[tuple[str, int]]:
-        """Edge and index of every lane on which vehicles may drive."""
-        return frozenset((one.edge, one.index) for one in self.road.lanes if not one.walking)
+    def beside(self, lane: Lane, side: int) -> Lane | None:
+        """The lane to the left (1) or to the right (-1) of one, for vehicles too."""
+        return self.lanes.get(f"{lane.edge}_{lane.index + side}")
 
     @cached_property
     def approaches(self) -> dict[tuple[str, str], Approach]:
@@ -113,6 +112,7 @@ class Driver:
         stream: number of the random stream of the controller's drivers.
         agent: the driver's drawn numbers.
         rate_per_min: how often it acts; None for a driver who acts where it comes to a junction.
+        name, profile: its name in SUMO, and how it drives.
         rng: its random stream.
         following: by edge of its route, the one that follows.
         next_s: when the controller looks at it again, s.
@@ -122,22 +122,18 @@ class Driver:
     agent: AgentSpec
     rate_per_min: float | None = None
     name: str = field(init=False)
+    profile: Profile = field(init=False)
     rng: np.random.Generator = field(init=False)
     following: Mapping[str, str] = field(init=False)
     next_s: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         """Begin the random stream, read the route, and draw the first time."""
-        self.name = str(self.agent.id)
+        assert self.agent.profile is not None
+        self.name, self.profile = str(self.agent.id), self.agent.profile
         self.rng = np.random.default_rng((self.agent.seed, self.stream))
         self.following = dict(itertools.pairwise(self.agent.route))
         self.pause_from(self.agent.depart_s)
-
-    @property
-    def profile(self) -> Profile:
-        """The driver's profile."""
-        assert self.agent.profile is not None
-        return self.agent.profile
 
     def pause_from(self, time_s: float) -> None:
         """Draw the next time to act, after an exponential pause that begins at ``time_s``."""
@@ -165,7 +161,7 @@ class Controller(ABC, Generic[D]):
         self._drivers: dict[str, D] = {}
         self._present: list[D] = []
         for agent in streets.agents:
-            self._take(agent)
+            self._begin_with(agent)
 
     @abstractmethod
     def _driver(self, agent: AgentSpec, profile: Profile) -> D | None:
@@ -175,7 +171,7 @@ class Controller(ABC, Generic[D]):
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Act at a simulated time, s, given who is on the road."""
 
-    def _take(self, agent: AgentSpec) -> D | None:
+    def _begin_with(self, agent: AgentSpec) -> D | None:
         """Begin with a driver, if it is of concern."""
         driver = None if agent.profile is None else self._driver(agent, agent.profile)
         if driver is not None:
@@ -189,6 +185,6 @@ class Controller(ABC, Generic[D]):
     def change(self, agent: AgentSpec, time_s: float) -> None:
         """Begin again with a driver; one who acts at random times pauses from now on."""
         self._drivers.pop(str(agent.id), None)
-        driver = self._take(agent)
+        driver = self._begin_with(agent)
         if driver is not None:
             driver.pause_from(time_s)

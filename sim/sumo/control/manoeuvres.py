@@ -147,9 +147,7 @@ class Lapses(Controller[_InattentiveDriver]):
         ended: the drivers who looked at the road again in the last step.
     """
 
-    def __init__(self, streets: Streets) -> None:
-        self.ended: list[AgentSpec] = []
-        super().__init__(streets)
+    ended: Sequence[AgentSpec] = ()
 
     def _driver(self, agent: AgentSpec, profile: Profile) -> _InattentiveDriver | None:
         rate = profile.lapse_rate_per_min if profile.lapse_s > 0 else 0.0
@@ -162,18 +160,19 @@ class Lapses(Controller[_InattentiveDriver]):
 
     def step(self, time_s: float, vehicles: Sequence[str], persons: Sequence[str]) -> None:
         """Begin and end lapses."""
-        sumo, self.ended = self._sumo, []
+        sumo, ended = self._sumo, []
         for driver in self._present:
             if driver.until_s >= 0:
                 if time_s >= driver.until_s:
                     driver.until_s = -1.0
                     driver.pause_from(time_s)
-                    self.ended.append(driver.agent)
+                    ended.append(driver.agent)
             elif time_s >= driver.next_s:
                 driver.until_s = time_s + float(driver.rng.exponential(driver.profile.lapse_s))
                 sumo.vehicle_setSpeedMode(driver.name, SEES_NOTHING)
                 sumo.vehicle_setLaneChangeMode(driver.name, NO_LANE_CHANGES)
                 sumo.vehicle_setSpeed(driver.name, sumo.vehicle_getSpeed(driver.name))
+        self.ended = ended
 
 
 @dataclass(slots=True)
@@ -188,8 +187,7 @@ class CuttingIn(Controller[_CuttingInDriver]):
     """Makes drivers cut in as often as their profiles say, where the gaps allow it."""
 
     def __init__(self, streets: Streets) -> None:
-        lanes = streets.drivable
-        self._wide = {edge for edge, index in lanes if (edge, index + 1) in lanes}
+        self._wide = {lane.edge for lane in streets.lanes.values() if streets.beside(lane, 1)}
         super().__init__(streets)
 
     def _driver(self, agent: AgentSpec, profile: Profile) -> _CuttingInDriver | None:
@@ -229,9 +227,8 @@ class CuttingIn(Controller[_CuttingInDriver]):
             return False
         onward = self._streets.approaches.get((lane.edge, driver.following.get(lane.edge, "")))
         for side, (behind, ahead) in _NEIGHBOURS.items():
-            target = lane.index + side
-            leads_on = onward is None or target in onward.lanes
-            if (lane.edge, target) not in self._streets.drivable or not leads_on:
+            target = self._streets.beside(lane, side)
+            if target is None or (onward is not None and target.index not in onward.lanes):
                 continue
             pace, near = self._pace(name, behind, speed)
             if pace and self._has_room(driver, ahead, speed, pace):
@@ -239,7 +236,7 @@ class CuttingIn(Controller[_CuttingInDriver]):
                 driver.falls_back = not near
                 if near:
                     sumo.vehicle_setLaneChangeMode(name, FORCED_LANE_CHANGES)
-                    sumo.vehicle_changeLane(name, target, MANOEUVRE_S)
+                    sumo.vehicle_changeLane(name, target.index, MANOEUVRE_S)
                 return near
         return False
 
