@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -99,7 +100,9 @@ def test_lights_show_what_their_plan_says_at_every_time(step_s):
         offset_s=-7.31,
     )
     road = dataclasses.replace(made.road, signal_plans=(plan,))
-    traffic, changed_s = TrafficRoad(dataclasses.replace(made, road=road)), -np.inf
+    other = copy.copy(made)
+    other.road = road
+    traffic, changed_s = TrafficRoad(other), -np.inf
     for index in range(5000):
         shown = traffic.signals[list(plan.groups)].tolist()
         traffic.time_s = index * step_s

@@ -119,8 +119,9 @@ def test_a_timid_driver_keeps_a_longer_headway_than_a_threatening_one():
         scenario = short(mix=f"{behavior}=1", duration_s=90.0, flow=2400.0, pedestrians_per_h=0.0)
         tracks = Tracks.from_frames(run(scenario, sample_agents(scenario, 0), 0))
         seen, speed = observe(tracks, scenario.road), tracks.speed[tracks.valid]
-        follows = (np.abs(seen.closing) < 1.0) & (speed > 4.0) & (seen.headway < 8.0)
-        headway[behavior] = float(np.median(seen.headway[follows]))
+        time_headway = seen.gap / np.maximum(speed, 1.0)
+        follows = (np.abs(seen.closing) < 1.0) & (speed > 4.0) & (time_headway < 8.0)
+        headway[behavior] = float(np.median(time_headway[follows]))
     assert headway[Behavior.TIMID] > 2.5 * headway[Behavior.THREATENING]
 
 

@@ -113,8 +113,9 @@ def in_own_frame(
     ahead = on_lanes(scene, lane, s, offset) - scene.xy[:, None]
     own = turned(ahead, -scene.heading[:, None])
     if not scene.on_path.all():
-        own[..., ~scene.on_path, :, 0] = scene.speed[~scene.on_path, None] * time_s
-        own[..., ~scene.on_path, :, 1] = 0.0
+        off = ~scene.on_path
+        own[..., off, :, :] = 0.0
+        own[..., 0][..., off, :] = scene.speed[off, None] * time_s
     return own
 
 
