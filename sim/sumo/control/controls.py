@@ -18,9 +18,9 @@ from sim.sumo.control.drivers import (
     release,
 )
 from sim.sumo.control.jaywalking import Jaywalking
-from sim.sumo.control.junctions import Clearing, Obedience
 from sim.sumo.control.manoeuvres import CuttingIn, Lapses, Stopping
 from sim.sumo.control.overtaking import Overtaking
+from sim.sumo.control.right_of_way import Clearing, Obedience
 from sim.sumo.vehicle_types import alternative_name
 
 NAMED: Final = 8
