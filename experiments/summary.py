@@ -135,11 +135,12 @@ def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:
         annotated = list(annotated_parts(tracks, road))
         events = [event for _, part in annotated for event in part.events]
         traits = [trait for _, part in annotated for trait in part.shown_traits]
-        gaps = pd.concat([
+        parts = [
             pd.DataFrame({"agent": part.ids[part.index.agent], "speed_mps": part.row_speed,
                           "gap_m": seen.inputs.gap})
             for part, seen in annotated
-        ] or [pd.DataFrame(columns=["agent", "speed_mps", "gap_m"], dtype=float)])  # fmt: skip
+        ] or [pd.DataFrame(columns=["agent", "speed_mps", "gap_m"], dtype=float)]  # fmt: skip
+        gaps = pd.concat(parts, ignore_index=True)
     else:
         events, traits = list(tracks.events), list(episode.shown_traits)
         gaps = dataset.rows(entry, "steps", ["agent", "speed_mps", "gap_m"]).to_pandas()

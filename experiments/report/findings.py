@@ -33,7 +33,7 @@ def _answers(rows: pd.DataFrame) -> Iterator[str]:
     subject = None if scored.empty else subject_of(scored)
     if subject is None:
         return
-    figures = rows.pivot_table("value", subject, "metric")
+    figures = rows.pivot_table("value", subject, "metric", aggfunc="last")
     best = figures.loc[figures["weighted_accuracy"].idxmax()]
     yield (
         f"{best.name} names the right behaviour in {100 * best['weighted_accuracy']:.0f} % of all "
@@ -56,7 +56,7 @@ def _predictions(rows: pd.DataFrame) -> Iterator[str]:
     if scored.empty or "predictor" not in scored:
         return
     horizon_s = float(scored["horizon_s"].max())
-    error = scored[scored["horizon_s"] == horizon_s].set_index("predictor")["value"]
+    error = scored[scored["horizon_s"] == horizon_s].groupby("predictor")["value"].last()
     for plain, ours in PAIRS:
         if plain in error and ours in error:
             change = 100 * (1 - error[ours] / error[plain])

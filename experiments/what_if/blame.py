@@ -63,7 +63,10 @@ def judge(
     end_s = scenario.steps * scenario.step_s
     with Trunk(scenario, agents, seed, engine) as trunk:
         frames = trunk.advance(end_s)
-    found = incidents(Tracks.from_frames(frames), scenario.road)
+    every = incidents(Tracks.from_frames(frames), scenario.road)
+    found = [event for event in every if event.kind in INCIDENTS]
+    if not found:
+        return
     kept = round(2.0 * LEAD_S / scenario.step_s)  # as much as a cause may lie back
     before: list[Frame] = []
 
@@ -80,7 +83,7 @@ def judge(
         for event in found:
             until_s = min(event.time_s + AFTER_S, end_s)
             happened = frames[: round(until_s / scenario.step_s)]
-            if event.kind not in INCIDENTS or not _same_again(event, happened, scenario):
+            if not _same_again(event, happened, scenario):
                 continue  # some are seen only with the rest of the episode in sight
             at_s = max(1, round((event.time_s - LEAD_S) / scenario.step_s)) * scenario.step_s
             if not before or at_s > before[-1].time_s + 1e-9:

@@ -283,9 +283,9 @@ class TrafficEnv(EgoEnv):
         """Let the next ego vehicles in that have room, this long after the last one, s.
 
         While none is on the road, the traffic drives on until one has room, but at most for
-        `LONGEST_ENTRY_WAIT_S`.
+        `LONGEST_ENTRY_WAIT_S` after one may come.
         """
-        until_s = self.time + LONGEST_ENTRY_WAIT_S - 1e-9
+        until_s = max(self.time, self._came_s + every_s) + LONGEST_ENTRY_WAIT_S - 1e-9
         while True:
             for ego in list(self.coming):
                 if self.time - self._came_s < every_s - 1e-9:
@@ -400,8 +400,8 @@ class TrafficEnv(EgoEnv):
         self.time += frames * self.dt
         near_misses = self._near_misses()
         for ego, before in zip(self.egos, before_m, strict=True):
-            ego.rewards = self._rewards(ego, before, frames * self.dt)
-            ego.rewards["near_miss"] = float(near_misses.count(ego.id))
+            met = near_misses.count(ego.id)
+            ego.rewards = self._rewards(ego, before, frames * self.dt, met)
 
     def watch(self) -> None:
         """Remember the step that has just been simulated."""
@@ -428,8 +428,11 @@ class TrafficEnv(EgoEnv):
                     ego.near[other] = time_s
         return found
 
-    def _rewards(self, ego: Ego, before_m: float, step_s: float) -> dict[str, float]:
-        """The parts of the reward for a policy step that began this far from the goal, m."""
+    def _rewards(self, ego: Ego, before_m: float, step_s: float, met: int) -> dict[str, float]:
+        """The parts of the reward for a policy step that began this far from the goal, m.
+
+        ``met`` is the number of its near misses.
+        """
         if ego_vehicles.is_on_route(self.road, ego.vehicle):
             ego.distance_left_m = ego_vehicles.distance_left_m(self.road, ego.vehicle)
         mine = [(e.kind, e.agent) for e in self.events if ego.id in (e.agent, e.other)]
@@ -438,7 +441,7 @@ class TrafficEnv(EgoEnv):
         return {
             "progress": float(progress),
             "collision": float(sum(kind is EventKind.COLLISION for kind, _ in mine)),
-            "near_miss": 0.0,
+            "near_miss": float(met),
             "red_run": float(mine.count((EventKind.RED_RUN, ego.id))),
             "off_road": float(ego_vehicles.is_off_road(self.road, ego.vehicle)),
         }

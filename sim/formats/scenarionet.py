@@ -137,12 +137,13 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
     numbers = _add_map(scene, found.get("map_features", {}))
     for name, light in found.get("dynamic_map_states", {}).items():
         lane = numbers.get(str(light.get("lane", name)))
+        if lane is None:
+            continue
         state = light["state"]
         words = state["object_state"] if isinstance(state, Mapping) else state
         for shown, word in zip(scene.lights, words, strict=False):
-            if lane is not None:
-                signals = (signal for end, signal in LIGHTS if str(word).upper().endswith(end))
-                shown[lane] = next(signals, Signal.OFF)
+            signals = (signal for end, signal in LIGHTS if str(word).upper().endswith(end))
+            shown[lane] = next(signals, Signal.OFF)
     return scene
 
 

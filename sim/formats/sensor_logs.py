@@ -176,7 +176,8 @@ TYPES: Final[dict[str, AgentKind]] = {
     "Cyclist": AgentKind.BICYCLE,
     **dict.fromkeys(("Pedestrian", "Person", "Person_sitting"), AgentKind.PEDESTRIAN),
 }
-"""Types that are road-agents; ``Misc`` and ``DontCare`` are left out."""
+NO_AGENTS: Final = frozenset({"Misc", "DontCare"})
+"""Types that are road-agents, and those that are left out without a note."""
 
 _COLUMNS: Final = (
     "frame", "id", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom",
@@ -204,7 +205,7 @@ def read_kitti(path: Path) -> Iterator[Recording]:
     """
     table = read_text(path, _COLUMNS, ("frame", "x", "y", "z", "angle"),
                       ("id", "type", "length", "width"))  # fmt: skip
-    boxes, _ = among(table, "type", TYPES)
+    boxes, others = among(table, "type", TYPES)
     sides = {side: pandas.to_numeric(boxes[side], errors="coerce") for side in ("length", "width")}
     facts = pandas.DataFrame({"id": boxes["id"], "kind": kinds_in(boxes["type"], TYPES), **sides})
     turn, place = _kitti_poses(_neighbour(path, "oxts"))
@@ -213,12 +214,13 @@ def read_kitti(path: Path) -> Iterator[Recording]:
     ahead = np.stack([np.cos(angle), np.zeros(angle.size), -np.sin(angle)], axis=1)
     xyz = boxes[["x", "y", "z"]].to_numpy() @ to_car[:3, :3].T + to_car[:3, 3]
     time_s, at = PERIOD_S * np.arange(len(turn), dtype=np.float64), whole(boxes, "frame")
-    if at.max(initial=0) >= time_s.size:
-        raise InputError(f"found frame {at.max()}, expected one of the {time_s.size} poses")
+    for frame in at[(at < 0) | (at >= time_s.size)]:
+        raise InputError(f"found frame {frame}, expected one of the {time_s.size} poses")
     rows = _rows(EGO, turn, place, time_s, facts, at, xyz, ahead @ to_car[:3, :3].T)
     notes = (
         "the recording car's motion is undone with its poses; it is the agent ego",
         "speeds are taken from the motion",
+        *left_out({*others} - NO_AGENTS),
     )
     yield recorded(stem(path), rows, notes)
 

@@ -187,10 +187,12 @@ def check_action(action: Mapping[str, Any]) -> Mapping[str, Any]:
         kind(None, **action).space()
         for key in ("acceleration_range", "steering_range", "speed_range", "target_speeds"):
             if action.get(key) is not None:
-                numbers = np.array(action[key], dtype=np.float64)
-                several = numbers.ndim == 1 and numbers.size > 1 and np.isfinite(numbers).all()
-                if not several or not (np.diff(numbers) > 0.0).all():
-                    raise ValueError(f"{key} are not two or more ascending numbers")
+                numbers, speeds = np.array(action[key], dtype=np.float64), key == "target_speeds"
+                fits = numbers.ndim == 1 and (numbers.size > 1 if speeds else numbers.size == 2)
+                ascends = not speeds or bool((np.diff(numbers) > 0.0).all())
+                if not (fits and ascends and np.isfinite(numbers).all()):
+                    wanted = "two or more ascending numbers" if speeds else "a pair of numbers"
+                    raise ValueError(f"{key} are not {wanted}")
     except (ArithmeticError, AssertionError, TypeError, ValueError) as error:
         raise InputError(
             f"action: found {dict(action)!r}, expected options that {action['type']} can take"

@@ -232,32 +232,36 @@ class TrafficRoad(Road):  # type: ignore[misc]
 
     def footway_number(self, route: tuple[str, ...]) -> int:
         """The number of the way on foot along a route of edges; see `find_footway`."""
-        found = find_footway(self.network.road, route)
-        return self._number_of(("on foot", *route), found, self.footways)
+        key = ("on foot", *route)
+        if key not in self._numbers:
+            self._number_of(key, find_footway(self.network.road, route), self.footways)
+        return self._numbers[key]
 
     def _number_of(self, key: tuple[Any, ...], way: Any, known: list[Any]) -> int:
         if key not in self._numbers:
             self._numbers[key] = len(known)
             known.append(way)
-            self._scene = self._ways = None
+            self._ways = None
         return self._numbers[key]
 
     def scene(self) -> Scene:
         """Everybody on the road as arrays, until somebody comes or goes."""
+        if self._ways is None:
+            longest = max(map(len, self.routes), default=0)
+            table = np.full((len(self.routes) + 1, longest + 1), -1)
+            for number, route in enumerate(self.routes):
+                table[number, : len(route)] = [self.network.stretch_number[r] for r in route]
+            self._ways = table, footways_of(self.footways)
+            if self._scene is not None:  # what a step has found stays
+                self._scene = self._scene._replace(routes=table, footways=self._ways[1])
         if self._scene is None:
             cars, people, net = self.cars, self.people, self.network.arrays
             everybody = {
                 name: np.concatenate([cars[name], people[name]])
-                for name in ("agent", "length", "width", "kind", "x")
+                for name in ("agent", "length", "width", "kind")
             }
             order = self._order = np.argsort(everybody["agent"], kind="stable")
             self._lasting = {name: frozen(of[order]) for name, of in everybody.items()}
-            if self._ways is None:
-                longest = max(map(len, self.routes), default=0)
-                table = np.full((len(self.routes) + 1, longest + 1), -1)
-                for number, route in enumerate(self.routes):
-                    table[number, : len(route)] = [self.network.stretch_number[r] for r in route]
-                self._ways = table, footways_of(self.footways)
             routes, footways = self._ways
             n, many = len(cars), len(order)
             self._scene = Scene(
@@ -268,7 +272,7 @@ class TrafficRoad(Road):  # type: ignore[misc]
                 lane_link=np.full(2 * n, -1),
                 spot_head=np.full(net.spots.size, -1),
                 crossing_head=np.full(net.crossings.size, -1),
-                by_x=np.argsort(everybody["x"], kind="stable"),
+                by_x=np.argsort(np.concatenate([cars["x"], people["x"]]), kind="stable"),
                 arrivals=np.empty(2 * n * self._most_strips, state.ARRIVAL),
                 pairs=np.empty(4 * many + 16, state.PAIR),
                 events=np.empty(8 * many, state.EVENT),

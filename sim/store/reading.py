@@ -232,7 +232,7 @@ def _agent_spec(row: dict[str, Any], behaviors: dict[str, Behavior]) -> AgentSpe
     """The agent that a row describes; numbers that an earlier version did not write are 0."""
     profile = None
     if row[PROFILE_FIELDS[0]] is not None:
-        profile = Profile(**{name: row.get(name) or 0.0 for name in PROFILE_FIELDS})
+        profile = Profile(**{name: row[name] for name in PROFILE_FIELDS if name in row})
     behavior = None if row["behavior"] is None else behaviors[row["behavior"]]
     return AgentSpec(
         id=row["agent"],

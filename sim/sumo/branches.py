@@ -212,8 +212,10 @@ def _send(connection: Connection, frames: Iterator[Frame], until_s: float) -> No
 def _serve(connection: Connection) -> None:
     """Run an episode as the other end of the connection asks for it, then end all branches."""
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # the system clears up ended branches
-    with contextlib.suppress(EOFError, OSError):
-        frames = _episode(*connection.recv())
+    with (
+        contextlib.suppress(EOFError, OSError),
+        contextlib.closing(_episode(*connection.recv())) as frames,
+    ):
         while True:
             until_s, to, is_branch = connection.recv()
             if not is_branch:

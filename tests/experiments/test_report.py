@@ -84,6 +84,12 @@ def test_findings_compare_with_the_majority_class_and_plain_predictors():
     assert "graphrqi-predict over 5 s is 0.0 % larger than that of constant-velocity" in said
 
 
+def test_the_last_of_several_rows_counts_in_findings():
+    rows = [*answers(), *predictions()]
+    before = [{**row, "value": 0.25} for row in rows]
+    assert list(findings(pd.DataFrame([*before, *rows]))) == list(findings(pd.DataFrame(rows)))
+
+
 @pytest.mark.parametrize(
     "rows",
     ["{", "{}", "[1]", '[{"value": 1}]', '[{"command": "a", "metric": "b", "value": "x"}]',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from experiments.data.exchange import export_dataset
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.summary import summary
+from scenarios import get_scenario
 from sim.store.dataset import Dataset, open_dataset
 
 
@@ -59,3 +61,14 @@ def test_recordings_have_conflicts_too(made: Dataset, tmp_path: Path) -> None:
     answer = CliRunner().invoke(app, ["summary", str(tmp_path / "fcd")])
     assert answer.exit_code == 0, answer.output
     assert "conflicts following per km" in answer.output
+
+
+def test_a_recording_with_a_break_and_a_map_has_a_summary(made: Dataset, tmp_path: Path) -> None:
+    export_dataset(Path(made.path), tmp_path / "fcd", "sumo-fcd", quiet=True)
+    file = next(one for one in (tmp_path / "fcd").glob("*.xml") if ".types" not in one.name)
+    seen = re.sub(r'(?s) *<timestep time="1[0-3]\.[^>]*>.*?</timestep>\n', "", file.read_text())
+    file.write_text(seen)
+    net = str(get_scenario("straight_road")().road.source)
+    answer = CliRunner().invoke(app, ["summary", str(file), "--net", net])
+    assert answer.exit_code == 0, answer.output
+    assert "headway" in answer.output

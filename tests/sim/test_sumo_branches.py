@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,7 +63,10 @@ def test_unchanged_branches_repeat_the_trunk_to_the_bit(name: str) -> None:
         assert all(map(same, branch, after))
 
 
-def test_a_killed_or_closed_branch_leaves_the_trunk_alive_and_no_zombie() -> None:
+def test_a_killed_or_closed_branch_leaves_the_trunk_alive_and_no_zombie(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     scenario, agents = scenario_and_agents("straight_road")
     with Trunk(scenario, agents, SEED) as trunk:
         trunk.advance(5.0)
@@ -83,6 +87,8 @@ def test_a_killed_or_closed_branch_leaves_the_trunk_alive_and_no_zombie() -> Non
         while children(trunk.process_id) and time.monotonic() < late:
             time.sleep(0.05)
         assert children(trunk.process_id) == []
+        assert list(tmp_path.glob("graphrqi-*"))
+    assert not list(tmp_path.glob("graphrqi-*"))  # what it has written for SUMO
 
 
 def speeds(frames: tuple[Frame, ...], agent: int) -> float:

@@ -175,13 +175,13 @@ def road_of_lanelets(
     if find_junctions and not any(one.internal for one in lanelets.values()):
         lanelets = _with_junctions(lanelets)
     limits = any(math.isfinite(one.limit_mps) for one in lanelets.values())
+    walks = (Crossing(str(one.id), one.centerline, one.width_m, ()) for one in walked)
     road = Road(
         name=name if name is not None else path.name.split(".")[0],
         lanes=tuple(_lanes(lanelets, left_hand)),
         connections=tuple(_connections(lanelets)),
-        crossings=(
-            *crossings,
-            *(Crossing(str(one.id), frozen(one.centerline), one.width_m, ()) for one in walked),
+        crossings=tuple(
+            replace(one, centerline=frozen(one.centerline)) for one in (*crossings, *walks)
         ),
         signal_groups=signal_groups,
         source=path,

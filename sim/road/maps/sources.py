@@ -129,20 +129,20 @@ def prepared(path: Path, kind: str, content: bytes, left_hand: bool | None = Non
         path: its file, for messages.
         kind: "openstreetmap" or "opendrive"; other kinds stay as they are.
         content: what it holds.
-        left_hand: whether traffic drives on the left; None for what the map says.
+        left_hand: whether traffic of OpenStreetMap drives on the left; None for what the map says.
     """
     if kind not in ("openstreetmap", "opendrive"):
-        return Source(content, bool(left_hand))
+        return Source(content)
     with broken_as_one_line(path, "XML"):
         root = ET.fromstring(content)
-        read = _street_map if kind == "openstreetmap" else _drive
-        limited, left_hand, warnings = read(root, left_hand)
+        found = _drive(root) if kind == "opendrive" else _street_map(root, left_hand)
+        limited, on_left, warnings = found
         unlimited = limited.count(False)
         if unlimited:
             assumed = f"limits of {unlimited} of {len(limited)} roads are not in the map: assumed"
             warnings.append(assumed)
         written = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-        return Source(written, left_hand, tuple(warnings), unlimited)
+        return Source(written, on_left, tuple(warnings), unlimited)
 
 
 # --- OpenStreetMap ------------------------------------------------------------------------------
@@ -217,7 +217,7 @@ def drives_left(latitude: float, longitude: float) -> bool:
 # --- OpenDRIVE ----------------------------------------------------------------------------------
 
 
-def _drive(root: ET.Element, left_hand: bool | None) -> Found:
+def _drive(root: ET.Element) -> Found:
     """Write a limit to each lane of OpenDRIVE."""
     limited, warnings, length_m = list[bool](), list[str](), {True: 0.0, False: 0.0}
     for road in root.iterfind("road"):
@@ -235,7 +235,7 @@ def _drive(root: ET.Element, left_hand: bool | None) -> Found:
             warnings.append(f"road {name}: found no limit: {FREE_MPS:.2f} m/s are assumed")
     if min(length_m.values()) > 0:
         warnings.append("found roads of both rules, LHT and RHT: the one of more length counts")
-    return limited, length_m[True] > length_m[False] if left_hand is None else left_hand, warnings
+    return limited, length_m[True] > length_m[False], warnings
 
 
 def _limit_lanes(section: ET.Element, end: float, limits: list[tuple[float, float | None]]) -> bool:
