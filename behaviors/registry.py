@@ -109,7 +109,7 @@ class Registry(Mapping[str, T], Generic[T]):
     def _all(self) -> dict[str, Any]:
         """The entries of this package, then those that other distributions add; none twice."""
         found: dict[str, Any] = dict(self._entries)
-        for plugin in _plugins(tuple(sys.path), self._group):
+        for plugin in _plugins(tuple(sys.path)).get(self._group, ()):
             if plugin.name in found:
                 other = found[plugin.name]
                 owner = "graphrqi" if plugin.name in self._entries else _distribution(other)
@@ -154,9 +154,11 @@ def _distribution(plugin: EntryPoint) -> str:
     return f"{plugin.dist.name} {plugin.dist.version}" if plugin.dist else "an unknown distribution"
 
 
-@lru_cache(maxsize=32)
-def _plugins(path: tuple[str, ...], group: str) -> tuple[EntryPoint, ...]:
-    """The installed entry points of a group; looked for again when ``sys.path`` changes."""
+@lru_cache(maxsize=1)
+def _plugins(path: tuple[str, ...]) -> Mapping[str, tuple[EntryPoint, ...]]:
+    """The entry points of our groups, by group; looked for again when ``sys.path`` changes."""
     from importlib.metadata import entry_points
 
-    return tuple(entry_points(group=group))
+    installed = entry_points()
+    groups = sorted(group for group in installed.groups if group.startswith("graphrqi."))
+    return {group: tuple(installed.select(group=group)) for group in groups}

@@ -11,7 +11,7 @@ from behaviors.errors import InputError, lookup
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """What a TOML file says; an `InputError` names one that is missing or no TOML."""
+    """The table in a TOML file; an `InputError` names one that is missing or no TOML."""
     try:
         return tomllib.loads(path.read_text("utf-8"))
     except OSError as error:

@@ -21,6 +21,7 @@ from behaviors.populations import NUMBERS, Population
 from experiments.console.progress import Progress
 from experiments.data.exchange import as_dataset
 from experiments.score.rows import Row
+from experiments.score.tables import as_table
 from graphrqi.calibrate.fit import ROUNDS, Calibration, Law, calibrate, second_half_errors
 from graphrqi.calibrate.following import RecordedDriver, recorded_drivers
 from sim.files import new_folder
@@ -93,8 +94,7 @@ class Calibrated:
             )
             for law, fitted in self.laws.items()
         ]
-        rows = pa.Table.from_pandas(pd.concat(parts), SCHEMA, preserve_index=False)
-        return rows.replace_schema_metadata(None)
+        return as_table(pd.concat(parts), SCHEMA).replace_schema_metadata(None)
 
 
 def write_calibration(

@@ -136,16 +136,6 @@ def read_tree(path: Path) -> ET.Element:
         raise InputError(f"{path}: {' '.join(str(error).split())}, expected XML") from None
 
 
-def whole_number(path: Path, element: ET.Element, name: str) -> int:
-    """A whole number, of at most 63 bits, in an element's attribute."""
-    text = element.get(name) or ""
-    if not re.fullmatch(r"\s*[-+]?[0-9]{1,18}\s*", text):
-        raise InputError(
-            f"{path}: {element.tag[:40]} {name}: found {text[:40]!r}, expected a whole number"
-        )
-    return int(text)
-
-
 @contextmanager
 def without_collection() -> Iterator[None]:
     """No garbage collection: a tree in use is all alive; searching it takes half the time."""

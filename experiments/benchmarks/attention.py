@@ -165,7 +165,7 @@ def _pedestrians(tracks: Tracks, road: Road) -> tuple[int, int]:
 def _delay_limit_s(p: Profile) -> float:
     """The longest delay at which IDM is linearly string stable, s; 0 if it never is.
 
-    A delay d multiplies the response by exp(-i w d); the limit is where the gain from a leader's
+    A delay d multiplies the response by exp(-i w d). At the limit, the gain from a leader's
     speed to the follower's first exceeds 1 at some frequency w.
     """
     desired = LIMIT_MPS * p.speed_factor

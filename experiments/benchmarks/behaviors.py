@@ -66,12 +66,12 @@ COUNTED: Final[dict[EventKind, tuple[str, ...]]] = {
     EventKind.YIELDED: ("crossing_encounters", "yields"),
     EventKind.NOT_YIELDED: ("crossing_encounters", "waits"),
 }
-"""What an event is counted as. Who did not wait in spite of a rule has waited for 0 s."""
+"""Counts that an event adds to. A driver that did not wait, in spite of a rule, waited for 0 s."""
 
 SHOWN: Final = {
     Trait.CUTTING_IN: "cut_ins", Trait.NOT_MOVING: "unprovoked_stops", Trait.JAYWALKING: "jaywalks",
 }  # fmt: skip
-"""What a shown trait is counted as."""
+"""The count that a shown trait adds to."""
 
 
 def count_scenario(

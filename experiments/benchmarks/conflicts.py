@@ -41,7 +41,7 @@ DEVICE: Final = (
 """SUMO's device in every vehicle; braking alone makes no conflict."""
 
 MEASURES: Final = {"ttc_s": "minTTC", "drac_mps2": "maxDRAC", "pet_s": "PET"}
-"""What is compared, and SUMO's element of each."""
+"""Compared quantities, and SUMO's element of each."""
 
 KINDS: Final = {
     **dict.fromkeys((1, 2, 3, 18), ConflictKind.FOLLOWING), 20: ConflictKind.ONCOMING,

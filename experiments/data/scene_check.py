@@ -18,6 +18,7 @@ from experiments.data.units import image_scale, in_metres
 from sim.formats.common.doubts import doubt_of_times, size_doubt
 from sim.formats.common.recording import Recording
 from sim.frames import PEDESTRIAN, FloatArray, Tracks
+from sim.geometry import to_own_frame
 from sim.store.schema import EpisodeEntry
 
 SCALED: Final = "scale_estimated"
@@ -130,13 +131,10 @@ def _overlaps(tracks: Tracks, looks: list[int]) -> tuple[FloatArray, int, int]:
         nearest.append(np.asarray(tree.query(xy, k=2)[0])[:, 1])
         pairs = tree.query_pairs(LONGEST_CORE_M * math.sqrt(2.0), output_type="ndarray")
         one, other = np.concatenate([pairs, pairs[:, ::-1]]).T
-        away, heading = xy[other] - xy[one], tracks.row_heading[here[one]]
-        cos, sin = np.cos(heading), np.sin(heading)
-        along = np.abs(cos * away[:, 0] + sin * away[:, 1])
-        across = np.abs(cos * away[:, 1] - sin * away[:, 0])
+        away = np.abs(to_own_frame(xy[other], xy[one], tracks.row_heading[here[one]]))
         core = 0.5 * CORE * (sides[agent[one]] + sides[agent[other]])
         core = np.clip(core, LEAST_CORE_M, LONGEST_CORE_M)
-        found = np.unique(one[(along < core[:, 0]) & (across < core[:, 1])])
+        found = np.unique(one[(away < core).all(axis=1)])
         hits += found.size
         who.update(agent[found].tolist())
     return np.concatenate(nearest), hits, len(who)

@@ -11,7 +11,7 @@ the view is from above.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -163,5 +163,6 @@ def in_metres(tracks: Tracks, scale: Scale) -> Tracks:
     across = tracks.row_xy[:, 0]
     centre = 0.5 * (across.min() + across.max())
     xy = scale.ground(tracks.xy - np.array([centre, 0.0]))
-    moved = with_motion(tracks.with_dense(xy=smoothed(xy)))
-    return moved.with_dense(xy=xy, length=LENGTH_OF_SIZE * size, width=WIDTH_OF_SIZE * size)
+    moved = with_motion(replace(tracks, row_xy=smoothed(xy)[tracks.valid]))
+    length, width = LENGTH_OF_SIZE * size, WIDTH_OF_SIZE * size
+    return replace(moved, row_xy=xy[tracks.valid], length=length, width=width)

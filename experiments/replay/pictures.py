@@ -210,6 +210,7 @@ class Drawing:
         self.scene, self.mode = scene, mode
         self.fastest = max(1.0, float(np.quantile(scene.tracks.row_speed, 0.995)))
         self._stops = () if scene.road is None else road_shapes(scene.road).stops
+        self._likeliest = None if scene.futures is None else scene.futures.likeliest
         width, height = size
         tall = height - HEAD_PX - FOOT_PX
         (x0, y0), (x1, y1) = shown_extent(scene)
@@ -338,9 +339,9 @@ class Drawing:
             pairs = [pair for pair in graph.edges[live, :2].tolist() if place.keys() >= {*pair}]
             lines = [np.stack([place[a], place[b]]) for a, b in pairs]
             return {"segments": lines, "colors": EDGE, "linewidths": 0.6}
-        if self.mode != "predicted" or futures is None:
+        if self.mode != "predicted" or futures is None or self._likeliest is None:
             return {"segments": []}
-        made = futures.likeliest[futures.time_s[futures.likeliest] <= time_s + 1e-6]
+        made = self._likeliest[futures.time_s[self._likeliest] <= time_s + 1e-6]
         now_s = futures.time_s[made].max(initial=-np.inf)
         if time_s - now_s >= SHOWN_S:
             return {"segments": []}

@@ -37,13 +37,13 @@ def sum_of_leaves(
             for j in range(WIDTH):
                 reachable[j] = ALL
             for i in range(first[b], first[b + 1], 2):  # two at once: half the memory traffic
-                j = min(i + 1, first[b + 1] - 1)
-                one, other = features[k * width + feature[i]], features[k * width + feature[j]]
-                limit, kept, other_limit, other_kept = threshold[i], keep[i], threshold[j], keep[j]
-                for sample in range(WIDTH):
-                    stays = kept if one[sample] > limit else ALL
-                    beside = other_kept if other[sample] > other_limit else ALL
-                    reachable[sample] &= stays & beside
+                n = min(i + 1, first[b + 1] - 1)
+                values, others = features[k * width + feature[i]], features[k * width + feature[n]]
+                limit, kept, other_limit, other_kept = threshold[i], keep[i], threshold[n], keep[n]
+                for j in range(WIDTH):
+                    one = kept if values[j] > limit else ALL
+                    other = other_kept if others[j] > other_limit else ALL
+                    reachable[j] &= one & other
             leaves, total = leaf[b], out[k, column[b]]
             for j in range(WIDTH):
                 lowest = reachable[j] & np.uint32(-np.int64(reachable[j]))

@@ -41,8 +41,10 @@ COLUMNS: Final = 11
 time."""
 
 UPPER: Final = np.triu_indices(3)
+"""Where the six different entries of a symmetric matrix stand in it."""
+
 SYMMETRIC: Final = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Where the six different entries of a symmetric matrix stand in it, and the reverse."""
+"""Which of the six entries stands at each place of the matrix."""
 
 LAW_NAMES: Final[tuple[str, ...]] = (
     "standstill gap", "time headway", "inverse braking",

@@ -49,9 +49,9 @@ def find_around(
             kind = 0 if ahead > 0.0 else 1
         else:
             kind = 2
-            if ahead >= pedestrian_m:
+            if not 0.0 < ahead < pedestrian_m:
                 continue
-        if ahead != 0.0 and (kind == 1 or ahead > 0.0) and abs(ahead) < distance[kind, i]:
+        if 0.0 < abs(ahead) < distance[kind, i]:
             nearest[kind, i], distance[kind, i] = j, abs(ahead)
 
 

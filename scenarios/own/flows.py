@@ -253,8 +253,9 @@ def read_routes(path: Path, road: Road) -> list[RouteFlow]:
                 continue
             for way, share in _ways(element, graph, named, choices):
                 rates[way] += share * per_hour
+        span_s = max(max(departs_s, default=0.0) - min(departs_s, default=0.0), LEAST_SPAN_S)
         for way, count in single.items():
-            found[way] += count * 3600.0 / max(max(departs_s) - min(departs_s), LEAST_SPAN_S)
+            found[way] += count * 3600.0 / span_s
         if not found:
             raise InputError("found no vehicle, trip or flow, expected at least one")
     return [RouteFlow(way, rate) for way, rate in found.items()]

@@ -135,7 +135,7 @@ class _Party:
 
     Attributes:
         id: its id.
-        rows: its rows of the last second.
+        rows: its rows at this time and the one before.
         speed, xy: (column + 1,) m/s, and (column + 1, 2) m; NaN where it was not seen.
         connection: the one that it drives at a junction; -1 if no part of it is inside.
         entered: the column in which its front entered the junction that it is in.

@@ -197,15 +197,16 @@ def _others_cross(
     tracks: Tracks, road: Road, observed: Observables, since: int, entry: int, until: int
 ) -> bool:
     """Whether another vehicle was on a connection that crosses or joins this vehicle's."""
-    row_index, links = tracks.index, road.connection_of_lane[observed.lane]
+    row_index, link_of = tracks.index, road.connection_of_lane
     agent, begin = int(row_index.agent[entry]), int(row_index.step[since])
     soon = int(row_index.step[entry]) + round(5.0 / tracks.step_s)
-    near = links[row_index.rows(agent, begin, soon)]
+    near = link_of[observed.lane[row_index.rows(agent, begin, soon)]]
     mine = near[near >= 0]
     if not mine.size:
         return False
     own = int(mine[0])
     foes = [i for i, link in enumerate(road.connections) if own in link.yields_to]
-    others = np.isin(links, [*foes, *road.connections[own].yields_to])
-    others &= (row_index.step >= begin) & (row_index.step <= until)
-    return bool((row_index.agent[others] != agent).any())
+    rows, begins = row_index.by_time
+    rows = rows[begins[begin] : begins[min(until + 1, row_index.times)]]
+    others = link_of[observed.lane[rows[row_index.agent[rows] != agent]]]
+    return bool(np.isin(others, [*foes, *road.connections[own].yields_to]).any())

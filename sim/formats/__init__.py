@@ -194,7 +194,7 @@ OTHERS: Final = (
     (re.compile(rb"<(?:osm|net|opendrive)\b"), "a map, no recording: see graphrqi road"),
     (re.compile(rb"^\s*<\?xml|^\s*<\w"), "XML that is no recording"),
 )
-"""What other files are, told from their beginnings (lower case)."""
+"""Kinds of other files, by their beginnings (lower case)."""
 
 
 def get_reader(name: str) -> Reader:

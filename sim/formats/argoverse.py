@@ -73,8 +73,8 @@ def windows(tracks: Tracks, steps: int) -> Iterator[Tracks]:
     while column < time_s.size:
         window.append(column)
         if len(window) == steps:
-            seen = np.unique(tracks.index.agent[np.isin(tracks.index.step, window)])
-            yield tracks.part(seen, np.array(window))
+            rows = np.concatenate([tracks.index.at(step) for step in window])
+            yield tracks.part(np.unique(tracks.index.agent[rows]), np.array(window))
         if len(window) == steps or not follows[column]:
             window = []
         column = int(nearest[column]) if follows[column] else column + 1

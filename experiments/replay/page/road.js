@@ -118,7 +118,7 @@ function drawShapes(ctx, panel) {
 const SIGNAL_COLORS = { red: "#d3312b", yellow: "#f2c230", green: "#25a55f", off: "#9aa3ad" };
 
 function signalState(group, frame) {
-  const changes = group < 0 || !data.signals ? null : data.signals[group];
+  const changes = data.signals[group];
   if (!changes) return null;
   const since = firstBeyond(0, changes.length, (i) => changes[i][0] <= frame) - 1;
   return since < 0 ? null : data.signalNames[changes[since][1]];

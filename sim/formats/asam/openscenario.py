@@ -120,9 +120,8 @@ def _events(what: str, tracks: Tracks, agent: int) -> Iterator[Any]:
         xosc.WorldPosition(float(x), float(y), 0.0, float(heading))
         for (x, y), heading in zip(tracks.row_xy[mine], tracks.row_heading[mine], strict=True)
     ]
-    gaps = np.flatnonzero(np.diff(tracks.index.step[mine]) > 1) + 1
-    ends = [0, *gaps.tolist(), len(times)]
-    for number, (first, last) in enumerate(pairwise(ends) if times else ()):
+    begins = np.flatnonzero(tracks.index.begins[mine]).tolist()
+    for number, (first, last) in enumerate(pairwise([*begins, len(times)])):
         about = f"{what}, part {number}"
         yield _event(f"{about}: appear", xosc.AddEntityAction(what, places[first]), times[first])
         if last - first > 1:

@@ -60,7 +60,7 @@ class Recording:
         road: the road that came with it, or its file as `sim.road.road_files.read_road_file` takes
             it; None where there is none.
         origin: latitude and longitude of (0, 0), degrees; None where not known.
-        styles: by name, of the drivers of whom the style is known but not the behaviour.
+        styles: by name, of the drivers whose style is known but not their behaviour.
         file: the file that it was read from, from the folder on that was read; "" where not known.
         doubts: what contradicts itself, or looked like data and was left out, one sentence each.
         own_road: whether the road belongs to the recording by its id, or is in the same file.
