@@ -1,6 +1,6 @@
 # make install  installs what running needs into .venv
 # make demo     installs that, then runs the whole loop at a small size into runs/demo
-# make test     installs what testing needs, too, then runs every check
+# make test     installs what testing needs, too, then runs all but the slow tests
 # make docs     builds the pages of the documentation into build/site
 # make test-slow  runs the tests that take minutes each
 # make model    trains the models that ship with the package again

@@ -136,8 +136,10 @@ class PlainRival:
         )
         self._forest.fit(training.features, training.codes)
 
-    def posterior(self, features: NDArray[np.floating[Any]]) -> FloatArray:
-        """(n, 6) probabilities of each behaviour, from (n, 9) numbers."""
-        found = np.zeros((len(features), len(BEHAVIORS)))
+    def posterior(
+        self, features: NDArray[np.floating[Any]], classes: int = len(BEHAVIORS)
+    ) -> FloatArray:
+        """(n, k) probabilities of so many behaviours, from (n, 9) numbers."""
+        found = np.zeros((len(features), classes))
         found[:, self._forest.classes_] = self._forest.predict_proba(features.astype(np.float32))
         return found

@@ -88,8 +88,9 @@ def run_scenario(
         "collisions": collisions,
         "simulated_s": round(time_s, 3),
         "real_time_factor": round(time_s / max(time.monotonic() - started, 1e-9), 1),
-        "ms_per_frame": round(1e3 * spent_s / max(frames, 1), 3),
     }
+    if stream is not None:
+        figures["ms_per_frame"] = round(1e3 * spent_s / max(frames, 1), 3)
     rows = [tidy_row(keys, name, value) for name, value in figures.items()]
     truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:

@@ -38,6 +38,7 @@ RATES: Final = {"_per_km": "km", "_per_h": "hours"}
 LEGEND: Final = (
     "Rates are counts over the kilometres that a group's drivers drove; a conflict counts for both "
     "parties. severe: a near miss whose collision would change a velocity by 5 m/s.\n"
+    "Headways count below 5 s and above 3 m/s; close: below 1 s. -: nothing was seen.\n"
     "[low, high]: 95 % interval over episodes, from three on. --json and --out have rates per hour."
 )
 """Text below the table for people."""

@@ -117,10 +117,9 @@ class BehaviorStream:
         if self._answered is None:
             if self._network is not None and (self.traffic != "simulated" or self.is_noisy):
                 ids, found = self._network.answers(self.min_seconds)
-                domain = float(self.traffic != "simulated" and ids.size > 0)
             else:
                 assert self._classifier is not None
-                seen, domain = self._classifier.observation(), 0.0
+                seen = self._classifier.observation()
                 seen = seen.where(seen.seconds >= self.min_seconds - 1e-6)
                 ids, found = seen.ids, np.zeros((0, len(self.model.classes)))
                 if ids.size:
@@ -128,6 +127,7 @@ class BehaviorStream:
                     found = self.model.classifier.posterior(features)
             if self.model.adaptation is not None:
                 found = self.model.adaptation.applied(found)
+            domain = float(self.traffic != "simulated" and ids.size > 0)
             self._answered = ids, found, domain
         return self._answered
 

@@ -41,7 +41,7 @@ def straight_road(
     limit_mps: float = LIMIT_MPS,
     **population: Unpack[PopulationOptions],
 ) -> Scenario:
-    """A straight road; by default 800 m one-way, 3 lanes, 50 km/h, a zebra crossing half-way.
+    """A straight road with a zebra crossing half-way, by default one-way with 3 lanes.
 
     Args:
         flow: ``light``, ``medium``, ``dense`` or vehicles per hour over all lanes.

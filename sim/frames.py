@@ -334,6 +334,8 @@ class Tracks:
             names: the source's name of each id; by default the id.
         """
         seq = list(frames)
+        if any(after.time_s <= before.time_s for before, after in pairwise(seq)):
+            raise InputError("frames: found times out of order, expected later and later ones")
 
         def joined(name: str) -> NDArray[Any]:
             """One array of all frames after each other."""

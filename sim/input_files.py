@@ -48,7 +48,9 @@ def broken_as_one_line(path: Path, expected: str) -> Iterator[None]:
         said = " ".join(str(error).split())
         if isinstance(error, KeyError):
             said = f"no {said}" if " " not in said else said
-        elif isinstance(error, TypeError | AttributeError | IndexError) or not said:
+        elif isinstance(error, IndexError):
+            said = "a number of a part that is not there"
+        elif isinstance(error, TypeError | AttributeError) or not said:
             said = "a value of another kind than its field has"
         raise InputError(f"{path}: found a broken file ({said:.200}), expected {expected}") from (
             error

@@ -235,15 +235,14 @@ def sample_agents(
     """Draw all agents of an episode, in order of departure, with ids 0, 1, 2, ...
 
     Each flow draws from its own generator, so changing one flow leaves the agents of the others as
-    they were. The same seed, an integer >= 0, draws the same agents.
+    they were. The same seed, an integer from 0 to 2**31 - 1, draws the same agents.
 
     Args:
         scenario: whose demand to draw.
         seed: of all chance.
         population: of which drivers are drawn; None for the scenario's.
     """
-    if seed < 0:
-        raise InputError(f"seed: found {seed}, expected an integer >= 0")
+    check_seed(seed)
     if population is not None:
         scenario = dataclasses.replace(scenario, population=population)
     drawn: list[AgentSpec] = []
@@ -261,10 +260,15 @@ def sample_agents(
     return tuple(dataclasses.replace(agent, id=i) for i, agent in enumerate(drawn))
 
 
+def check_seed(seed: int) -> None:
+    """Refuse a seed that an engine does not take."""
+    if not isinstance(seed, int | np.integer) or not 0 <= seed < 2**31:
+        raise InputError(f"seed: found {seed!r}, expected an integer from 0 to 2**31 - 1")
+
+
 def check_agents(scenario: Scenario, agents: Sequence[AgentSpec], seed: int) -> None:
     """Refuse what no engine can drive: a bad seed, an id twice, an edge that is not on the road."""
-    if not 0 <= seed < 2**31:
-        raise InputError(f"seed: found {seed}, expected an integer from 0 to 2**31 - 1")
+    check_seed(seed)
     if len({agent.id for agent in agents}) != len(agents):
         raise InputError("agents: found an id twice, expected unique ids")
     edges = {lane.edge for lane in scenario.road.lanes if not lane.internal}

@@ -45,7 +45,7 @@ SMALL = {
     "--episodes 40 ": "--episodes 1 ",
     "--episodes 5 ": "--episodes 3 ",
     "--at-s 20 ": "--at-s 10 ",
-    "drive --quick ": "drive --policy planner-told --policy do-nothing --episodes 1 --quick ",
+    "drive --quick ": "drive --policy planner-classified --policy do-nothing --episodes 1 --quick ",
     "--policy idm-mobil --quick ": "--episodes 1 --quick ",
 }
 """Shorter commands; durations (`LONG`) become 20 s."""

@@ -8,8 +8,8 @@
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
 - ``noise``: usual traffic seen by the model that ships with noise, at other frame rates, and with
   lost frames.
-- ``leak-probe``: a forest that sees an agent's number and the time and nothing else; it has to stay
-  at chance, and its interval has to hold chance.
+- ``leak-probe``: a forest that sees an agent's numbers and the time and nothing else; it has to
+  stay at chance, and its interval has to hold chance, but on rows split at random.
 
 Whole tracks are also scored by the plain rival ``nine-numbers`` (`experiments.rival`), trained on
 the same drivers. Under ``inductive`` the ``ceiling`` is a forest that sees the drivers' true
@@ -387,19 +387,27 @@ def noise(data: Data) -> Iterator[list[Row]]:
 
 
 def leak_probe(data: Data) -> Iterator[list[Row]]:
-    """A forest on agent numbers and times: on all windows, and on each driver's first.
+    """A forest on who and when: all windows, each driver's first, and rows split at random.
 
-    Together they give the time in sight, and slow drivers stay longer. When its first window ends,
-    each has been in sight for as long.
+    The first two together give the time in sight, and slow drivers stay longer. When its first
+    window ends, each has been in sight for as long. Random rows are what papers score: drivers that
+    it learned from are scored, too.
     """
     many = data["many"]
     known, asked = (
-        dataclasses.replace(part, features=np.stack([part.agent, part.time_s], 1).astype("f4"))
+        dataclasses.replace(
+            part, features=np.stack([part.episode, part.agent, part.time_s], 1).astype("f4")
+        )
         for part in (many.training("majority"), many.scored("majority", MAIN_S[:1]))
     )
     answers = _forest_answers(many, known, asked, feature_share=1.0)
     _, first = np.unique(answers["driver"], return_index=True)  # windows are in order of time
-    for variation, some in (("", answers), ("first window", answers.iloc[first])):
+    half = np.random.default_rng(0).random(len(asked)) < 0.5
+    learned, scored = asked.where(half), asked.where(~half)
+    mixed = _forest_answers(many, learned, scored, feature_share=1.0, min_leaf=1)
+    for variation, some in (
+        ("", answers), ("first window", answers.iloc[first]), ("random rows", mixed),
+    ):  # fmt: skip
         yield _rows(many, some, "leak-probe", variation, "leak-probe", _majority_of(known))
 
 

@@ -21,7 +21,7 @@ bench = typer.Typer(
 OPTIONS: Final[dict[str, Any]] = {
     **{
         f"{name}s": Annotated[
-            list[str] | None, shared("Only this; repeat for several [default: all].", f"--{name}")
+            list[str] | None, shared("Only this; repeat for several (default: all).", f"--{name}")
         ]
         for name in ("scenario", "protocol", "method", "predictor", "graph", "solver", "engine")
     },
@@ -45,7 +45,7 @@ OPTIONS: Final[dict[str, Any]] = {
     ],
     "sizes": Annotated[
         list[int] | None,
-        shared("Vehicles; repeat for several [default: 25 to 20000].", "--size"),
+        shared("Vehicles; repeat for several (default: 25 to 20000).", "--size"),
     ],
     "city": Annotated[bool, shared("In cities, all but the smallest need netgenerate.", "--city")],
 }

@@ -147,6 +147,7 @@ def road(
     json: Json = None,
 ) -> None:  # fmt: skip
     """Say what a map holds, what it lacks and what is wrong with it; draw it; make it drivable."""
+    from behaviors.errors import InputError
     from experiments.console.notices import say
     from experiments.guard import guarded_call
     from experiments.score.rows import tidy_row
@@ -163,6 +164,9 @@ def road(
             Path(f"{out}.toml"): f'net = "{out.name}.net.xml"\nflow = "medium"\n'.encode(),
         }
         refuse_to_overwrite([file], list(files))
+        net, _, written = files
+        if net.exists() and not written.exists():
+            raise InputError(f"{net}: found a map of your own, expected another --out NAME")
         for path, content in files.items():
             write_whole(path, content)
     lines, rows = found.rows(), []
@@ -411,7 +415,7 @@ def predict(
         "From train --predictor (default: the weights that ship).", metavar="FOLDER"),
     traffic: TrafficKind = None,
     split: str | None = option(
-        "test, validation, train or all [default: test; all of recordings]."),
+        "test, validation, train or all (default: test; of recordings, all)."),
     jobs: Jobs = None, json: Json = None, quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Predict the motion of every agent, and score it."""
@@ -519,12 +523,13 @@ def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | No
         typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")
 
 
-@_command(ASK, "drive", "drive --policy planner-told --quick")
+@_command(ASK, "drive", "drive --policy planner-classified --quick")
 def drive(
     policy: list[str] | None = option(
         "A policy of ours, such as planner-blind, or module:function; repeat for several "
         "(default: ours).", metavar="NAME"),
-    scenario: list[str] | None = option("Where; repeat for several (default: everywhere)."),
+    scenario: list[str] | None = option(
+        "Where; repeat for several (default: all but roundabout and city)."),
     crowd: list[str] | None = option(
         "Among whom: a behaviour, mixed, recorded, homogeneous, or a mix such as "
         "timid=.9,novice=.1; repeat for several (default: all).", metavar="NAME or MIX"),

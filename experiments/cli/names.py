@@ -26,9 +26,6 @@ REGISTRIES: Final[dict[str, str]] = {
 }
 """The registries, as "module:attribute", by what they hold."""
 
-BY_MODULE: Final = ("solver", "format")
-"""Kinds of things whose modules say in one line what they are; others say it themselves."""
-
 
 def names_of(what: str) -> list[str]:
     """The registered names of one kind of thing, in the registry's order."""
@@ -61,14 +58,14 @@ def _about(registry: Registry[Any], name: str, what: str) -> str:
     if what == "format" and registry.origin(name) == "graphrqi":
         source = registry[name].reader or registry[name].writer
     try:
-        if what in BY_MODULE and source is not None:
+        if what == "format" and source is not None:  # the reader's module says what it reads
             return _first_line(importlib.import_module(source.split(":")[0]).__doc__)
         entry = registry[name]
     except InputError as error:  # a plugin that does not load
         return str(error)
     if hasattr(entry, "summary"):
         return str(entry.summary)
-    made_by = getattr(entry, "function", entry)
+    made_by = getattr(entry, "function", getattr(entry, "find", entry))
     about = _first_line(inspect.getdoc(getattr(made_by, "func", made_by)))
     fixed = ", ".join(f"{k}={v}" for k, v in getattr(made_by, "keywords", {}).items())
     return f"{about} Here {fixed}." if fixed else about

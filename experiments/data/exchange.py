@@ -80,7 +80,11 @@ def import_recordings(
     """
     if columns is not None:
         check_columns(columns, units or {})
+        if name not in (None, "table"):
+            raise InputError(f"--format: found {name} beside --columns, expected table or none")
         name = "table"
+    elif units:
+        raise InputError("--units: found no --columns, expected those of a table of your own")
     roads = RecordedRoads(net, shift_m)
     given = None if labels is None else guarded_call(labels, read_driver_labels, labels)
     doubted: list[str] = []

@@ -147,7 +147,7 @@ STEERED: Final[dict[str, Any]] = {
 BLIND: Final = "planner-blind"
 """The planner that knows nothing of the other drivers; what knowledge gains is counted from it."""
 
-KNOWS: Final = {BLIND: "nothing", "planner-told": "beliefs", "planner-true": "truth"}
+KNOWS: Final = {BLIND: "nothing", "planner-classified": "beliefs", "planner-true": "truth"}
 """What each planner knows of the other drivers."""
 
 POLICIES: Final[dict[str, tuple[Callable[..., Act], dict[str, Any]]]] = {

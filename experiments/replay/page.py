@@ -25,7 +25,7 @@ from behaviors.labels import BEHAVIORS, COLORS, TRAITS, UNKNOWN_COLOR
 from behaviors.profiles import PROFILE_FIELDS, Profile
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
-from experiments.replay.pictures import check_picture, ramp_color, write_picture
+from experiments.replay.pictures import STILL, check_picture, ramp_color, write_picture
 from experiments.replay.scene import DEFAULT_PREDICTOR, ReplayScene, chosen_entry, gather
 from graphrqi.posterior import LABEL_PROBABILITY
 from graphrqi.predict import PREDICTORS
@@ -91,6 +91,8 @@ def write_replay(
         PREDICTORS[predictor]
     if picture is not None:
         check_picture(picture, films=True)
+    if end_s is not None and (picture is None or picture.suffix.lower() in STILL):
+        raise InputError(f"--end-s: found {end_s:g}, expected --picture of a film (.gif, .mp4)")
     with as_dataset(source, format, net) as folder:
         dataset = open_dataset(folder)
         entry, many = chosen_entry(dataset, episode), len(dataset.manifest.episodes)
@@ -103,11 +105,10 @@ def write_replay(
             f"--begin-s: found {begin_s:g}, expected a time from {first_s:g} to {last_s:g} s"
         )
     mode = color or ("predicted" if scene.tracks.behavior is None else "true")
+    if picture is not None:  # first, since it checks the film's times
+        write_picture(scene, picture, mode, begin_s, end_s, quiet)
     write_page(scene, out, mode, begin_s)
-    if picture is None:
-        return [out]
-    write_picture(scene, picture, mode, begin_s, end_s, quiet)
-    return [out, picture]
+    return [out] if picture is None else [out, picture]
 
 
 def write_page(scene: ReplayScene, out: Path, mode: str, begin_s: float | None = None) -> None:

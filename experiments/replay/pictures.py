@@ -157,8 +157,8 @@ def write_picture(
     count = int((end - begin) * FILM_HZ + 1e-6) + 1
     if end <= begin or count > MOST_FRAMES:
         raise InputError(
-            f"{path}: found {begin:g} to {end:g} s, expected some time between {times[0]:g} and "
-            f"{times[-1]:g} s, and at most {MOST_FRAMES // FILM_HZ} s of it"
+            f"--begin-s and --end-s: found {begin:g} to {end:g} s, expected some time between "
+            f"{times[0]:g} and {times[-1]:g} s, and at most {MOST_FRAMES // FILM_HZ} s of it"
         )
     drawing = Drawing(scene, mode, FILMS[ending])
     writer: Any = (FFMpegWriter if ending == ".mp4" else PillowWriter)(fps=FILM_HZ)

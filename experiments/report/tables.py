@@ -142,7 +142,9 @@ def _head(word: Any) -> str:
 
 def with_interval(row: Mapping[Any, Any]) -> str:
     """The figure of a tidy row as text, with its interval where it has one."""
-    value = number(float(row["value"] or 0.0))
+    if row["value"] is None or pd.isna(row["value"]):
+        return "-"
+    value = number(float(row["value"]))
     if pd.isna(row["low"]):
         return value
     return f"{value} [{number(row['low'])}, {number(row['high'])}]"

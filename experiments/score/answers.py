@@ -179,21 +179,22 @@ def _style_rows(
 
 
 def score_difference(
-    ours: pd.DataFrame, theirs: pd.DataFrame, keys: Mapping[str, Cell]
-) -> list[Row]:
+    ours: pd.DataFrame, theirs: pd.DataFrame, keys: Mapping[str, Cell],
+    classes: Sequence[Behavior] = BEHAVIORS,
+) -> list[Row]:  # fmt: skip
     """How much better some answers are than others about the same drivers in the same order.
 
     Drivers count whose behaviour is known; intervals are by a paired bootstrap over episodes.
     """
-    known = _codes(ours["truth"], BEHAVIORS) >= 0
+    known = _codes(ours["truth"], classes) >= 0
     rows: list[Row] = []
     figures: Any = (
-        ("macro_f1", metrics.macro_f1, "truth", BEHAVIORS, _chances),
+        ("macro_f1", metrics.macro_f1, "truth", classes, _chances),
         ("balanced_accuracy", metrics.balanced_accuracy, "true_style", STYLES, _style_chances),
     )
     for name, of, column, words, chances in figures:
         each = [
-            _counts(_codes(one[column], words), chances(one, BEHAVIORS), _episodes(one))
+            _counts(_codes(one[column], words), chances(one, classes), _episodes(one))
             for one in (ours[known], theirs[known])
         ]
 

@@ -21,7 +21,7 @@ from experiments.guard import guarded_call
 from experiments.rival import PlainRival, whole_tracks
 from experiments.score.answers import STYLES, is_scored, score_answers, score_difference
 from experiments.score.rows import Cell, Row, pivoted
-from experiments.score.tables import CHANCES, LABELS, as_table, joined_columns, table_file
+from experiments.score.tables import LABELS, as_table, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.places.other_traffic import Traffic
@@ -232,7 +232,9 @@ def evaluate(
     with the mean of the file's own probabilities.
     """
     known, dataset = load_model(model), open_dataset(source)
-    given = None if answers is None else guarded_call(answers, read_answers, answers)
+    classes, given = dataset.behaviors, None
+    if answers is not None:
+        given = guarded_call(answers, read_answers, answers, classes)
     answered = answer_episodes(
         known, [dataset], split=None if given is None else "test", labels=labels, traffic=traffic,
         jobs=jobs, quiet=quiet,
@@ -255,46 +257,62 @@ def evaluate(
             f"{answers}: found no answer about a driver of the test split of {source}, expected "
             "its episodes and agents as in the dataset's tables"
         )
-    compared = {str(model): answered}
+    unknown = {f"p_{b}": 0.0 for b in classes if b not in known.classes}
+    compared = {str(model): answered.assign(**unknown)}
     if dataset.episodes("train"):
         compared[RIVAL] = _replaced(answered, _forest_answers(dataset, jobs))
-        rows += scored_answers(compared[RIVAL], RIVAL)
+        rows += scored_answers(compared[RIVAL], RIVAL, classes)
     mine = _replaced(answered, given)
-    rows += scored_answers(mine, answers.stem)
+    called = answers.stem if answers.stem not in compared else answers.name
+    rows += scored_answers(mine, called, classes)
     for name, other in compared.items():
-        keys = {"model": answers.stem, "against": name, "scenario": ALL, "split": "test"}
-        rows += score_difference(mine, other, keys)
+        keys = {"model": called, "against": name, "scenario": ALL, "split": "test"}
+        rows += score_difference(mine, other, keys, classes)
     return rows
 
 
-def read_answers(path: Path) -> pd.DataFrame:
-    """Probabilities (n, 6) by episode and agent, of the last answer about each driver in a file.
+def read_answers(path: Path, classes: Sequence[Behavior] = BEHAVIORS) -> pd.DataFrame:
+    """Probabilities (n, k) by episode and agent, of the last answer about each driver in a file.
 
-    CSV or Parquet has the columns ``episode``, ``agent`` and ``label``, a behaviour. ``time_s``
-    orders several answers about one driver; without all of `CHANCES` the label has 1.
+    CSV or Parquet has the columns ``episode``, ``agent`` and ``label``, one of the behaviours.
+    ``time_s`` orders several answers about one driver. With a column ``p_BEHAVIOR`` of each, the
+    label is the likeliest; without all of them it has the probability 1.
     """
-    optional = ("time_s", *CHANCES)
+    chances = [f"p_{b}" for b in classes]
+    optional = ("time_s", *chances)
     table = read_table(path, ("agent", *optional), ("episode", "label"), optional)
     table = table.astype({"episode": str, "label": str, "agent": np.int64})
-    codes = pd.Categorical(table["label"], [str(b) for b in BEHAVIORS]).codes
+    codes = pd.Categorical(table["label"], [str(b) for b in classes]).codes
     if (codes < 0).any():
         wrong = table["label"][codes < 0].iloc[0]
-        known = ", ".join(BEHAVIORS)
+        known = ", ".join(classes)
         raise InputError(f"{path}: label: found {wrong[:60]!r}, expected one of {known}")
-    if not set(CHANCES) <= set(table):
-        table[CHANCES] = np.eye(len(BEHAVIORS))[codes]
+    if set(chances) <= set(table):
+        given = table[chances].to_numpy(np.float64)
+        sums = (given >= 0.0).all(axis=1) & (np.abs(given.sum(axis=1) - 1.0) < 1e-3)
+        likeliest = given[np.arange(len(given)), codes] >= given.max(axis=1) - 1e-9
+        for right, column, expected in (
+            (sums, "p_ columns", "probabilities from 0 on that add to 1"),
+            (likeliest, "label", "the behaviour with the largest p_ column"),
+        ):
+            if not right.all():
+                row = table[["label", *chances]].iloc[right.argmin()].to_dict()
+                raise InputError(f"{path}: {column}: found {row}, expected {expected}")
+    else:
+        table[chances] = np.eye(len(classes))[codes]
     if "time_s" in table:
         table = table.sort_values("time_s", kind="stable")
-    return pd.DataFrame(table.groupby(["episode", "agent"])[CHANCES].last())
+    table = table.drop_duplicates(["episode", "agent"], keep="last")
+    return table.set_index(["episode", "agent"])[chances]
 
 
 def _forest_answers(dataset: Dataset, jobs: int | None) -> pd.DataFrame:
     """The plain rival's probabilities in the test split, by episode and agent."""
     training, asked = (whole_tracks(dataset, split, jobs) for split in ("train", "test"))
     names = np.array([entry.id for entry in dataset.manifest.episodes])
-    probability = PlainRival(training).posterior(asked.features)
+    probability = PlainRival(training).posterior(asked.features, len(dataset.behaviors))
     where = pd.MultiIndex.from_arrays([names[asked.episode], asked.agent])
-    return pd.DataFrame(probability, index=where)
+    return pd.DataFrame(probability, where, [f"p_{b}" for b in dataset.behaviors])
 
 
 def _drivers(answers: pd.DataFrame) -> pd.MultiIndex:
@@ -306,9 +324,9 @@ def _replaced(ours: pd.DataFrame, given: pd.DataFrame) -> pd.DataFrame:
     probability = given.reindex(_drivers(ours)).to_numpy(np.float64, copy=True)
     answered = np.isfinite(probability).all(axis=1)
     probability[~answered] = given.mean().to_numpy()
-    words = np.array([str(b) for b in BEHAVIORS], object)[probability.argmax(axis=1)]
+    words = given.columns.str.removeprefix("p_").to_numpy(object)[probability.argmax(axis=1)]
     found = ours.assign(behavior=np.where(answered, words, None))
-    found[CHANCES] = probability.astype(np.float32)
+    found[given.columns] = probability.astype(np.float32)
     return found
 
 

@@ -169,6 +169,15 @@ def score_episode(
             if on_prediction is not None:
                 on_prediction(name, history, prediction)
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
+            if not (
+                np.array_equal(prediction.ids, history.ids)
+                and prediction.time_s.size > at[-1]
+                and np.allclose(prediction.time_s[at], sample)
+            ):
+                raise InputError(
+                    f"predictor {name}: found a {prediction!r}, expected all {history.ids.size} "
+                    f"agents of the scene, every {SAMPLE_S:g} s up to {longest:g} s"
+                )
             gap = metrics.distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
             hit = _hits(history, prediction.best[:, at])[scored]

@@ -123,7 +123,7 @@ def read_rows(path: Path) -> list[Row]:
 def checked_rows(found: Any, where: str) -> list[Row]:
     """Rows from a place that is named in errors, refused unless they are a list of flat rows."""
     if not isinstance(found, list):
-        raise InputError(f"{where}: found {type(found).__name__}, expected a list of rows")
+        raise InputError(f"{where}: found no list, expected a list of rows")
     for number, row in enumerate(found):
         try:
             _Figure.model_validate(row)

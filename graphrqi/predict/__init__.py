@@ -144,7 +144,7 @@ def predict(
     if weights is not None and predictor == "graphrqi-predict":
         from graphrqi.predict.learned.predictors import with_weights
 
-        function = with_weights(weights)
+        function = with_weights(Path(weights))
     if road is None:
         scene: Scene | Unmapped = Unmapped(
             present_agents(since_break(history)), round(horizon_s / STEP_S)

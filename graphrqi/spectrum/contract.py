@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
+from behaviors.registry import loaded
 from graphrqi.graph import TrafficGraph
 
 End: TypeAlias = Literal["largest", "smallest"]
@@ -281,6 +282,10 @@ class Solver:
             if k < 1 or self.dense_share * k >= graph.ids.size:
                 return answer(graph, problem.dense(), end, tol)
         return answer(graph, self.find(problem), end, tol)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle by name: the function's name is the solver's."""
+        return loaded, (f"{self.find.__module__}:{self.find.__name__}",)
 
 
 def eigensolver(dense_share: int | None = None) -> Callable[[Callable[[Problem], Pairs]], Solver]:

@@ -183,7 +183,10 @@ FORMATS: Final[Registry[Format]] = Registry(
 OTHERS: Final = (
     (re.compile(rb"^par1|^arrow1|^fea1"), "no known format in a table with the columns"),
     (re.compile(rb"^\s*<(?:!doctype )?html", re.DOTALL), "a web page, no download"),
-    (re.compile(rb"^pk\x03\x04"), "a ZIP archive (to be unpacked)"),
+    (
+        re.compile(rb"^pk\x03\x04"),
+        "a ZIP archive to be unpacked, or an Excel workbook to be saved as CSV",
+    ),
     (re.compile(rb"^\x1f\x8b"), "a gzipped file whose name does not end in .gz"),
     (re.compile(rb"^\x89hdf"), "an HDF5 file"),
     (re.compile(rb"^sqlite format 3"), "an SQLite database"),

@@ -391,11 +391,10 @@ def read_own(
     if "speed" in names:
         names = {key: name for key, name in names.items() if key not in ("vx", "vy")}
     in_file = beginning_of(path)[1]
-    absent = next((name for name in names.values() if name not in in_file), None)
-    if absent is not None and in_file:
-        raise InputError(
-            f"{path}: found the columns {', '.join(in_file)!r:.160}, expected a column {absent}"
-        )
+    absent = [name for name in names.values() if name not in in_file]
+    if absent and in_file:
+        expected = f"expected a column {', a column '.join(absent)}"
+        raise InputError(f"{path}: found the columns {', '.join(in_file)!r:.160}, {expected}")
     known = {key: UNITS[key][unit] for key, unit in units.items()}
     optional = [name for key, name in names.items() if key not in NEEDED]
     rows = rows_of(read_columns(path, names, (), optional), names, known, from_zero=True)

@@ -188,7 +188,10 @@ def _connections(net: Any, group_of: GroupOf) -> list[Connection]:
         at = link.getViaLaneID()
         while at:
             if str(at) in via:
-                raise InputError(f"lane {str(at)!r:.60}: found a way that leads back to it")
+                raise InputError(
+                    f"lane {str(at)!r:.60}: found a way that leads back to it, "
+                    "expected one out of the junction"
+                )
             via.append(str(at))
             at = net.getLane(at).getOutgoing()[0].getViaLaneID()
         found.append(

@@ -209,7 +209,7 @@ class Dataset:
         if behavior in BEHAVIORS:
             fits.append(pc.greater(table[str(behavior)], 0))
         elif behavior is not None:  # one's own is drawn if the mix has it
-            fits.append(pc.match_substring(table["mix"], f'"{behavior}": '))
+            fits.append(pc.match_substring(pc.cast(table["mix"], pa.string()), f'"{behavior}": '))
         return table.filter(reduce(pc.and_, fits)) if fits else table
 
     def scan(self, table: str = "steps", **filters: Any) -> Any:

@@ -97,7 +97,7 @@ def test_the_pages_trained_policy_is_trained_loaded_and_measured(
 
 
 def test_ranks_and_what_is_gained_are_paired_by_seed() -> None:
-    policies, crowds = ("idm-mobil", "planner-blind", "planner-told"), (MIXED, HOMOGENEOUS)
+    policies, crowds = ("idm-mobil", "planner-blind", "planner-classified"), (MIXED, HOMOGENEOUS)
     table = np.zeros((1, 4, 2, 3, len(METRICS)))
     score_of = METRICS.index("score")
     table[0, :, 0, :, score_of] = np.array([[0.1, 0.3, 0.5]]) + np.arange(4)[:, None] / 20
@@ -106,9 +106,9 @@ def test_ranks_and_what_is_gained_are_paired_by_seed() -> None:
         (row["crowd"], row["policy"], row["metric"]): row
         for row in figure_rows("here", crowds, policies, table)
     }
-    assert found[MIXED, "planner-told", "rank"]["value"] == 1.0
+    assert found[MIXED, "planner-classified", "rank"]["value"] == 1.0
     assert found[MIXED, "idm-mobil", "rank"]["value"] == 3.0
-    told = found[MIXED, "planner-told", "score_minus_blind"]
+    told = found[MIXED, "planner-classified", "score_minus_blind"]
     assert told["value"] == pytest.approx(0.2)
     assert told["low"] == pytest.approx(told["high"])  # the same gain at every seed
     assert found[HOMOGENEOUS, "idm-mobil", "score_minus_diverse"]["value"] == pytest.approx(0.2)

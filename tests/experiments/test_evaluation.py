@@ -13,10 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 
+from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS, Behavior
 from experiments.generate.configuration import GenerateConfig
 from experiments.generate.dataset import generate
 from experiments.score.answers import score_answers
+from experiments.score.labels import read_answers
 from experiments.score.tables import LABELS
 from sim.store.dataset import open_dataset
 from tests.experiments.shared import call
@@ -158,6 +160,40 @@ def test_answers_from_a_file_are_scored_like_ours(data, tmp_path, capsys) -> Non
     (tmp_path / "other.csv").write_text("episode,agent,label\nx,1,timid\n")
     assert call("evaluate", "graphrqi-plus", data, "--answers", tmp_path / "other.csv") == 2
     assert "found no answer about a driver of the test split" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("label", "chances", "message"),
+    [
+        ("timid", {"careful": 40.0, "timid": 60.0}, "probabilities from 0 on that add to 1"),
+        ("timid", {"careful": -0.5, "timid": 1.5}, "probabilities from 0 on that add to 1"),
+        ("timid", {"careful": np.nan, "timid": 1.0}, "probabilities from 0 on that add to 1"),
+        ("careful", {"timid": 1.0}, "the behaviour with the largest p_ column"),
+    ],
+)
+def test_answers_have_probabilities_that_agree_with_the_label(label, chances, message, tmp_path):
+    row = {"episode": "x", "agent": 1, "label": label, **{f"p_{b}": 0.0 for b in BEHAVIORS}}
+    row |= {f"p_{b}": value for b, value in chances.items()}
+    pd.DataFrame([row]).to_parquet(tmp_path / "a.parquet")
+    with pytest.raises(InputError, match=message):
+        read_answers(tmp_path / "a.parquet")
+
+
+def test_answers_may_name_behaviours_of_ones_own(tmp_path) -> None:
+    mix = {"careful": 0.5, "novice": 0.5}
+    config = GenerateConfig(
+        scenarios=("straight_road",), episodes=3, seed=4, duration_s=25.0, behaviors="novice",
+        mix=mix,
+    )  # fmt: skip
+    generate(config, tmp_path / "data", jobs=1, quiet=True)
+    assert len(open_dataset(tmp_path / "data").episodes("test", behavior="novice")) == 1
+    agents = open_dataset(tmp_path / "data").scan("agents", split="test").to_table().to_pandas()
+    drivers = agents.dropna(subset=["behavior"]).rename(columns={"behavior": "label"})
+    drivers[["episode", "agent", "label"]].to_csv(tmp_path / "graphrqi-plus.csv", index=False)
+    given = ("--answers", tmp_path / "graphrqi-plus.csv", "--json", tmp_path / "s.json", "-q")
+    assert call("evaluate", "graphrqi-plus", tmp_path / "data", *given) == 0
+    found = figures(tmp_path / "s.json", model="graphrqi-plus.csv", scenario="straight_road")
+    assert found["weighted_accuracy"]["value"] == 1.0
 
 
 def recording(folder: Path) -> Path:

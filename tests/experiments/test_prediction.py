@@ -109,6 +109,9 @@ def ahead(scene, posterior):
     way = unit[:, None] * (scene.speed[:, None] * scene.time_s)[..., None]
     return scene.predicted(scene.xy[:, None] + way)
 
+def short(scene, posterior):
+    return ahead(scene, posterior).until(1.0)
+
 def number(scene, posterior):
     return 3
 
@@ -140,6 +143,10 @@ def test_a_predictor_of_ones_own_is_scored_beside_ours(own, dataset, tmp_path, c
     )
     assert mine == ours
     assert mine
+    with pytest.raises(SystemExit) as ended:
+        main(["predict", str(dataset), "--predictors", f"{own}:short", "-q"])
+    assert ended.value.code == 2
+    assert "every 0.5 s up to 5 s" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_name_from_a_file_runs_no_code(own):

@@ -315,6 +315,12 @@ def test_wrong_input_is_refused_by_name(straight):
         Prediction([1], [1.0], np.full((1, 1, 1, 2), np.nan), [[1.0]])
     with pytest.raises(InputError, match="sum to 1"):
         Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[0.2, 0.2]])
+    with pytest.raises(InputError, match="negative ones"):
+        Prediction([1], [1.0], np.zeros((1, 2, 1, 2)), [[-0.5, 1.5]])
+    with pytest.raises(InputError, match=r"Prediction\.ids"):
+        Prediction([1, 1], [1.0], np.zeros((2, 1, 1, 2)), [[1.0]] * 2)
+    with pytest.raises(InputError, match=r"Prediction\.spread"):
+        Prediction([1], [1.0], np.zeros((1, 1, 1, 2)), [[1.0]], np.zeros((1, 1, 1)))
 
 
 def test_driver_numbers_survive_their_file(tmp_path):

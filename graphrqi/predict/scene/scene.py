@@ -165,7 +165,7 @@ def _wished_speeds(
     ratio = speed / limit
     least = np.zeros(n)
     np.maximum.at(least, agent[on], ratio[on])
-    seen = on & (instant > 0) & history.valid[agent, before]
+    seen = on & (column > before) & history.valid[agent, before]
     span = np.where(seen, history.time_s[column] - history.time_s[before], 1.0)
     change = (speed - history.speed[agent, before]) / span
     clear = np.maximum(FREE_HEADWAY_S * speed, FREE_GAP_M)

@@ -247,10 +247,9 @@ def _each_once(names: Sequence[str], wanted: Sequence[str], optional: Collection
         count = list(names).count(name)
         if count > 1:
             raise InputError(f"found column {name} {count} times, expected once")
-        if count == 0 and name not in optional:
-            raise InputError(
-                f"found the columns {', '.join(names)!r:.160}, expected a column {name}"
-            )
+    if absent := [name for name in wanted if name not in names and name not in optional]:
+        expected = f"expected a column {', a column '.join(absent)}"
+        raise InputError(f"found the columns {', '.join(names)!r:.160}, {expected}")
     return [name for name in wanted if name in names]
 
 
