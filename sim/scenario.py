@@ -235,11 +235,11 @@ def sample_agents(
     """Draw all agents of an episode, in order of departure, with ids 0, 1, 2, ...
 
     Each flow draws from its own generator, so changing one flow leaves the agents of the others as
-    they were. The same seed, an integer from 0 to 2**31 - 1, draws the same agents.
+    they were. The same seed draws the same agents.
 
     Args:
         scenario: whose demand to draw.
-        seed: of all chance.
+        seed: of all chance, as `check_seed` takes it.
         population: of which drivers are drawn; None for the scenario's.
     """
     check_seed(seed)

@@ -104,18 +104,14 @@ def focal_windows(name: str, tracks: Tracks, steps: int) -> Iterator[tuple[int, 
 def labels_beside(path: Path) -> dict[str, int]:
     """Codes into ``BEHAVIORS`` by an agent's name, from the table of labels beside a recording.
 
-    It has the columns ``track_id`` and ``behavior``, and may be missing.
+    It has the columns ``track_id`` and ``behavior``, and may be missing. Behaviours of one's own
+    become unknown.
     """
     if not path.is_file():
         return {}
     table = read_table(path, (), ("track_id", "behavior"), ("behavior",))
     words = words_in(table["behavior"])
-    wrong = next((word for word in words if word and word not in BEHAVIORS), None)
-    if wrong is not None:
-        raise InputError(
-            f"{path}: found behavior {wrong!r:.60}, expected one of {', '.join(BEHAVIORS)}"
-        )
-    codes = [BEHAVIORS.index(word) if word else -1 for word in words]
+    codes = [BEHAVIORS.index(word) if word in BEHAVIORS else -1 for word in words]
     return dict(zip(map(str, words_in(table["track_id"])), codes, strict=True))
 
 

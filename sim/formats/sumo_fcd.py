@@ -171,26 +171,24 @@ def _recording(
     for tag, own, word, behavior in first[["tag", *FACTS]].itertuples(index=False):
         while own in found:
             own = f"{tag}-{own}"
-        if behavior and behavior not in BEHAVIORS:
-            raise InputError(
-                f"{tag} {own:.60}: behavior: found {behavior[:40]!r}, expected one of "
-                f"{', '.join(BEHAVIORS)}"
-            )
         kind = AgentKind.PEDESTRIAN if tag == "person" else _kind_in(word)
         found[own] = types.get(word, (kind, default_size(kind)))
-        codes[own] = BEHAVIORS.index(behavior) if behavior else -1
+        codes[own] = BEHAVIORS.index(behavior) if behavior in BEHAVIORS else -1
     made = rows[["t", "x", "y", "speed"]].assign(
         id=pandas.Categorical.from_codes(agent, list(found)),
         heading=np.radians(90.0 - rows["angle"]),
         kind=np.array([kind.code for kind, _ in found.values()])[agent],
     )
     made[["length", "width"]] = np.array([sides for _, sides in found.values()])[agent]
+    other = int((~first["behavior"].isin(["", *BEHAVIORS]) & first["behavior"].notna()).sum())
     assumed = int((~first["type"].isin(types)).sum())
     notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
     recording = recorded(
         name, made, notes if assumed else (), empty_s=times_s, ahead_lengths=0.5
     ).with_codes(codes)
     doubts = list(recording.doubts)
+    if other:
+        doubts.append(f"{other} agents have other behaviours than the six, which become unknown")
     if containers:
         doubts.insert(0, f"{containers} containers are left out: they are no road-agents")
     if riders:

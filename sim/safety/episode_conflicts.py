@@ -24,6 +24,7 @@ from sim.frames import (
     AgentKind,
     BoolArray,
     CodeArray,
+    EventKind,
     FloatArray,
     IntArray,
     Tracks,
@@ -218,6 +219,10 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     touch = np.flatnonzero(found.gap_m == 0.0)
     depth = -separation(outlines.rows(rows[0, touch]), outlines.rows(rows[1, touch]))
     contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
+    collided = [(e.agent, e.other) for e in tracks.events if e.kind is EventKind.COLLISION]
+    hit = {pair for one, other in collided for pair in ((one, other), (other, one))}
+    pairs = zip(*tracks.ids[agents].tolist(), strict=True)
+    contact |= np.array([pair in hit for pair in pairs], dtype=bool)
     aside_s = np.where(aside & (kind != FOLLOWING)[of_place], places.gap_s, np.inf)
     aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # a graze is not a contact
     close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k)
