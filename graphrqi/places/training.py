@@ -20,7 +20,7 @@ from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
 from graphrqi.arrays import CodeArray, FloatArray, IntArray
 from graphrqi.classify.contract import Standardisation
-from graphrqi.features.drivers import SCENE_NAMES
+from graphrqi.features.drivers import SCENE_NAMES, UNKNOWN_SCENE
 from graphrqi.networks.portable_torch import Descent, one_thread, root
 from graphrqi.places.network import (
     CLIP,
@@ -236,6 +236,8 @@ def train_other_traffic(
     noisy = train_place_network(training.where(parts != OTHER), seed, options)
     other = train_place_network(training, seed, options)
     scenes = scene_of(training.features)
-    low, high = np.quantile(scenes, [RANGE, 1.0 - RANGE], axis=0)
-    low[SCENE_NAMES.index("seconds")] = 0.0  # windows end some seconds after the first frame
+    interval, seconds = map(SCENE_NAMES.index, ("frame interval", "seconds"))
+    high = np.quantile(scenes, 1.0 - RANGE, axis=0)
+    low = np.full(high.size, UNKNOWN_SCENE)  # a number that is unknown is not unlike the training
+    low[interval], low[seconds] = np.quantile(scenes[:, interval], RANGE), 0.0
     return OtherTraffic(noisy, other, low, high)
