@@ -110,10 +110,7 @@ def _rows(keys: dict[str, Cell], sums: pd.DataFrame) -> Iterator[Row]:
             shares[metric + end] = sums[metric], sums[base]
     for metric, (top, below) in shares.items():
         columns = np.stack([top, below], axis=1)[below > 0]
-        if len(columns):
-            yield row_of(keys, metric, ratio, columns, len(columns))
-        else:
-            yield tidy_row(keys, metric, None, n=0)
+        yield row_of(keys, metric, ratio, columns, len(columns))
 
 
 def _amounts(dataset: Dataset, episode: Episode) -> pd.DataFrame:

@@ -18,12 +18,9 @@ from sim.store.schema import TABLES, Split
 DATA_CARD: Final = "README.md"
 """Name of the card in a dataset's folder."""
 
-CARD_HEAD: Final = "---\npretty_name: Traffic episodes with labelled driver behaviour\n"
-"""How every card begins."""
-
-TEMPLATE: Final = (
-    CARD_HEAD
-    + """\
+TEMPLATE: Final = """\
+---
+pretty_name: Traffic episodes with labelled driver behaviour
 license: other
 task_categories: [tabular-classification, time-series-forecasting]
 tags: [traffic, trajectories, driver-behavior]
@@ -43,7 +40,9 @@ drivers are what each driver was drawn to be.
 {configuration}
 ```
 """
-)
+
+CARD_HEAD: Final = TEMPLATE.partition("license:")[0]
+"""How every card begins."""
 
 
 def write_data_card(path: Path) -> None:

@@ -19,11 +19,12 @@ PARENT_CHECK_S: Final = 0.25
 """How often a worker checks that its parent still runs, s (it costs nothing)."""
 
 
-def start_worker(parent: int) -> None:
-    """Prepare a worker of the run with this process id.
+def start_worker(parent: int, folder: str) -> None:
+    """Prepare a worker of the run with this process id and working folder.
 
     The parent handles Ctrl-C, and without a parent the worker ends.
     """
+    os.chdir(folder)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
@@ -71,17 +72,10 @@ def in_parallel(
             warnings.filterwarnings("ignore", message="A worker was restarted while some jobs")
             executor = get_reusable_executor(
                 max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},
-                initializer=start_worker, initargs=(os.getpid(),),
+                initializer=start_worker, initargs=(os.getpid(), os.getcwd()),
             )  # fmt: skip
-            here = os.getcwd()  # workers that are used again may have begun in another folder
-            futures = [executor.submit(_called, here, function, *one) for one in arguments]
+            futures = [executor.submit(function, *one) for one in arguments]
             answers = (future.result() for future in futures)
         for answer in answers:
             yield answer
             progress.advance()
-
-
-def _called(folder: str, function: Callable[..., T], *arguments: Any) -> T:
-    """Call a function in a working folder."""
-    os.chdir(folder)
-    return function(*arguments)

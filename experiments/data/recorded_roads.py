@@ -135,7 +135,7 @@ class RecordedRoads:
         road = given if isinstance(given, Road) else read_road_file(given, origin=recording.origin)
         notes: tuple[str, ...] = ()
         if self._shift_m is not None:
-            road = _shifted(road, *self._shift_m)
+            road = road.with_lines(lambda line: line + np.array(self._shift_m))
             notes = ("the map is shifted by ({:g}, {:g}) m".format(*self._shift_m),)
         for text in set(road.doubts) - self._said:
             LOGGER.warning("%s: %s", road.source, text)
@@ -144,7 +144,7 @@ class RecordedRoads:
         fit = map_fit(road, recording.tracks)
         if not fit.fits and self._shift_m is None and isinstance(given, Path):
             x_m, y_m = (-one for one in net_offset(given))
-            moved = _shifted(road, x_m, y_m)
+            moved = road.with_lines(lambda line: line + np.array([x_m, y_m]))
             there = map_fit(moved, recording.tracks)
             if (x_m or y_m) and there.fits and not math.isnan(there.share):
                 road, fit = moved, there
@@ -175,8 +175,3 @@ class RecordedRoads:
         """Refuse a map that a person gave and that fitted no recording at all."""
         if self._net is not None and self._refused and not self._fitted:
             raise InputError(next(iter(self._refused.values())))
-
-
-def _shifted(road: Road, x_m: float, y_m: float) -> Road:
-    """A road moved by a translation, m."""
-    return road.with_lines(lambda line: line + np.array([x_m, y_m]))

@@ -116,12 +116,11 @@ def image_scale(tracks: Tracks) -> Scale:
     horizon = _horizon(height - middle, size, float(np.nanmax(xy[..., 1])) - middle)
     in_units = Scale(1.0, middle, horizon, 0.0)
     typical = float(np.median(size * in_units.at(height)))
-    by_size, weight = math.log(SIZE_M / typical), SIZE_SPREAD**-2
-    total, weights = weight * by_size, weight
+    total, weights = math.log(SIZE_M / typical) * SIZE_SPREAD**-2, SIZE_SPREAD**-2
     pace = _pace(in_units.ground(smoothed(xy)), tracks, typical)
     if pace > 0.0:
-        by_pace = math.log(PACE_MPS / pace)
-        total, weights = total + by_pace * PACE_SPREAD**-2, weights + PACE_SPREAD**-2
+        total += math.log(PACE_MPS / pace) * PACE_SPREAD**-2
+        weights += PACE_SPREAD**-2
     return Scale(math.exp(total / weights), middle, horizon, weights**-0.5)
 
 

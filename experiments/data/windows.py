@@ -80,9 +80,8 @@ def gather(
         NoSamplesError: if no episode has labels and a driver that is seen for long enough.
     """
     every = [(d.path, e) for d in datasets for e in d.manifest.episodes]
-    taken = (windows_s, every_s, per_moment)
     arguments = [
-        (path, entry, number, method, (*taken, seed + number), classes)
+        (path, entry, number, method, (windows_s, every_s, per_moment, seed + number), classes)
         for number, (path, entry) in enumerate(every)
         if entry.split == split
     ]

@@ -90,11 +90,9 @@ Near misses are with somebody whom the vehicle follows ("ahead"), who follows it
 comes from the side ("crossing").
 """
 
-_GRID: Final = ENVIRONMENTS["graphrqi/OwnRoad-v0"]
-
 ROADS: Final[dict[str, dict[str, Any]]] = {
-    **{row["scenario_name"]: row for row in ENVIRONMENTS.values() if row is not _GRID},
-    "city": {**_GRID, "scenario_name": "city"},
+    (name := row["scenario_name"] or "city"): {**row, "scenario_name": name}
+    for row in ENVIRONMENTS.values()
 }
 """Arguments of `TrafficEnv` for each scenario."""
 
@@ -180,7 +178,7 @@ def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
     mine = [event for event in found if ego_id in (event.agent, event.other)]
     near = [event for event in mine if event.kind is EventKind.NEAR_MISS]
     collisions = [event for event in mine if event.kind is EventKind.COLLISION]
-    counts = {
+    return {
         "collisions": len(collisions),
         "collisions_caused": sum(event.agent == ego_id for event in collisions),
         "near_misses": len(near),
@@ -189,7 +187,6 @@ def _events(driven: Tracks, road: Road, ego_id: int) -> dict[str, float]:
         "near_misses_crossing": sum(event.rule not in BEHIND for event in near),
         "rules_broken": sum(e.kind in RULES and e.agent == ego_id for e in mine),
     }
-    return {name: float(count) for name, count in counts.items()}
 
 
 def _comfort(driven: Tracks, ego_id: int) -> dict[str, float]:

@@ -91,7 +91,7 @@ def plan(
     length[ego] += 2.0 * STOP_MARGIN_M
     scene = dataclasses.replace(scene, history=dataclasses.replace(scene.history, length=length))
     own = np.arange(scene.ids.size) == ego
-    best, chosen = -np.inf, None
+    tried: list[tuple[float, Scene, Rollout]] = []
     for side in (0, 1, -1):
         moved = scene
         if side:
@@ -108,10 +108,8 @@ def plan(
             driven = DriverParameters(following, ignores)
             rollout = roll(moved, driven, table.decay_s, planned=ego)
             worth = _worth(moved, rollout, ego, probability) - CHANGE_WEIGHT * abs(side)
-            if worth > best:
-                best, chosen = worth, (moved, rollout)
-    assert chosen is not None
-    moved, rollout = chosen
+            tried.append((worth, moved, rollout))
+    _, moved, rollout = max(tried, key=lambda one: one[0])
     speed = float(max(scene.speed[ego], 0.0))
     accel = (rollout.speed[ego, round(ACT_S / STEP_S) - 1] - speed) / ACT_S
     return float(accel), centre_ahead(moved, ego)

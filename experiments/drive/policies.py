@@ -58,7 +58,6 @@ class Planner:
 
     def __init__(self, knows: str, env: Any) -> None:
         self._knows, self._env = knows, env
-        self._frame: Frame | None = None
         self._buffer = FrameBuffer(HISTORY_STEPS)
         self._stream = BehaviorStream(_model(DEFAULT_MODEL)) if knows == "beliefs" else None
         self._plan: tuple[float, FloatArray] | None = None
@@ -67,17 +66,16 @@ class Planner:
 
     def _see(self, frame: Frame) -> None:
         """Remember and classify a frame."""
-        self._frame = frame
         self._buffer.push(frame)
         if self._stream is not None:
             self._stream.push(frame)
 
     def __call__(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """(2,) acceleration and steering for highway-env's ``ContinuousAction``."""
-        frame, ego_id = self._frame, self._env.ego_id
-        action = np.zeros(2, dtype=np.float32)
-        if frame is None or ego_id not in frame.ids:
+        action, ego_id = np.zeros(2, dtype=np.float32), self._env.ego_id
+        if not len(self._buffer) or ego_id not in self._buffer.last.ids:
             return action
+        frame = self._buffer.last
         me = int(np.flatnonzero(frame.ids == ego_id)[0])
         road: Road = self._env.scenario.road
         if self._env.time >= self._next_s - 1e-6:

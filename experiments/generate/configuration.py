@@ -19,7 +19,7 @@ from sim.engines import get_engine
 from sim.invalid_fields import first_wrong_field
 from sim.scenario import Scenario
 
-NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "engine", "duration_s"})
+NOT_DRAWN: Final = frozenset({"scenarios", "episodes", "seed", "duration_s"})
 """Fields that may be chosen for random worlds, too."""
 
 
@@ -103,8 +103,6 @@ class GenerateConfig(BaseModel):
     def _check_worlds(self) -> None:
         """Refuse what random worlds draw themselves."""
         given = self.model_dump(exclude_defaults=True).keys() - NOT_DRAWN
-        if self.engine != "sumo":
-            given |= {"engine"}
         if given:
             name = {"scenario_options": "set"}.get(min(given), min(given))
             raise InputError(f"{name}: found one for {RANDOM_WORLD}, expected none: it is drawn")

@@ -37,15 +37,11 @@ class Task:
     index: int
 
     @property
-    def name(self) -> str:
-        """Name of the scenario."""
-        return scenario_name(self.scenario)
-
-    @property
     def seed(self) -> int:
         """The episode's own seed, independent of every other episode's."""
-        name = int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:4], "big")
-        key = (self.index,) if self.scenario == RANDOM_WORLD else (name, self.index)
+        name = hashlib.sha256(scenario_name(self.scenario).encode()).digest()[:4]
+        numbers = (int.from_bytes(name, "big"), self.index)
+        key = numbers[1:] if self.scenario == RANDOM_WORLD else numbers
         sequence = np.random.SeedSequence(self.config.seed, spawn_key=key)
         return int(sequence.generate_state(1)[0] >> 1)  # SUMO takes 31 bits
 
@@ -77,7 +73,7 @@ class Task:
 
     def __str__(self) -> str:
         """Name of the episode, for messages."""
-        return f"{self.name} episode {self.index} (seed {self.seed})"
+        return f"{scenario_name(self.scenario)} episode {self.index} (seed {self.seed})"
 
 
 def _write_world(out: EpisodeWriter, world: World, index: int) -> EpisodeEntry:

@@ -79,7 +79,7 @@ def _processes(jobs: int) -> Iterator[Executor]:
     from loky.process_executor import ProcessPoolExecutor
 
     executor = ProcessPoolExecutor(
-        max_workers=jobs, initializer=start_worker, initargs=(os.getpid(),)
+        max_workers=jobs, initializer=start_worker, initargs=(os.getpid(), os.getcwd())
     )
     try:
         yield executor

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError, lookup
 from behaviors.labels import BEHAVIORS, COLORS, TRAITS, UNKNOWN_COLOR
-from behaviors.profiles import PROFILE_FIELDS, Profile
+from behaviors.profiles import PROFILE_FIELDS
 from experiments.console.notices import LOGGER
 from experiments.data.exchange import as_dataset
 from experiments.replay.pictures import STILL, check_picture, ramp_color, write_picture
@@ -157,10 +157,14 @@ def _data(scene: ReplayScene) -> dict[str, Any]:
     row: dict[int | None, int] = {agent: i for i, agent in enumerate(tracks.ids.tolist())}
     made: dict[str, Any] = {"engine": entry.engine, "seed": entry.seed, "split": entry.split}
     specs = [scene.agents.get(agent) for agent in tracks.ids.tolist()]
+    profiles = [None if spec is None else spec.profile for spec in specs]
     agents = _sizes(tracks).assign(
         name=tracks.names,
         truth=-1 if tracks.behavior is None else tracks.behavior,
-        profile=[_numbers(None if spec is None else spec.profile) for spec in specs],
+        profile=[
+            profile and [[n, float(f"{getattr(profile, n):.3g}")] for n in PROFILE_FIELDS]
+            for profile in profiles
+        ],
     )
     xy = tracks.row_xy
     extent = scene.road.bounds if scene.road else (*xy.min(axis=0), *xy.max(axis=0))
@@ -224,13 +228,6 @@ def _sizes(tracks: Tracks) -> pd.DataFrame:
     return pd.DataFrame({"kind": tracks.kind, **columns})
 
 
-def _numbers(profile: Profile | None) -> list[list[Any]] | None:
-    """The numbers of a driver, by name."""
-    if profile is None:
-        return None
-    return [[name, float(f"{getattr(profile, name):.3g}")] for name in PROFILE_FIELDS]
-
-
 def _flat(shape: FloatArray) -> list[float]:
     return [round(v, 2) for v in shape.ravel().tolist()]
 
@@ -253,7 +250,7 @@ def _arrays(scene: ReplayScene) -> dict[str, NDArray[Any]]:
     """
     tracks, graph, futures = scene.tracks, scene.graph, scene.futures
     begin_s, agent, step = tracks.time_s[0], tracks.index.agent, tracks.index.step
-    runs = np.flatnonzero((np.diff(agent, prepend=-1) != 0) | (np.diff(step, prepend=-2) != 1))
+    runs = np.flatnonzero(tracks.index.begins)
     largest = np.nan_to_num(graph.w).max(axis=0, initial=0.0)
     share = np.sqrt(np.nan_to_num(graph.w) / np.maximum(largest, 1e-12)[None])
     edges = graph.edges[np.argsort(graph.edges[:, 2], kind="stable")]

@@ -223,6 +223,8 @@ class Drawing:
         half = width / self.scale / 2, each / self.scale / 2
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         self._axes: list[Axes] = []
+        tracks = scene.tracks
+        paths = [tracks.row_xy[tracks.index.rows(row)] for row in range(tracks.ids.size)]
         for row in range(many):
             bottom = FOOT_PX + (many - 1 - row) * (each + GAP_PX)
             axes = self.figure.add_axes((0.0, bottom / height, 1.0, each / height))
@@ -231,7 +233,10 @@ class Drawing:
             axes.set(xticks=[], yticks=[], facecolor=GROUND)
             axes.spines[:].set_visible(False)
             self._axes.append(axes)
-            self._draw_ground(axes)
+            if scene.road is None:  # faint lines where everyone went
+                axes.add_collection(LineCollection(paths, colors=TRACK, linewidths=1.0, zorder=1))
+            else:
+                draw_road(axes, scene.road, self._thin)
         middle = 1 - HEAD_PX / 2 / height
         self._clock = self.figure.text(0.985, middle, "", ha="right", va="center")
         self._draw_words(middle)
@@ -262,15 +267,6 @@ class Drawing:
                 axes.add_collection(collection)
             self._draw_collisions(axes, time_s)
         return self.figure
-
-    def _draw_ground(self, axes: Axes) -> None:
-        """Draw what does not move: the road, or faint lines where everyone went."""
-        tracks = self.scene.tracks
-        if self.scene.road is not None:
-            draw_road(axes, self.scene.road, self._thin)
-            return
-        paths = [tracks.row_xy[tracks.index.rows(row)] for row in range(tracks.ids.size)]
-        axes.add_collection(LineCollection(paths, colors=TRACK, linewidths=1.0, zorder=1))
 
     def _draw_words(self, middle: float) -> None:
         """Write title and legend, and draw a bar of a round length as a scale."""

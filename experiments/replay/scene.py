@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from behaviors.errors import InputError
 from behaviors.labels import BEHAVIORS
+from behaviors.row_index import find_sorted
 from behaviors.traits import ShownTrait
 from experiments.console.progress import Progress
 from experiments.data.scene_check import SCALED, is_scene
@@ -424,9 +425,9 @@ def find_ghosts(factual: Tracks, shown: Tracks) -> Tracks:
     """
     columns = np.searchsorted(factual.time_s, shown.time_s - 1e-6)
     there = factual.part(np.arange(factual.ids.size), columns)
-    rows = np.minimum(np.searchsorted(shown.ids, there.ids), max(shown.ids.size - 1, 0))
-    both = there.valid & (shown.ids[rows] == there.ids)[:, None] & shown.valid[rows]
-    apart = np.where(both[..., None], there.xy - shown.xy[rows], 0.0)
-    differs = there.valid & (~both | (np.hypot(apart[..., 0], apart[..., 1]) > APART_M))
+    rows, both = find_sorted(shown.ids, there.ids)
+    apart = there.xy - shown.xy[rows]  # NaN where one of the two is not there
+    near = both[:, None] & (np.hypot(apart[..., 0], apart[..., 1]) <= APART_M)
+    differs = there.valid & ~near
     some = np.flatnonzero(differs.any(axis=1))
     return there.with_dense(valid=differs).part(some, slice(None))

@@ -55,17 +55,16 @@ def train_model(
         except NoSamplesError as reason:
             LOGGER.warning("left out %s", reason)
     model = train(method, training, validation, seed=seed, classes=classes)
-    data = {
-        "configurations": [dict(dataset.header.configuration) for dataset in datasets],
-        "schema_versions": [dataset.manifest.schema_version for dataset in datasets],
-        "episodes": {
-            split: sum(len(dataset.episodes(split)) for dataset in datasets)
-            for split in get_args(Split)
-        },
-    }
     card: dict[str, Any] = {
         "summary": model.method.summary,
-        "data": data,
+        "data": {
+            "configurations": [dict(dataset.header.configuration) for dataset in datasets],
+            "schema_versions": [dataset.manifest.schema_version for dataset in datasets],
+            "episodes": {
+                split: sum(len(dataset.episodes(split)) for dataset in datasets)
+                for split in get_args(Split)
+            },
+        },
         "training_windows": len(training),
         "windows_s": [w if math.isfinite(w) else "life so far" for w in WINDOWS_S],
         "protocol": "test episodes were never trained on; every driver once, by its last answer; "

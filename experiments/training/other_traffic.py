@@ -36,9 +36,8 @@ LEARNED: Final[tuple[Split, ...]] = ("train", "validation")
 
 
 def train_on_worlds(
-    simulated: Sequence[Dataset], worlds: Sequence[Dataset], seed: int = 0,
-    jobs: int | None = None, quiet: bool = True,
-) -> tuple[OtherTraffic, dict[str, Any]]:  # fmt: skip
+    simulated: Sequence[Dataset], worlds: Sequence[Dataset], jobs: int | None, quiet: bool
+) -> tuple[OtherTraffic, dict[str, Any]]:
     """Train the networks for traffic in which the classifier does not hold.
 
     Simulated episodes are used twice: as they are, and through a sensor that is drawn at random.
@@ -47,7 +46,7 @@ def train_on_worlds(
     from graphrqi.places.training import train_other_traffic
 
     parts = [
-        (part, _gathered(datasets, split, part, seed, jobs, quiet))
+        (part, _gathered(datasets, split, part, jobs, quiet))
         for split in LEARNED
         for part, datasets in enumerate((simulated, simulated, worlds))  # EXACT, NOISY, OTHER
         if any(dataset.episodes(split) for dataset in datasets)
@@ -62,10 +61,10 @@ def train_on_worlds(
         },
         "training_samples": dict(zip(("exact", "noisy", "worlds"), counts, strict=True)),
     }
-    learned = train_other_traffic(training, part, seed)
+    learned = train_other_traffic(training, part)
     scores: list[Row] = []
     if any(dataset.episodes("test") for dataset in worlds):
-        scores = _scores(learned, _gathered(worlds, "test", OTHER, seed, jobs, quiet))
+        scores = _scores(learned, _gathered(worlds, "test", OTHER, jobs, quiet))
     return learned, {"networks": about, "scores": scores}
 
 
@@ -86,22 +85,21 @@ def _scores(learned: OtherTraffic, tracks: Samples) -> list[Row]:
 
 
 def _gathered(
-    datasets: Sequence[Dataset], split: Split, part: int, seed: int, jobs: int | None, quiet: bool
+    datasets: Sequence[Dataset], split: Split, part: int, jobs: int | None, quiet: bool
 ) -> Samples:
     """Samples of the episodes of a split; no two datasets' or parts' episodes share a number."""
-    arguments = [(each.path, e, part, seed) for each in datasets for e in each.episodes(split)]
+    arguments = [(each.path, e, part) for each in datasets for e in each.episodes(split)]
     what = f"{PARTS[part]}: observing {split} episodes"
     found = list(in_parallel(_observed, arguments, jobs, what, quiet))
     return Samples.join([samples for samples in found if samples is not None])
 
 
-def _observed(folder: Path, entry: EpisodeEntry, part: int, seed: int) -> Samples | None:
+def _observed(folder: Path, entry: EpisodeEntry, part: int) -> Samples | None:
     """Samples of one episode; None if no agent is seen for long enough."""
     number = zlib.crc32(f"{PARTS[part]} {entry.id}".encode())
-    rng = np.random.default_rng([seed, number])
     tracks = measured(open_dataset(folder).read(entry))
     if part == NOISY:
-        tracks = seen_badly(tracks, rng)
+        tracks = seen_badly(tracks, np.random.default_rng([0, number]))
     try:
         return collect(tracks, DriverObserver("smoothed"), number, WHOLE_TRACK_S, EVERY_S)
     except NoSamplesError:

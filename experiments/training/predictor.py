@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,12 +86,10 @@ def calibrate_drivers(
     dataset = open_dataset(source)
     splits: dict[str, list[Sample]] = {}
     for split in ("train", "validation"):
-        entries = dataset.episodes(split)
-        with Progress(f"reading {split} scenes", len(entries), quiet) as progress:
-            for entry in entries:
-                splits.setdefault(split, []).extend(samples_of(source, entry, CALIBRATE_EVERY_S))
-                progress.advance()
-    if not splits.get("train"):
+        arguments = [(source, entry, CALIBRATE_EVERY_S) for entry in dataset.episodes(split)]
+        found = in_parallel(samples_of, arguments, 1, f"reading {split} scenes", quiet)
+        splits[split] = list(itertools.chain.from_iterable(found))
+    if not splits["train"]:
         raise InputError(f"{source}: found no training scene, expected at least 1")
     table = calibrate(splits["train"], iterations, SEED)
     scores = {
@@ -135,9 +133,9 @@ class BeliefExamples:
         instant = [part.instant + begin for part, begin in zip(parts, first, strict=True)]
         return cls(np.concatenate(instant), *joined)
 
-    def draw(self, seed: int, epoch: int) -> Examples:
+    def draw(self, epoch: int) -> Examples:
         """One of the three for each instant, by the shares above."""
-        chance = np.random.default_rng((seed, epoch)).random(int(self.instant.max()) + 1)
+        chance = np.random.default_rng((SEED, epoch)).random(int(self.instant.max()) + 1)
         chance = chance[self.instant]
         unknown = chance < UNKNOWN_SHARE
         shuffled = ~unknown & (chance < UNKNOWN_SHARE + SHUFFLED_SHARE)
@@ -179,9 +177,7 @@ def _examples(data: PredictorInputs, truth: FloatArray, counts: BoolArray) -> Ex
     )
 
 
-def train_predictors(
-    source: Path, model: str, out: Path, *, quiet: bool = False
-) -> dict[str, float]:
+def train_predictors(source: Path, model: str, out: Path) -> dict[str, float]:
     """Train the learned predictors on a dataset's training episodes, and save them in a folder.
 
     The classifier ``model`` should not have been trained on these episodes, where its posteriors
@@ -196,7 +192,7 @@ def train_predictors(
             raise InputError(f"{source}: found no {split} episode, expected at least 1")
         arguments = [(source, entry, model, EXAMPLES_EVERY_S) for entry in entries]
         what = f"predictors: observing {split} episodes"
-        found = list(in_parallel(examples_of, arguments, None, what, quiet))
+        found = list(in_parallel(examples_of, arguments, None, what, quiet=False))
         informed, label_free = (list(same) for same in zip(*found, strict=True))
         parts[split] = BeliefExamples.join(informed), Examples.join(label_free)
     card: dict[str, Any] = {
@@ -204,13 +200,13 @@ def train_predictors(
         "examples": len(parts["train"][1].features), "seed": SEED,
     }  # fmt: skip
     (trained, train_free), (checked, check_free) = parts["train"], parts["validation"]
-    train, check = functools.partial(trained.draw, SEED), checked.draw(SEED, 0)
-    with Progress("predictors: training epochs", 2 * EPOCHS, quiet) as progress:
+    check = checked.draw(0)
+    with Progress("predictors: training epochs", 2 * EPOCHS) as progress:
 
         def advance(epoch: int, ade_m: float) -> None:
             progress.advance()
 
-        network = train_perceptron(train, check, epochs=EPOCHS, seed=SEED, on_epoch=advance)
+        network = train_perceptron(trained.draw, check, epochs=EPOCHS, seed=SEED, on_epoch=advance)
         rival = train_lstm(train_free, check_free, epochs=EPOCHS, seed=SEED, on_epoch=advance)
     scores = {
         "graphrqi-predict": _guess_ade_m(network, check), "lstm": _guess_ade_m(rival, check_free)

@@ -139,17 +139,6 @@ def mirrored(tracks: Tracks) -> Tracks:
     return dataclasses.replace(tracks, row_xy=xy, row_heading=heading)
 
 
-def mirrored_road(road: Road) -> Road:
-    """A road with left and right swapped, for paths along its lanes."""
-    other = {"left": "right", "right": "left"}
-    replace = dataclasses.replace
-    lanes = (replace(one, centerline=one.centerline * MIRROR) for one in road.lanes)
-    ways = (
-        replace(one, direction=other.get(one.direction, one.direction)) for one in road.connections
-    )
-    return replace(road, name=f"{road.name}, mirrored", lanes=tuple(lanes), connections=tuple(ways))
-
-
 def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
     """The same instant as other sensors would have seen it."""
     noise_m = log_uniform(rng, *NOISE_M)
@@ -165,7 +154,7 @@ def _versions(history: Tracks, rng: np.random.Generator) -> list[Tracks]:
 
 def recorded_examples(
     history: Tracks, truth: FloatArray, counts: BoolArray, group: int, believable: bool,
-    road: Road | None = None, map_off_m: FloatArray | None = None,
+    road: Road | None = None, map_off_m: FloatArray | float = 0.0,
 ) -> RecordedExamples:  # fmt: skip
     """Training examples of one instant, whose agents that count (n,) went to (n, KNOTS, 2), m.
 
@@ -175,8 +164,7 @@ def recorded_examples(
     motion = Motion.of(history)
     ahead = LanesAhead.none(history.ids.size)
     if road is not None:
-        off = np.zeros(2) if map_off_m is None else map_off_m
-        ahead = lanes_ahead(history, dataclasses.replace(motion, xy=motion.xy - off), road)
+        ahead = lanes_ahead(history, dataclasses.replace(motion, xy=motion.xy - map_off_m), road)
     step_s = history.step_s if history.time_s.size > 1 else 0.1
     measured = np.stack(
         [motion.speed, motion.noise_m, motion.noise_mps, np.full_like(motion.speed, step_s)], axis=1
@@ -203,7 +191,6 @@ def examples_of(
     """
     found, tracks = [], one.tracks
     filled_in = between_key_frames(tracks, rng) if versions else tracks
-    swapped = mirrored_road(one.road) if versions and one.road is not None else None
     for stop, history, truth, counts in cases(tracks, every_s):
         believable = plausible(history)
         seen_as = [history]
@@ -211,13 +198,11 @@ def examples_of(
             seen_as = [*_versions(history, rng), history_of(filled_in, stop)]
         for number, seen in enumerate(seen_as):
             near = believable and (not versions or rng.random() >= ALONE_SHARE)
-            off = rng.normal(0.0, MAP_OFF_M, 2) if number else None
+            off = rng.normal(0.0, MAP_OFF_M, 2) if number else 0.0
+            shown, went, road = seen, truth, one.road
             if versions and rng.random() < MIRRORED_SHARE:
-                went = truth * MIRROR
-                given = (mirrored(seen), went, counts, group, near, swapped, off)
-            else:
-                given = (seen, truth, counts, group, near, one.road, off)
-            found.append(recorded_examples(*given))
+                shown, went, road = mirrored(seen), truth * MIRROR, road and road.mirrored
+            found.append(recorded_examples(shown, went, counts, group, near, road, off))
     return found
 
 
@@ -236,9 +221,8 @@ def gather_examples(
         parts[apart].extend(examples_of(one, float(every_s), group, rng, not apart))
     if not parts[0]:
         return None
-    training, validation = (RecordedExamples.join(part) if part else None for part in parts)
-    assert training is not None
-    return DatasetExamples(places[0].dataset, training, validation)
+    validation = RecordedExamples.join(parts[1]) if parts[1] else None
+    return DatasetExamples(places[0].dataset, RecordedExamples.join(parts[0]), validation)
 
 
 def train_on_recordings(

@@ -121,9 +121,7 @@ def _read(folder: Path, maps: bool) -> Iterator[RecordedPlace]:
 def moving_s(places: Sequence[RecordedPlace]) -> float:
     """For how long vehicles move in recordings, all together, s."""
     tracks = [one.tracks for one in places if one.tracks.time_s.size > 1]
-    return float(
-        sum(t.step_s * (t.valid & (np.nan_to_num(t.speed) >= MOVING_MPS)).sum() for t in tracks)
-    )
+    return float(sum(each.step_s * (each.row_speed >= MOVING_MPS).sum() for each in tracks))
 
 
 def history_of(tracks: Tracks, stop: int) -> Tracks:

@@ -38,15 +38,9 @@ NEAREST: Final = 4
 
 
 def judge(
-    scenario: Scenario,
-    agents: Sequence[AgentSpec],
-    seed: int,
-    engine: str = "sumo",
-    bystanders: int = NEAREST,
+    scenario: Scenario, agents: Sequence[AgentSpec], seed: int, engine: str = "sumo"
 ) -> Iterator[dict[str, Cell]]:
     """Try every driver near each incident of an episode on "sumo" or "sumo-idm".
-
-    Beside the parties of an incident, some bystanders are tried.
 
     Yields:
         A line for each incident and driver, in order of time. ``time_s``, ``incident``, ``agent``,
@@ -88,7 +82,7 @@ def judge(
             at_s = max(1, round((event.time_s - LEAD_S) / scenario.step_s)) * scenario.step_s
             if not before or at_s > before[-1].time_s + 1e-9:
                 before += trunk.advance(at_s)
-            for agent, role in _candidates(event, frames, scenario, trunk, bystanders):
+            for agent, role in _candidates(event, frames, scenario, trunk):
                 behavior = trunk.driver(agent).behavior
                 assert behavior is not None
                 careful = behavior is not Behavior.CAREFUL and prevents(
@@ -118,7 +112,7 @@ def _same_again(event: Event, frames: Sequence[Frame], scenario: Scenario) -> bo
 
 
 def _candidates(
-    event: Event, frames: Sequence[Frame], scenario: Scenario, trunk: Trunk, bystanders: int
+    event: Event, frames: Sequence[Frame], scenario: Scenario, trunk: Trunk
 ) -> list[tuple[int, str]]:
     """Ids and roles of the drivers who are tried: the parties, and those nearest to them."""
     frame = frames[min(round(event.time_s / scenario.step_s), len(frames)) - 1]
@@ -130,5 +124,5 @@ def _candidates(
         away = np.linalg.norm(frame.xy[:, None] - frame.xy[there][None], axis=2).min(axis=1)
         order = np.argsort(away, kind="stable")
         rows = [row for row in order.tolist() if not there[row] and frame.driving[row]]
-        near = [(int(frame.ids[row]), "bystander") for row in rows[:bystanders]]
+        near = [(int(frame.ids[row]), "bystander") for row in rows[:NEAREST]]
     return [(agent, role) for agent, role in (*parties, *near) if agent in trunk.drivers]

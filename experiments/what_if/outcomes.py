@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -96,10 +97,7 @@ def _first_s(path: pd.DataFrame, reached_m: float) -> float:
 
 def factual_of(dataset: Dataset, branched: EpisodeEntry | None = None) -> EpisodeEntry:
     """The episode of a dataset in which nothing was changed: of a branched one, or the only."""
-
-    def made(entry: EpisodeEntry) -> tuple[str, str, int | None]:
-        return entry.scenario, entry.engine, entry.seed
-
+    made = attrgetter("scenario", "engine", "seed")
     found = [
         entry
         for entry in dataset.manifest.episodes

@@ -14,7 +14,6 @@ from experiments.benchmarks.recorded_prediction import measure
 from experiments.training.recorded import (
     MIRROR,
     mirrored,
-    mirrored_road,
     recorded_examples,
     train_on_recordings,
 )
@@ -76,7 +75,6 @@ def data(tmp_path_factory) -> Path:
 def test_a_mirrored_scene_is_seen_as_the_same_with_left_and_right_swapped():
     """Numbers that tell left from right change sign or place; all others stay as they are."""
     road = SCENARIOS["four_way_intersection"]().road
-    swapped = mirrored_road(road)
     graph = LaneGraph.of(road)
     ways = graph.drivable & ~graph.internal & ((graph.successors >= 0).sum(axis=1) > 1)
     lanes = np.repeat(np.flatnonzero(ways), 2)
@@ -96,7 +94,7 @@ def test_a_mirrored_scene_is_seen_as_the_same_with_left_and_right_swapped():
     truth = history.xy[:, -1, None] + 5.0 * TIME_S[None, :, None]
     everyone = np.ones(lanes.size, bool)
     one = recorded_examples(history, truth, everyone, 0, True, road)
-    other = recorded_examples(mirrored(history), truth * MIRROR, everyone, 0, True, swapped)
+    other = recorded_examples(mirrored(history), truth * MIRROR, everyone, 0, True, road.mirrored)
     for name in ("base", "truth"):
         np.testing.assert_allclose(getattr(one, name) * MIRROR, getattr(other, name), atol=1e-3)
     assert one.ahead.exists.sum() > 2 * lanes.size
