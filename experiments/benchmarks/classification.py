@@ -8,8 +8,8 @@
 - ``across-engines``: trained on one simulator's drivers, scored on another's.
 - ``noise``: usual traffic seen by the model that ships with noise, at other frame rates, and with
   lost frames.
-- ``leak-probe``: a forest that sees an agent's numbers and the time and nothing else; it has to
-  stay at chance, and its interval has to hold chance, but on rows split at random.
+- ``leak-probe``: a forest that sees the numbers of episode and agent, the time and nothing else;
+  it has to stay at chance, and its interval has to hold chance, but on rows split at random.
 
 Whole tracks are also scored by the plain rival ``nine-numbers`` (`experiments.rival`), trained on
 the same drivers. Under ``inductive`` the ``ceiling`` is a forest that sees the drivers' true
@@ -389,7 +389,7 @@ def noise(data: Data) -> Iterator[list[Row]]:
 def leak_probe(data: Data) -> Iterator[list[Row]]:
     """A forest on who and when: all windows, each driver's first, and rows split at random.
 
-    The first two together give the time in sight, and slow drivers stay longer. When its first
+    Agent and time together give the time in sight, and slow drivers stay longer. When its first
     window ends, each has been in sight for as long. Random rows are what papers score: drivers that
     it learned from are scored, too.
     """

@@ -91,8 +91,11 @@ comes from the side ("crossing").
 """
 
 ROADS: Final[dict[str, dict[str, Any]]] = {
-    (name := row["scenario_name"] or "city"): {**row, "scenario_name": name}
-    for row in ENVIRONMENTS.values()
+    row["scenario_name"]: row
+    for row in (
+        {**row, "scenario_name": "city"} if name == "graphrqi/OwnRoad-v0" else row
+        for name, row in ENVIRONMENTS.items()
+    )
 }
 """Arguments of `TrafficEnv` for each scenario."""
 

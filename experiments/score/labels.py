@@ -21,7 +21,7 @@ from experiments.guard import guarded_call
 from experiments.rival import PlainRival, whole_tracks
 from experiments.score.answers import STYLES, is_scored, score_answers, score_difference
 from experiments.score.rows import Cell, Row, pivoted
-from experiments.score.tables import LABELS, as_table, joined_columns, table_file
+from experiments.score.tables import CHANCES, LABELS, as_table, joined_columns, table_file
 from graphrqi.methods import Model
 from graphrqi.model_files import load_model
 from graphrqi.places.other_traffic import Traffic
@@ -35,6 +35,9 @@ from sim.store.schema import EpisodeEntry, Split
 
 RIVAL: Final = "plain rival"
 """Name of the random forest on nine numbers of a driver's whole track, `experiments.rival`."""
+
+ROUNDED: Final = 0.05
+"""How far sums of probabilities with two decimals may lie from 1."""
 
 ALL: Final = "all"
 """The scenario or split of rows over several of them."""
@@ -275,8 +278,8 @@ def read_answers(path: Path, classes: Sequence[Behavior] = BEHAVIORS) -> pd.Data
     """Probabilities (n, k) by episode and agent, of the last answer about each driver in a file.
 
     CSV or Parquet has the columns ``episode``, ``agent`` and ``label``, one of the behaviours.
-    ``time_s`` orders several answers about one driver. With a column ``p_BEHAVIOR`` of each, the
-    label is the likeliest; without all of them it has the probability 1.
+    ``time_s`` orders several answers about one driver. With a column ``p_BEHAVIOR`` of each of the
+    six, the label is the likeliest, and others without a column have 0. Else the label has 1.
     """
     chances = [f"p_{b}" for b in classes]
     optional = ("time_s", *chances)
@@ -287,9 +290,10 @@ def read_answers(path: Path, classes: Sequence[Behavior] = BEHAVIORS) -> pd.Data
         wrong = table["label"][codes < 0].iloc[0]
         known = ", ".join(classes)
         raise InputError(f"{path}: label: found {wrong[:60]!r}, expected one of {known}")
-    if set(chances) <= set(table):
+    if set(CHANCES) <= set(table):
+        table = table.assign(**{name: 0.0 for name in chances if name not in table})
         given = table[chances].to_numpy(np.float64)
-        sums = (given >= 0.0).all(axis=1) & (np.abs(given.sum(axis=1) - 1.0) < 1e-3)
+        sums = (given >= 0.0).all(axis=1) & (np.abs(given.sum(axis=1) - 1.0) < ROUNDED)
         likeliest = given[np.arange(len(given)), codes] >= given.max(axis=1) - 1e-9
         for right, column, expected in (
             (sums, "p_ columns", "probabilities from 0 on that add to 1"),
@@ -298,6 +302,7 @@ def read_answers(path: Path, classes: Sequence[Behavior] = BEHAVIORS) -> pd.Data
             if not right.all():
                 row = table[["label", *chances]].iloc[right.argmin()].to_dict()
                 raise InputError(f"{path}: {column}: found {row}, expected {expected}")
+        table[chances] = given / given.sum(axis=1, keepdims=True)
     else:
         table[chances] = np.eye(len(classes))[codes]
     if "time_s" in table:

@@ -26,7 +26,7 @@ class Prediction:
 
     Attributes:
         ids: (n,) agent ids, ascending.
-        time_s: (H,) seconds from the present, increasing.
+        time_s: (H,) seconds from the present, above 0, increasing.
         xy: (n, K, H, 2) centres, m.
         probability: (n, K) of each future; rows sum to 1.
         spread: (n, K, H) standard deviation of each coordinate, m, or None.
@@ -50,9 +50,10 @@ class Prediction:
         ids, time_s = np.asarray(self.ids, np.int64), np.asarray(self.time_s, np.float64)
         xy, probability = np.asarray(self.xy, np.float64), np.asarray(self.probability, np.float64)
         n, h = ids.size, time_s.size
-        for name, array in (("ids", ids), ("time_s", time_s)):
-            if not (np.diff(array, prepend=-1 if name == "ids" else 0.0) > 0).all():
-                raise InputError(f"Prediction.{name}: found {array}, expected ascending ones")
+        if not (np.diff(ids) > 0).all():
+            raise InputError(f"Prediction.ids: found {ids}, expected ascending ones")
+        if not (np.diff(time_s, prepend=0.0) > 0.0).all():
+            raise InputError(f"Prediction.time_s: found {time_s}, expected ascending ones above 0")
         if xy.ndim != 4 or xy.shape != (n, xy.shape[1], h, 2):
             raise InputError(f"Prediction.xy: found shape {xy.shape}, expected ({n}, K, {h}, 2)")
         if probability.shape != xy.shape[:2]:
@@ -61,18 +62,21 @@ class Prediction:
             )
         if not np.isfinite(xy).all():
             raise InputError("Prediction.xy: found positions that are not finite, expected metres")
-        if n and not (np.abs(probability.sum(axis=1) - 1).max() <= 1e-5 and probability.min() >= 0):
+        if n and not (
+            np.abs(probability.sum(axis=1) - 1.0).max() <= 1e-5 and probability.min() > -1e-9
+        ):
             raise InputError(
                 "Prediction.probability: found negative ones or rows that do not sum to 1, "
                 "expected probabilities"
             )
         if self.spread is not None:
             spread = np.asarray(self.spread, np.float64)
-            if spread.shape != xy.shape[:3] or not (np.isfinite(spread) & (spread > 0.0)).all():
+            if spread.shape != xy.shape[:3]:
                 raise InputError(
-                    f"Prediction.spread: found shape {spread.shape}, from {spread.min(initial=0)} "
-                    f"m on, expected {xy.shape[:3]} above 0"
+                    f"Prediction.spread: found shape {spread.shape}, expected {xy.shape[:3]}"
                 )
+            if not (np.isfinite(spread) & (spread > 0.0)).all():
+                raise InputError("Prediction.spread: found numbers up to 0 m, expected above 0")
             object.__setattr__(self, "spread", read_only(spread))
         for name, array in (
             ("ids", ids), ("time_s", time_s), ("xy", xy), ("probability", probability)

@@ -120,7 +120,7 @@ class FrameBuffer:
 
         Raises:
             InputError: if the time is out of order or beyond 30 years, the ids do not ascend, a
-                number or a code is invalid, or the signals differ. The buffer then stays unchanged.
+                place or a code is invalid, or the signals differ. The buffer then stays unchanged.
         """
         time_s, ids, last = frame.time_s, frame.ids, self._frames[-1] if self._frames else None
         if not abs(time_s) <= MAX_MAGNITUDE:
@@ -139,12 +139,12 @@ class FrameBuffer:
         ):
             if not ((codes >= 0) & (codes < known)).all():
                 raise InputError(f"frame.{name}: found other codes than 0 to {known - 1}")
-        moved = np.column_stack([frame.xy, frame.heading, frame.speed])
-        if (wrong := np.argwhere(~np.isfinite(moved))).size:
-            name, agent = ("xy", "xy", "heading", "speed")[wrong[0, 1]], ids[wrong[0, 0]]
-            raise InputError(f"frame.{name}: found {moved[tuple(wrong[0])]} of agent {agent}")
+        finite = np.isfinite(frame.xy).all(axis=1)
+        if not finite.all():
+            agent = ids[int(finite.argmin())]
+            raise InputError(f"frame.xy: found no finite place of agent {agent}, expected metres")
         self._frames.append(frame)
-        self._moved.append(moved)
+        self._moved.append(np.column_stack([frame.xy, frame.heading, frame.speed]))
 
     def __len__(self) -> int:
         """How many frames are kept now."""

@@ -219,10 +219,12 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
     touch = np.flatnonzero(found.gap_m == 0.0)
     depth = -separation(outlines.rows(rows[0, touch]), outlines.rows(rows[1, touch]))
     contact = np.bincount(number[touch[depth > GRAZE_M]], minlength=k) > 0
-    collided = [(e.agent, e.other) for e in tracks.events if e.kind is EventKind.COLLISION]
-    hit = {pair for one, other in collided for pair in ((one, other), (other, one))}
-    pairs = zip(*tracks.ids[agents].tolist(), strict=True)
-    contact |= np.array([pair in hit for pair in pairs], dtype=bool)
+    begin_s, end_s = tracks.time_s[begin], tracks.time_s[end]
+    for event in tracks.events:  # encounters of a pair are more than ``within_s`` apart
+        if event.kind is EventKind.COLLISION and event.other is not None:
+            pair = np.sort([event.agent, event.other])[:, None]
+            soon = (begin_s - within_s <= event.time_s) & (event.time_s <= end_s + within_s)
+            contact |= (tracks.ids[agents] == pair).all(axis=0) & soon
     aside_s = np.where(aside & (kind != FOLLOWING)[of_place], places.gap_s, np.inf)
     aside_s = np.maximum(aside_s, np.finfo(float).tiny)  # a graze is not a contact
     close = np.bincount(number[is_near_miss(ttc, approach)], minlength=k)
@@ -239,8 +241,8 @@ def conflicts(tracks: Tracks, road: Road | None = None, within_s: float = 5.0) -
         first=tracks.ids[agents[0]],
         second=tracks.ids[agents[1]],
         kind=kind,
-        begin_s=tracks.time_s[begin],
-        end_s=tracks.time_s[end],
+        begin_s=begin_s,
+        end_s=end_s,
         ttc_s=ttc_s,
         ttc_time_s=np.where(ttc_s < np.inf, _taken(driven.time_s[rows[0]], at_ttc, np.nan), np.nan),
         mttc_s=_taken(mttc, _least(mttc, number, k), np.inf),

@@ -14,19 +14,25 @@ from experiments.drive.episode import (
     HOMOGENEOUS,
     METRICS,
     MIXED,
+    ROADS,
     STANDARD,
     drive,
     score,
     standard,
 )
 from experiments.drive.policies import POLICIES
-from experiments.drive.run import figure_rows, mean_row, run_test
+from experiments.drive.run import EVERYWHERE, STRAYS, figure_rows, mean_row, run_test
 from scenarios import SCENARIOS
 from sim.scenario import sample_agents
 from tests.experiments.shared import call
 
 PAGE = Path(__file__).parents[2] / "docs" / "what-if.md"
 SHORT = {"flow": "light", "duration_s": 3.0, "warmup_s": 2.0}
+
+
+def test_planners_drive_everywhere_but_where_they_do_not_know_their_exit() -> None:
+    assert {*ROADS} - {*EVERYWHERE} == {*STRAYS}
+    assert {*EVERYWHERE} < {*SCENARIOS}
 
 
 def test_crowds_depart_alike_and_differ_by_their_drivers() -> None:
