@@ -17,7 +17,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected a TOML file") from None
     except (ValueError, RecursionError) as error:  # of what no TOML says, or too deep
-        raise InputError(f"{path}: {' '.join(str(error).split()):.200}") from None
+        raise InputError(f"{path}: {' '.join(str(error).split()):.200}, expected TOML") from None
 
 
 def shipped_or_path(source: str | Path, shipped: Mapping[str, Path], what: str) -> Path:

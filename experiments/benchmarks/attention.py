@@ -217,6 +217,9 @@ def measure(
         for chance in OVERLOOKED:
             tried = [(what, driver, chance, engine, seed, duration_s) for seed in range(seeds)]
             ignored, met = np.sum(list(in_parallel(_encounters, tried, jobs)), axis=0).tolist()
-            low, high = binomtest(ignored, met).proportion_ci(method="wilson") if met else (0, 1)
+            value = low = high = None
+            if met:
+                low, high = binomtest(ignored, met).proportion_ci(method="wilson")
+                value = ignored / met
             place = {**keys, "met": what, "overlook_probability": chance}
-            yield [tidy_row(place, "ignored_share", ignored / max(met, 1), low, high, met)]
+            yield [tidy_row(place, "ignored_share", value, low, high, met)]

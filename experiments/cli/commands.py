@@ -297,6 +297,9 @@ def train(
 
     if labels is not None and start is None:
         raise InputError("--labels: found no --from, expected the model that labels adapt")
+    for name, given in (("--format", format), ("--net", net)):
+        if given is not None and start is None:
+            raise InputError(f"{name}: found no --from, expected it with --from alone")
     if predictor and start is not None:
         raise InputError("--predictor: found --from, too, expected one of them")
     if predictor:
@@ -484,6 +487,11 @@ def what_if(
 
     drawn = traffic.config([scenario] if scenario else None, episodes=episode + 1, seed=seed)
     if blame:
+        for name, given in (("--at-s", at_s), ("--agent", agent), ("--out", out),
+                            ("--behavior", behavior), ("--action", action),
+                            ("--picture", picture)):  # fmt: skip
+            if given is not None:
+                raise InputError(f"{name}: found it beside --blame, expected one of the two")
         _show_blame(drawn, episode, seed, json)
         return
     if at_s is None or agent is None or out is None:
@@ -519,8 +527,8 @@ def _show_blame(config: GenerateConfig, episode: int, seed: int, json: Path | No
     if lines or json is not None:
         keys = ["time_s", "incident", "agent", "other", "rule", "driver", "role", "behavior"]
         _show("what-if --blame", melted(lines, keys), json, seed=seed, lines=lines)
-    else:
-        typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s")
+    if not lines:
+        typer.echo(f"{made.name}: no collision and no near miss in {made.duration_s:g} s", err=True)
 
 
 @_command(ASK, "drive", "drive --policy planner-classified --quick")

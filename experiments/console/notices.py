@@ -23,7 +23,7 @@ DEBUG what is read and how long it took."""
 STOPPED: Final = 130
 """Exit code of a program that Ctrl-C stopped: 128 plus the signal's number, as in shells."""
 
-STOPPED_WORDS: Final = "stopped: run the same command again to go on"
+STOPPED_WORDS: Final = "stopped: run the same command again"
 
 _URL: Final = re.compile(r"\b(s3|gs|gcs|az|abfs|abfss|memory|hdfs|https?):/(?=[^/\s])")
 """A URL that a path has taken one of its slashes away from."""
