@@ -45,8 +45,8 @@ SMALL = {
     "--episodes 40 ": "--episodes 1 ",
     "--episodes 5 ": "--episodes 3 ",
     "--at-s 20 ": "--at-s 10 ",
-    "drive --quick ": "drive --policy planner-classified --policy do-nothing --episodes 1 --quick ",
-    "--policy idm-mobil --quick ": "--episodes 1 --quick ",
+    "drive --quick ": "drive --policy planner-classified --crowd mixed --episodes 1 --quick ",
+    "--policy idm-mobil --quick ": "--crowd timid --episodes 1 --quick ",
 }
 """Shorter commands; durations (`LONG`) become 20 s."""
 LONGEST_S = 240.0
