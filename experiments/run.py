@@ -89,11 +89,10 @@ def run_scenario(
         "simulated_s": round(time_s, 3),
         "real_time_factor": round(time_s / max(time.monotonic() - started, 1e-9), 1),
     }
-    if stream is not None:
-        figures["ms_per_frame"] = round(1e3 * spent_s / max(frames, 1), 3)
     rows = [tidy_row(keys, name, value) for name, value in figures.items()]
     truth = {agent.id: agent.behavior for agent in agents}
     if stream is not None:
+        rows.append(tidy_row(keys, "ms_per_frame", round(1e3 * spent_s / max(frames, 1), 3)))
         last = list(latest.values())
         classes = last[0][0].classes if last else BEHAVIORS
         note_unknown(str(model), truth.values(), classes, "not scored")

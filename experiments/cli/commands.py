@@ -295,11 +295,9 @@ def train(
     from behaviors.errors import InputError
     from experiments.score.rows import melted
 
-    if labels is not None and start is None:
-        raise InputError("--labels: found no --from, expected the model that labels adapt")
-    for name, given in (("--format", format), ("--net", net)):
+    for name, given in (("--labels", labels), ("--format", format), ("--net", net)):
         if given is not None and start is None:
-            raise InputError(f"{name}: found no --from, expected it with --from alone")
+            raise InputError(f"{name}: found no --from, expected the model to adapt")
     if predictor and start is not None:
         raise InputError("--predictor: found --from, too, expected one of them")
     if predictor:

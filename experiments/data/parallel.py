@@ -68,7 +68,7 @@ def in_parallel(
         else:
             from loky import get_reusable_executor
 
-            # a worker whose memory grows is replaced, which is no concern of the user's
+            # a worker whose memory grows is replaced, of which users need not know
             warnings.filterwarnings("ignore", message="A worker was restarted while some jobs")
             executor = get_reusable_executor(
                 max_workers=min(checked_jobs(jobs), len(arguments)), env={"OMP_NUM_THREADS": "1"},

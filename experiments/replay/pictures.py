@@ -223,8 +223,6 @@ class Drawing:
         half = width / self.scale / 2, each / self.scale / 2
         self.figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         self._axes: list[Axes] = []
-        tracks = scene.tracks
-        paths = [tracks.row_xy[tracks.index.rows(row)] for row in range(tracks.ids.size)]
         for row in range(many):
             bottom = FOOT_PX + (many - 1 - row) * (each + GAP_PX)
             axes = self.figure.add_axes((0.0, bottom / height, 1.0, each / height))
@@ -234,6 +232,8 @@ class Drawing:
             axes.spines[:].set_visible(False)
             self._axes.append(axes)
             if scene.road is None:  # faint lines where everyone went
+                xy, index = scene.tracks.row_xy, scene.tracks.index
+                paths = [xy[index.rows(agent)] for agent in range(index.agents)]
                 axes.add_collection(LineCollection(paths, colors=TRACK, linewidths=1.0, zorder=1))
             else:
                 draw_road(axes, scene.road, self._thin)

@@ -142,7 +142,7 @@ def _head(word: Any) -> str:
 
 def with_interval(row: Mapping[Any, Any]) -> str:
     """The figure of a tidy row as text, with its interval where it has one."""
-    if row["value"] is None or pd.isna(row["value"]):
+    if pd.isna(row["value"]):
         return "-"
     value = number(float(row["value"]))
     if pd.isna(row["low"]):

@@ -166,8 +166,6 @@ def score_episode(
                 prediction = predict(history, posterior, None, ahead_s, name, weights)
             else:
                 prediction = function(scene, posterior)
-            if on_prediction is not None:
-                on_prediction(name, history, prediction)
             at = np.searchsorted(prediction.time_s, sample - 1e-6)
             if not (
                 np.array_equal(prediction.ids, history.ids)
@@ -178,6 +176,8 @@ def score_episode(
                     f"predictor {name}: found a {prediction!r}, expected all {history.ids.size} "
                     f"agents of the scene, every {SAMPLE_S:g} s up to {longest:g} s"
                 )
+            if on_prediction is not None:
+                on_prediction(name, history, prediction)
             gap = metrics.distances(prediction.xy[scored][:, :, at], truth[scored])
             probability = prediction.probability[scored]
             hit = _hits(history, prediction.best[:, at])[scored]

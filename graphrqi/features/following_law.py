@@ -44,7 +44,7 @@ UPPER: Final = np.triu_indices(3)
 """Where the six different entries of a symmetric matrix stand in it."""
 
 SYMMETRIC: Final = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Which of the six entries stands at each place of the matrix."""
+"""The one of the six entries that stands at each place of the matrix."""
 
 LAW_NAMES: Final[tuple[str, ...]] = (
     "standstill gap", "time headway", "inverse braking",

@@ -119,8 +119,8 @@ class OtherTraffic:
     Attributes:
         noisy: for noisy simulated traffic.
         other: for all other traffic.
-        low: (S,) least numbers of training scenes.
-        high: (S,) largest ones.
+        low: (S,) least numbers within the range; unknown ones are.
+        high: (S,) largest numbers of training scenes.
     """
 
     noisy: PlaceNetwork

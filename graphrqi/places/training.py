@@ -76,7 +76,7 @@ EXACT, NOISY, OTHER = range(3)
 """Parts of the training: exact simulated traffic, the same with noise, and random simulations."""
 
 RANGE: Final = 0.002
-"""Share of the training scenes beyond each end of a number's range."""
+"""Share of the training scenes beyond an end of a number's range."""
 
 
 class Examples:

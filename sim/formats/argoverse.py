@@ -29,7 +29,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from sim.files import whole_folder, write_whole
 from sim.formats.common.recording import CARS_ASSUMED, Recording, left_out, recorded
 from sim.formats.common.tables import among, read_columns, read_table, rows_of, words_in
@@ -101,18 +100,16 @@ def focal_windows(name: str, tracks: Tracks, steps: int) -> Iterator[tuple[int, 
         )
 
 
-def labels_beside(path: Path) -> dict[str, int]:
-    """Codes into ``BEHAVIORS`` by an agent's name, from the table of labels beside a recording.
+def labels_beside(path: Path) -> dict[str, str | None]:
+    """Behaviours by an agent's name, from the table of labels beside a recording.
 
-    It has the columns ``track_id`` and ``behavior``, and may be missing. Behaviours of one's own
-    become unknown.
+    It has the columns ``track_id`` and ``behavior``, and may be missing.
     """
     if not path.is_file():
         return {}
     table = read_table(path, (), ("track_id", "behavior"), ("behavior",))
-    words = words_in(table["behavior"])
-    codes = [BEHAVIORS.index(word) if word in BEHAVIORS else -1 for word in words]
-    return dict(zip(map(str, words_in(table["track_id"])), codes, strict=True))
+    names = map(str, words_in(table["track_id"]))
+    return dict(zip(names, words_in(table["behavior"]), strict=True))
 
 
 def labels_of(tracks: Tracks) -> dict[str, list[str | None]]:
@@ -169,7 +166,7 @@ def read_scenario(path: Path) -> Iterator[Recording]:
     if road is not None:
         notes.append(MAP_NOTE)
     labels = labels_beside(path.with_name(f"behavior_{name}.parquet"))
-    yield recorded(name, rows, notes, road, own_road=True).with_codes(labels)
+    yield recorded(name, rows, notes, road, own_road=True).with_behaviors(labels)
 
 
 def write_scenarios(
@@ -262,7 +259,7 @@ def read_csv(path: Path) -> Iterator[Recording]:
     rows = rows_of(read_columns(path, columns), columns, from_zero=True)
     notes = (CARS_ASSUMED, "headings and speeds are taken from the motion")
     labels = labels_beside(path.with_suffix(LABELS_SUFFIX))
-    yield recorded(stem(path), rows, notes).with_codes(labels)
+    yield recorded(stem(path), rows, notes).with_behaviors(labels)
 
 
 def write_csv(folder: Path, name: str, tracks: Tracks, road: object = None) -> list[Path]:

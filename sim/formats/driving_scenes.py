@@ -50,7 +50,7 @@ class DrivingScene:
         lanes: of the map; an unknown width is NaN.
         crosswalks: (P, 2) outline of each, m, by id.
         lights: what the lights show at each step: a signal by lane.
-        behaviors: codes into ``BEHAVIORS``, by agent's name.
+        behaviors: what each agent is labelled, by its name.
         left_out: how many objects are no road-agents.
     """
 
@@ -61,7 +61,7 @@ class DrivingScene:
     lanes: list[Lanelet] = field(default_factory=list)
     crosswalks: dict[str, FloatArray] = field(default_factory=dict)
     lights: list[dict[int, Signal]] = field(default_factory=list)
-    behaviors: dict[str, int] = field(default_factory=dict)
+    behaviors: dict[str, str | None] = field(default_factory=dict)
     left_out: int = 0
 
 
@@ -96,7 +96,7 @@ def recording_of(scene: DrivingScene) -> Recording:
         if road.knows.unknown:
             notes.append(f"not in the map: {', '.join(road.knows.unknown)}")
     found = replace(recording, tracks=tracks, notes=tuple(notes), road=road, own_road=True)
-    return found.with_codes(scene.behaviors)
+    return found.with_behaviors(scene.behaviors)
 
 
 def _road(scene: DrivingScene, lights: list[int]) -> Road | None:

@@ -49,6 +49,7 @@ from sim.formats.common.tables import (
     NEEDED,
     beginning_of,
     by_word,
+    check_there,
     finite,
     kinds_in,
     read_columns,
@@ -390,11 +391,8 @@ def read_own(
     names = {key: name.strip().lower() for key, name in columns.items()}
     if "speed" in names:
         names = {key: name for key, name in names.items() if key not in ("vx", "vy")}
-    in_file = beginning_of(path)[1]
-    absent = [name for name in names.values() if name not in in_file]
-    if absent and in_file:
-        expected = f"expected a column {', a column '.join(absent)}"
-        raise InputError(f"{path}: found the columns {', '.join(in_file)!r:.160}, {expected}")
+    if in_file := beginning_of(path)[1]:
+        check_there(in_file, names.values())
     known = {key: UNITS[key][unit] for key, unit in units.items()}
     optional = [name for key, name in names.items() if key not in NEEDED]
     rows = rows_of(read_columns(path, names, (), optional), names, known, from_zero=True)

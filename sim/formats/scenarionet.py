@@ -21,7 +21,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import Recording
 from sim.formats.driving_scenes import DrivingScene, recording_of
@@ -75,8 +74,6 @@ LIGHTS: Final = (
     ("CAUTION", Signal.YELLOW), ("GREEN", Signal.GREEN), ("GO", Signal.GREEN),
 )  # fmt: skip
 """What a light shows, by the end of its word; it is off where none fits."""
-
-BEHAVIOR_CODES: Final = {str(behavior): code for code, behavior in enumerate(BEHAVIORS)}
 
 
 def read(path: Path) -> Iterator[Recording]:
@@ -132,8 +129,7 @@ def _scene(path: Path, found: Mapping[str, Any]) -> DrivingScene:
             scene.left_out += 1
             continue
         scene.agents.append((str(label), kind, *_states(track["state"], steps)))
-        behavior = track.get("metadata", {}).get("behavior")
-        scene.behaviors[str(label)] = BEHAVIOR_CODES.get(behavior, -1)
+        scene.behaviors[str(label)] = track.get("metadata", {}).get("behavior")
     numbers = _add_map(scene, found.get("map_features", {}))
     for name, light in found.get("dynamic_map_states", {}).items():
         lane = numbers.get(str(light.get("lane", name)))

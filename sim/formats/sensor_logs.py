@@ -176,8 +176,10 @@ TYPES: Final[dict[str, AgentKind]] = {
     "Cyclist": AgentKind.BICYCLE,
     **dict.fromkeys(("Pedestrian", "Person", "Person_sitting"), AgentKind.PEDESTRIAN),
 }
+"""Types that are road-agents."""
+
 NO_AGENTS: Final = frozenset({"Misc", "DontCare"})
-"""Types that are road-agents, and those that are left out without a note."""
+"""Types that are left out without a note."""
 
 _COLUMNS: Final = (
     "frame", "id", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom",
@@ -214,8 +216,8 @@ def read_kitti(path: Path) -> Iterator[Recording]:
     ahead = np.stack([np.cos(angle), np.zeros(angle.size), -np.sin(angle)], axis=1)
     xyz = boxes[["x", "y", "z"]].to_numpy() @ to_car[:3, :3].T + to_car[:3, 3]
     time_s, at = PERIOD_S * np.arange(len(turn), dtype=np.float64), whole(boxes, "frame")
-    for frame in at[(at < 0) | (at >= time_s.size)]:
-        raise InputError(f"found frame {frame}, expected one of the {time_s.size} poses")
+    if (off := at[(at < 0) | (at >= time_s.size)]).size:
+        raise InputError(f"found frame {off[0]}, expected one of the {time_s.size} poses")
     rows = _rows(EGO, turn, place, time_s, facts, at, xyz, ahead @ to_car[:3, :3].T)
     notes = (
         "the recording car's motion is undone with its poses; it is the agent ego",

@@ -22,7 +22,6 @@ import numpy as np
 import pandas
 
 from behaviors.errors import InputError
-from behaviors.labels import BEHAVIORS
 from sim.files import write_whole
 from sim.formats.common.recording import Recording, default_size, recorded
 from sim.formats.common.tables import beginning_of, read_table
@@ -167,28 +166,25 @@ def _recording(
     agent = rows.groupby(["tag", "id"], sort=False, observed=True).ngroup().to_numpy()
     first = rows.iloc[np.unique(agent, return_index=True)[1]]
     found: dict[str, tuple[AgentKind, tuple[float, float]]] = {}
-    codes: dict[str, int] = {}
+    behaviors: dict[str, str | None] = {}
     for tag, own, word, behavior in first[["tag", *FACTS]].itertuples(index=False):
         while own in found:
             own = f"{tag}-{own}"
         kind = AgentKind.PEDESTRIAN if tag == "person" else _kind_in(word)
         found[own] = types.get(word, (kind, default_size(kind)))
-        codes[own] = BEHAVIORS.index(behavior) if behavior in BEHAVIORS else -1
+        behaviors[own] = behavior
     made = rows[["t", "x", "y", "speed"]].assign(
         id=pandas.Categorical.from_codes(agent, list(found)),
         heading=np.radians(90.0 - rows["angle"]),
         kind=np.array([kind.code for kind, _ in found.values()])[agent],
     )
     made[["length", "width"]] = np.array([sides for _, sides in found.values()])[agent]
-    other = int((~first["behavior"].isin(["", *BEHAVIORS]) & first["behavior"].notna()).sum())
     assumed = int((~first["type"].isin(types)).sum())
     notes = [f"{assumed} agents have no known vType: sizes usual for their kind are assumed"]
     recording = recorded(
         name, made, notes if assumed else (), empty_s=times_s, ahead_lengths=0.5
-    ).with_codes(codes)
+    ).with_behaviors(behaviors)
     doubts = list(recording.doubts)
-    if other:
-        doubts.append(f"{other} agents have other behaviours than the six, which become unknown")
     if containers:
         doubts.insert(0, f"{containers} containers are left out: they are no road-agents")
     if riders:

@@ -209,7 +209,8 @@ class Scene(NamedTuple):
     """A road at one time.
 
     Lists without a maximum length are linked: a ``head`` has the first row of each, or -1, and the
-    rows have the next. ``lane_head`` is -1 between two kernels; the others last until found anew.
+    rows have the next. ``lane_head`` is -1 between two kernels; the others last until they are
+    found again.
     """
 
     net: Net

@@ -16,7 +16,7 @@ import pandas
 from numpy.typing import NDArray
 
 from behaviors.errors import InputError
-from behaviors.labels import Style
+from behaviors.labels import BEHAVIORS, Style
 from behaviors.row_index import RowIndex
 from sim.formats.common.doubts import doubts_of
 from sim.formats.common.label_file import DriverLabel
@@ -34,6 +34,13 @@ CAR_WIDTH_M: Final = 1.8
 
 CARS_ASSUMED: Final = "kinds and sizes are not in this format: cars of 4.5 m are assumed"
 """The note of recordings of formats that have positions only."""
+
+BEHAVIOR_CODES: Final[dict[str | None, int]] = {
+    "": -1,
+    None: -1,
+    **{str(behavior): behavior.code for behavior in BEHAVIORS},
+}
+"""Code of each behaviour that a format names; -1 for none."""
 
 MAX_REPEATED: Final = 0.02
 """Share of rows that may repeat an agent at one time with other numbers (a tracker that splits
@@ -90,12 +97,16 @@ class Recording:
                 styles[name] = label.style
         return replace(self, tracks=replace(self.tracks, behavior=codes), styles=styles)
 
-    def with_codes(self, codes: Mapping[str, int]) -> Recording:
-        """The same recording with codes into ``BEHAVIORS``, by an agent's name; -1 for none."""
-        found = np.array([codes.get(name, -1) for name in self.tracks.names], dtype=np.int8)
-        if not (found >= 0).any():
-            return self
-        return replace(self, tracks=replace(self.tracks, behavior=found))
+    def with_behaviors(self, words: Mapping[str, str | None]) -> Recording:
+        """The same recording with behaviours by an agent's name; one's own become unknown."""
+        given = [words.get(name) for name in self.tracks.names]
+        found = np.array([BEHAVIOR_CODES.get(word, -1) for word in given], dtype=np.int8)
+        doubts, tracks = self.doubts, self.tracks
+        if other := sum(isinstance(word, str) and word not in BEHAVIOR_CODES for word in given):
+            doubts += (f"{other} agents have other behaviours than the six, which become unknown",)
+        if (found >= 0).any():
+            tracks = replace(tracks, behavior=found)
+        return replace(self, tracks=tracks, doubts=doubts)
 
 
 def left_out(words: Collection[str]) -> list[str]:

@@ -11,7 +11,7 @@ import csv
 import re
 import warnings
 import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -247,10 +247,15 @@ def _each_once(names: Sequence[str], wanted: Sequence[str], optional: Collection
         count = list(names).count(name)
         if count > 1:
             raise InputError(f"found column {name} {count} times, expected once")
-    if absent := [name for name in wanted if name not in names and name not in optional]:
+    check_there(names, [name for name in wanted if name not in optional])
+    return [name for name in wanted if name in names]
+
+
+def check_there(names: Sequence[str], wanted: Iterable[str]) -> None:
+    """Refuse a table whose columns have these names unless all that are wanted are there."""
+    if absent := [name for name in wanted if name not in names]:
         expected = f"expected a column {', a column '.join(absent)}"
         raise InputError(f"found the columns {', '.join(names)!r:.160}, {expected}")
-    return [name for name in wanted if name in names]
 
 
 def read_text(
